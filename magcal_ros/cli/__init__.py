@@ -1,0 +1,1 @@
+"""The magcal command and its subcommands."""

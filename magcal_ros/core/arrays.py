@@ -1,0 +1,46 @@
+"""The array type the core speaks, and how foreign numbers enter it."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+
+
+def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Copy `values` into a read-only float array of a given shape.
+
+    Parameters
+    ----------
+    values : array_like
+        The numbers.
+    shape : tuple of int
+        The shape they must have; -1 stands for any length.
+    name : str
+        What to call them in the error.
+
+    Returns
+    -------
+    ndarray
+        A C-contiguous copy that cannot be written to.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another, or if a number is not finite.
+    """
+    array = np.array(values, dtype=np.float64, order="C")
+    fits = array.ndim == len(shape) and all(
+        wanted in (-1, actual) for wanted, actual in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        raise ValueError(f"{name} must have the shape {shape}, not {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds a value that is not finite")
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,46 @@
+"""The package's own exceptions: what happened, and what to do next."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class MagcalError(Exception):
+    """Root of everything this package raises on purpose; its text is meant for the user."""
+
+
+class Reason(str, Enum):
+    """Why a window of samples cannot be turned into a calibration."""
+
+    TOO_FEW_SAMPLES = "too_few_samples"
+    NO_MOTION = "no_motion"
+    ARC_TOO_SHORT = "arc_too_short"
+    FIELD_NOT_ON_A_PLANE = "field_not_on_a_plane"
+    FIELD_ON_A_LINE = "field_on_a_line"
+    FIELD_ABSENT = "field_absent"
+    GRAVITY_ABSENT = "gravity_absent"
+    CIRCLE_TOO_SMALL = "circle_too_small"
+    FIELD_TOO_STEEP = "field_too_steep"
+    AXIS_HORIZONTAL = "axis_horizontal"
+    AXIS_ALONG_FIELD = "axis_along_field"
+    AXES_DISAGREE = "axes_disagree"
+    NO_SOLUTION = "no_solution"
+    AMBIGUOUS = "ambiguous"
+    PLANAR = "planar"
+    NO_CONVERGENCE = "no_convergence"
+
+
+class Refusal(MagcalError):
+    """The samples cannot carry a calibration.
+
+    Parameters
+    ----------
+    reason : Reason
+        The cause, for programs.
+    message : str
+        The cause and the remedy, for people.
+    """
+
+    def __init__(self, reason: Reason, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason

@@ -1,0 +1,138 @@
+"""What is known before the turn: the reference field and how the sensor is built in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray, frozen_array
+
+SOFT_IRON_SIGMA_DIAGONAL = 0.03
+SOFT_IRON_SIGMA_CROSS = 0.02
+
+
+@dataclass(frozen=True)
+class Belief:
+    """One number that is known, uncertain or unknown.
+
+    Parameters
+    ----------
+    value : float
+        The expectation; ignored when nothing is known.
+    sigma : float
+        Standard deviation in the same unit: zero for known, infinite for unknown.
+    """
+
+    value: float
+    sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.value) or math.isnan(self.sigma) or self.sigma < 0.0:
+            raise ValueError("a belief needs a finite value and a sigma of zero or more")
+
+    @classmethod
+    def unknown(cls) -> Belief:
+        """Return the belief of someone who knows nothing."""
+        return cls(0.0, math.inf)
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether the value says nothing."""
+        return math.isinf(self.sigma)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the value is to be taken as it stands."""
+        return self.sigma == 0.0
+
+
+@dataclass(frozen=True)
+class ReferenceField:
+    """The Earth's field where the robot turns.
+
+    Parameters
+    ----------
+    strength : Belief
+        Tesla.
+    inclination : Belief
+        Radians, positive where the field points down.
+    declination : float or None
+        Radians, positive where magnetic north lies east of true north; None if not known.
+    """
+
+    strength: Belief = field(default_factory=Belief.unknown)
+    inclination: Belief = field(default_factory=Belief.unknown)
+    declination: float | None = None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether both strength and inclination say something."""
+        return not (self.strength.is_unknown or self.inclination.is_unknown)
+
+
+@dataclass(frozen=True)
+class SoftIron:
+    """What is believed about soft iron beyond the known gains.
+
+    The residual soft iron is a symmetric 3 x 3 matrix E in body axes, `m = K R_n (I + E) ...`.
+
+    Parameters
+    ----------
+    sigma_diagonal, sigma_cross : float
+        Standard deviations of the elements on and off the diagonal, dimensionless.
+        Both zero: there is none.
+    always : bool
+        Fit it in any case; otherwise only where the samples ask for it.
+    """
+
+    sigma_diagonal: float = SOFT_IRON_SIGMA_DIAGONAL
+    sigma_cross: float = SOFT_IRON_SIGMA_CROSS
+    always: bool = False
+
+    @classmethod
+    def none(cls) -> SoftIron:
+        """Return the belief that the known gains are the whole truth."""
+        return cls(0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """How the magnetometer is meant to sit: known gains and nominal pose.
+
+    Parameters
+    ----------
+    gains : array_like, shape (3,)
+        Known soft-iron gains K along the sensor's own axes, dimensionless, positive.
+    pose : array_like, shape (3, 3)
+        Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
+        (`rotation_from_rpy` of the URDF's origin).
+    """
+
+    gains: FloatArray = field(default_factory=lambda: np.ones(3))
+    pose: FloatArray = field(default_factory=lambda: np.eye(3))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gains", frozen_array(self.gains, (3,), "soft-iron gains"))
+        object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "mounting pose"))
+        if (self.gains <= 0.0).any():
+            raise ValueError("soft-iron gains must be positive")
+
+    @property
+    def matrix(self) -> FloatArray:
+        """K times the nominal rotation from body to sensor axes, shape (3, 3)."""
+        return np.asarray(self.gains[:, None] * self.pose.T)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Everything a method may use besides the samples.
+
+    The raw field is `m_raw = K R_n (I + E) R m_body + h + noise`: K and R_n from `mounting`,
+    E the residual soft iron, R = (rotation_from_rpy(roll, pitch, 0))^T the installation error.
+    """
+
+    reference: ReferenceField = field(default_factory=ReferenceField)
+    mounting: Mounting = field(default_factory=Mounting)
+    soft_iron: SoftIron = field(default_factory=SoftIron)

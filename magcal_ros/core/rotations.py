@@ -1,0 +1,99 @@
+"""Rotation matrices: the few that calibration needs, without singularities.
+
+Every matrix here is *active*: `R @ v` turns the vector `v`. A frame change "from body to sensor"
+is the inverse of the sensor's pose in the body.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Return the matrix of the cross product: `skew(v) @ w == np.cross(v, w)`, shape (3, 3)."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp_rotation(vector: FloatArray) -> FloatArray:
+    """Turn by |vector| radians about `vector` (Rodrigues' formula), shape (3, 3)."""
+    angle = float(np.linalg.norm(vector))
+    k = skew(vector)
+    if angle < 1e-8:
+        return np.eye(3) + k + 0.5 * k @ k
+    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    return np.asarray(np.eye(3) + s * k + c * k @ k)
+
+
+def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
+    k = skew(axis)
+    s, c = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    return np.asarray(np.eye(3) + s * k + c * (k @ k))
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray:
+    """Return the pose Rz(yaw) Ry(pitch) Rx(roll) of a link in its parent (REP-103, URDF).
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float
+        Radians about the fixed axes x, y, z, in this order.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Takes vectors from the link's axes to the parent's.
+    """
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw in radians of a pose: the inverse of `rotation_from_rpy`.
+
+    Pitch lies within ±90°. At ±90° roll and yaw turn about one axis and yaw is taken as zero.
+    """
+    pitch = math.asin(min(1.0, max(-1.0, -float(pose[2, 0]))))
+    if math.hypot(float(pose[0, 0]), float(pose[1, 0])) < 1e-9:
+        roll = math.atan2(-float(pose[1, 2]), float(pose[1, 1]))
+        return roll, pitch, 0.0
+    roll = math.atan2(float(pose[2, 1]), float(pose[2, 2]))
+    yaw = math.atan2(float(pose[1, 0]), float(pose[0, 0]))
+    return roll, pitch, yaw
+
+
+def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the smallest turn that takes the unit vector `start` to `end`, shape (3, 3).
+
+    Opposite vectors leave the axis open; any axis across them is taken.
+    """
+    cosine = float(start @ end)
+    if cosine < -1.0 + 1e-12:
+        across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+        across /= np.linalg.norm(across)
+        return np.asarray(2.0 * np.outer(across, across) - np.eye(3))
+    k = skew(np.cross(start, end))
+    return np.asarray(np.eye(3) + k + k @ k / (1.0 + cosine))
+
+
+def rotation_angle(rotation: FloatArray) -> float:
+    """Return the angle in radians, 0 to pi, by which `rotation` turns."""
+    sine = 0.5 * math.hypot(
+        float(rotation[2, 1] - rotation[1, 2]),
+        float(rotation[0, 2] - rotation[2, 0]),
+        float(rotation[1, 0] - rotation[0, 1]),
+    )
+    return math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))

@@ -1,0 +1,1 @@
+"""Calibrations and recordings on disk: no ROS graph, every write atomic."""

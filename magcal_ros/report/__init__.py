@@ -1,0 +1,1 @@
+"""Figures and the report (matplotlib is imported when used)."""

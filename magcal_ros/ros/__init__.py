@@ -1,0 +1,1 @@
+"""The node: rclpy lives only here."""
