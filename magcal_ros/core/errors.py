@@ -13,6 +13,7 @@ class Reason(str, Enum):
     """Why a window of samples cannot be turned into a calibration."""
 
     TOO_FEW_SAMPLES = "too_few_samples"
+    NOT_FINITE = "not_finite"
     NO_MOTION = "no_motion"
     ARC_TOO_SHORT = "arc_too_short"
     FIELD_NOT_ON_A_PLANE = "field_not_on_a_plane"
