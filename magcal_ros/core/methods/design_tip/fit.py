@@ -1,0 +1,248 @@
+"""The design tip from end to end."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.attitude import FRD_FROM_FLU, STANDARD_GRAVITY
+from magcal_ros.core.correction import PARAMETERS, Correction
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimate import Estimate, Installation
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.methods.design_tip.axis import TurnAxis, find_axis
+from magcal_ros.core.methods.design_tip.circle import FieldCircle, fit_field_circle
+from magcal_ros.core.methods.design_tip.door import TipSamples, enter, leave, passive_rotation
+from magcal_ros.core.methods.design_tip.figures import measure_figures
+from magcal_ros.core.methods.design_tip.installation import Candidate, find_candidates
+from magcal_ros.core.methods.design_tip.options import Options
+from magcal_ros.core.methods.design_tip.reference import BelievedField, believe
+from magcal_ros.core.methods.resampling import jackknife_covariance
+from magcal_ros.core.rotations import rotation_angle
+from magcal_ros.core.window import Window
+
+SHORTEST_ARC = math.radians(45.0)
+STEEPEST_INCLINATION = math.radians(80.0)
+SMALLEST_RADIUS = 0.15
+"""Share of the field's strength below which the circle shows no direction."""
+
+TILTED_AXIS = math.radians(20.0)
+STRENGTH_MARGIN = 0.1
+"""Share of the strength by which an installation may fit the reference worse than the best."""
+
+RIVAL_MARGIN = math.radians(2.0)
+RIVAL_DISTANCE = math.radians(5.0)
+"""Rivals nearer than this are one answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The steps' results before their uncertainty is known."""
+
+    samples: TipSamples
+    circle: FieldCircle
+    axis: TurnAxis
+    chosen: Candidate
+    rival: Candidate | None
+    believed: BelievedField
+    correction: Correction
+    installation: Installation
+
+
+def fit(
+    window: Window, knowledge: Knowledge = Knowledge(), *, options: Options = Options()
+) -> Estimate:
+    """Calibrate by the ST design tip DT0103, its traps left out.
+
+    Parameters
+    ----------
+    window : Window
+        One turn about one axis within 75° of the vertical, at least 45° of it.
+    knowledge : Knowledge
+        Reference field and mounting. Residual soft iron is not modelled.
+    options : Options
+        Choice of the fits.
+
+    Returns
+    -------
+    Estimate
+        With `figures` as `measure_figures` names them. Its covariance comes from leaving out
+        pieces of the turn and from the reference's uncertainty.
+
+    Raises
+    ------
+    Refusal
+        If the samples cannot carry an answer; its text says why and what to do.
+    """
+    _refuse_empty(window, options)
+    solution = solve(window, knowledge, options)
+    _refuse_unusable(solution, knowledge.reference)
+    covariance = jackknife_covariance(
+        lambda part, known: solve(part, known, options).correction,
+        window,
+        knowledge,
+        blocks=options.jackknife_blocks,
+        unknown=_axial_unknown(solution, options),
+    )
+    residual = solution.chosen.circle.model_error @ solution.samples.mounting.T
+    noise_field = math.sqrt(float((residual**2).sum()) / max(2 * len(window) - 6, 1))
+    return Estimate(
+        method="design_tip",
+        correction=solution.correction,
+        covariance=covariance,
+        installation=solution.installation,
+        axis=-FRD_FROM_FLU @ solution.axis.direction,
+        arc=solution.circle.arc,
+        strength=solution.believed.strength,
+        inclination=solution.believed.inclination,
+        noise_field=noise_field,
+        noise_up=solution.axis.noise,
+        inliers=np.ones(len(window), dtype=np.bool_),
+        residual=residual,
+        figures=measure_figures(
+            solution.samples,
+            solution.axis,
+            solution.chosen,
+            solution.rival,
+            solution.believed,
+            noise_field,
+        ),
+        message=f"closed form; {solution.believed.basis}",
+    )
+
+
+def solve(window: Window, knowledge: Knowledge, options: Options) -> Solution:
+    """Take the tip's steps on whatever samples there are.
+
+    Parameters
+    ----------
+    window : Window
+        The samples.
+    knowledge : Knowledge
+        Reference field and mounting.
+    options : Options
+        Choice of the fits.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    Refusal
+        If a step has no answer.
+    """
+    samples = enter(window, knowledge.mounting)
+    circle = _circle_or_reason(samples, options)
+    axis = find_axis(samples, circle, options)
+    chosen, rival, believed = _choose(samples, axis, circle, knowledge.reference)
+    iron = chosen.circle.centre - believed.axial * chosen.circle.normal
+    correction, installation = leave(chosen.roll, chosen.pitch, iron, knowledge.mounting)
+    return Solution(samples, circle, axis, chosen, rival, believed, correction, installation)
+
+
+def _circle_or_reason(samples: TipSamples, options: Options) -> FieldCircle:
+    try:
+        return fit_field_circle(samples, options)
+    except Refusal as refusal:
+        spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(samples.down.T)), 0.0))
+        gravity_turned = spread[2] > 1e-3 and spread[2] > 5.0 * spread[0]
+        if refusal.reason is Reason.NO_MOTION and gravity_turned:
+            raise _axis_along_field() from refusal
+        raise
+
+
+def _choose(
+    samples: TipSamples, axis: TurnAxis, circle: FieldCircle, reference: ReferenceField
+) -> tuple[Candidate, Candidate | None, BelievedField]:
+    """Choose the smallest installation among those that fit the reference field."""
+    candidates = find_candidates(samples, axis, circle)
+    believed = [believe(reference, candidate, axis) for candidate in candidates]
+    misfit = np.array(
+        [
+            abs(math.hypot(candidate.circle.radius, field.axial) / field.strength - 1.0)
+            for candidate, field in zip(candidates, believed, strict=True)
+        ]
+    )
+    fitting = np.flatnonzero(misfit <= misfit.min() + STRENGTH_MARGIN)
+    first = int(fitting[0])
+    chosen = candidates[first]
+    others = [candidate for index, candidate in enumerate(candidates) if index != first]
+    for index in fitting[1:]:
+        _refuse_rival(chosen, candidates[int(index)])
+    return chosen, (others[0] if others else None), believed[first]
+
+
+def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
+    between = passive_rotation(chosen.roll, chosen.pitch).T @ passive_rotation(
+        rival.roll, rival.pitch
+    )
+    alike = rival.angle - chosen.angle < RIVAL_MARGIN
+    if alike and rotation_angle(between) > RIVAL_DISTANCE:
+        raise Refusal(
+            Reason.AMBIGUOUS,
+            "Two installations of the magnetometer of the same size explain this turn. Turn about "
+            "an axis nearer to the vertical, or give the nominal mounting.",
+        )
+
+
+def _axial_unknown(solution: Solution, options: Options) -> FloatArray:
+    unknown = np.zeros(PARAMETERS)
+    if solution.believed.axial_unknown:
+        along = solution.samples.mounting @ solution.chosen.circle.normal
+        unknown[9:] = options.axial_sigma * along
+    return unknown
+
+
+def _refuse_empty(window: Window, options: Options) -> None:
+    if len(window) < options.min_samples:
+        raise Refusal(
+            Reason.TOO_FEW_SAMPLES,
+            f"Only {len(window)} samples; at least {options.min_samples} are needed. Turn more "
+            "slowly or check the rate of the topics.",
+        )
+    if float(np.median(np.linalg.norm(window.specific_force, axis=1))) < 0.5 * STANDARD_GRAVITY:
+        raise Refusal(
+            Reason.GRAVITY_ABSENT,
+            "The accelerometer shows less than half of gravity. It must publish specific force "
+            "in m/s², +9.81 upwards at rest, with gravity not taken off.",
+        )
+    if not window.field.any():
+        raise Refusal(
+            Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
+        )
+
+
+def _refuse_unusable(solution: Solution, reference: ReferenceField) -> None:
+    circle, believed = solution.circle, solution.believed
+    if circle.arc < SHORTEST_ARC:
+        raise Refusal(
+            Reason.ARC_TOO_SHORT,
+            f"Only {math.degrees(circle.arc):.0f}° of the turn were seen; at least 45° are "
+            "needed. Turn further round, best a full turn.",
+        )
+    if not reference.strength.is_unknown and circle.radius < SMALLEST_RADIUS * believed.strength:
+        if solution.axis.tilt > TILTED_AXIS:
+            raise _axis_along_field()
+        raise Refusal(
+            Reason.CIRCLE_TOO_SMALL,
+            f"The field's circle has a radius of {circle.radius * 1e6:.1f} µT only. Check the "
+            "field's unit (tesla) and the reference; shielded rooms and poles show no heading.",
+        )
+    if abs(believed.inclination) > STEEPEST_INCLINATION:
+        raise Refusal(
+            Reason.FIELD_TOO_STEEP,
+            f"The field is inclined by {math.degrees(believed.inclination):.0f}°: too steep for "
+            "a compass. Check the reference field, or calibrate elsewhere.",
+        )
+
+
+def _axis_along_field() -> Refusal:
+    return Refusal(
+        Reason.AXIS_ALONG_FIELD,
+        "The robot turned about the field's own direction, so the field hardly changed. Turn "
+        "about an axis nearer to the vertical.",
+    )

@@ -1,0 +1,170 @@
+"""The installation that takes the turn's axis in the body to the normal of the field's plane."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.methods.design_tip.axis import LEAST_NOISE, TurnAxis
+from magcal_ros.core.methods.design_tip.circle import FieldCircle
+from magcal_ros.core.methods.design_tip.door import TipSamples, passive_rotation
+from magcal_ros.core.rotations import rotation_angle
+
+CLEAR_SENSE = 20.0
+"""Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
+counts for less than its number of samples; below this the smaller installation decides well."""
+
+LEAST_GYRO_AGREEMENT = 0.5
+"""Slope of the field's phase against the gyro's angle from which the gyro's sense is believed."""
+
+SMALLEST_LEVER = math.sin(math.radians(10.0))
+"""Length of the axis across body y; below it the pitch turns about the axis and is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One installation that fits the two normals, in the tip's sense.
+
+    Parameters
+    ----------
+    roll, pitch : float
+        Of the passive rotation Rx(roll) Ry(pitch), radians.
+    circle : FieldCircle
+        The field's circle with the normal that this installation needs.
+    gravity_dot_field : float
+        Mean product of gravity and field across the axis, tesla.
+    """
+
+    roll: float
+    pitch: float
+    circle: FieldCircle
+    gravity_dot_field: float
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole installation."""
+        return rotation_angle(passive_rotation(self.roll, self.pitch))
+
+
+def roll_pitch_between(axis: FloatArray, normal: FloatArray) -> list[tuple[float, float]]:
+    """Solve Rx(roll) Ry(pitch) axis = normal in closed form.
+
+    The first row, u_x cos(pitch) - u_z sin(pitch) = n_x, gives pitch = ±acos(n_x/ρ) - atan2(u_z,
+    u_x) with ρ = hypot(u_x, u_z); roll then turns the other two components onto the normal's.
+
+    Parameters
+    ----------
+    axis, normal : ndarray, shape (3,)
+        Unit, in body and in sensor axes.
+
+    Returns
+    -------
+    list of (float, float)
+        None, one or two pairs of roll and pitch in radians, |pitch| < 90°.
+    """
+    lever = math.hypot(float(axis[0]), float(axis[2]))
+    reach = float(normal[0]) / lever if lever > 0.0 else math.inf
+    if abs(reach) > 1.0 + 1e-9:
+        return []
+    phase = math.atan2(float(axis[2]), float(axis[0]))
+    opening = math.acos(min(1.0, max(-1.0, reach)))
+    solutions = []
+    for turn in {opening, -opening}:
+        pitch = math.remainder(turn - phase, 2.0 * math.pi)
+        if abs(pitch) >= math.pi / 2.0:
+            continue
+        _, y, z = passive_rotation(0.0, pitch) @ axis
+        roll = math.atan2(z, y) - math.atan2(float(normal[2]), float(normal[1]))
+        solutions.append((math.remainder(roll, 2.0 * math.pi), pitch))
+    return solutions
+
+
+def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> list[Candidate]:
+    """Return every installation that fits, the smallest first.
+
+    The field turns about its normal in the sense in which gravity turns about the axis. Where
+    neither gravity nor a gyro shows that sense, both normals are tried.
+
+    Parameters
+    ----------
+    samples : TipSamples
+        The turn.
+    axis : TurnAxis
+        Its axis in the body.
+    circle : FieldCircle
+        With a normal of either sign.
+
+    Returns
+    -------
+    list of Candidate
+        At least one.
+
+    Raises
+    ------
+    Refusal
+        If none fits, if the axis does not show the pitch, or if gravity and gyro contradict.
+    """
+    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < SMALLEST_LEVER:
+        raise Refusal(
+            Reason.AMBIGUOUS,
+            "The robot turned about the IMU's y axis, which does not show the magnetometer's "
+            "pitch. Give the mounting in the robot's frame, so that the turn is about its z axis.",
+        )
+    sense = _sense(samples, axis, circle)
+    circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
+    found = [
+        Candidate(roll, pitch, c, _gravity_dot_field(passive_rotation(roll, pitch), axis, c))
+        for c in circles
+        for roll, pitch in roll_pitch_between(axis.direction, c.normal)
+    ]
+    if not found:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "No roll and pitch of the magnetometer explain the turn. Check that the accelerometer "
+            "and the magnetometer are on the same body and that their axes are right-handed.",
+        )
+    return sorted(found, key=lambda candidate: candidate.angle)
+
+
+def _gravity_dot_field(rotation: FloatArray, axis: TurnAxis, circle: FieldCircle) -> float:
+    return float(np.sum(axis.across * (circle.offsets @ rotation), axis=1).mean())
+
+
+def _sense(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    by_gravity = _sense_by_gravity(axis, circle)
+    by_gyro = _sense_by_gyro(samples, axis, circle)
+    if by_gravity * by_gyro < 0:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "Gyro and gravity turn in opposite senses. Check the axes and signs of the gyro.",
+        )
+    return by_gravity or by_gyro
+
+
+def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
+    first, second = np.linalg.svd(axis.direction[None, :])[2][1:]
+    second = second * float(np.cross(first, second) @ axis.direction)
+    gravity = axis.across @ first + 1j * (axis.across @ second)
+    field = circle.phasor / np.abs(circle.phasor).mean()
+    same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
+    standard_error = max(axis.noise, LEAST_NOISE) / math.sqrt(len(field))
+    if abs(same - opposite) < CLEAR_SENSE * standard_error:
+        return 0
+    return 1 if same > opposite else -1
+
+
+def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
+    if samples.turned is None:
+        return 0
+    # A field fixed in the world turns backwards in the body.
+    expected = -(samples.turned @ axis.direction)
+    seen = np.angle(circle.phasor[1:] * circle.phasor[:-1].conj())
+    power = float(expected @ expected)
+    slope = float(expected @ seen) / power if power > 0.0 else 0.0
+    if abs(slope) < LEAST_GYRO_AGREEMENT:
+        return 0
+    return 1 if slope > 0.0 else -1

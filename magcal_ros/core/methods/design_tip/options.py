@@ -1,0 +1,56 @@
+"""What the user of the design tip may choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from magcal_ros.core.conics import ConicFit
+from magcal_ros.core.planes import PlaneFit
+
+
+class AxisSource(str, Enum):
+    """Where the turn's axis comes from."""
+
+    AUTO = "auto"
+    MEAN = "mean"
+    PLANE = "plane"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the design tip.
+
+    Parameters
+    ----------
+    plane : PlaneFit
+        Fit of the planes of gravity and field.
+    conic : ConicFit
+        Fit of the field's circle.
+    axis : AxisSource
+        Centre of the accelerometer's circle, normal of its plane, or both by their variances.
+    min_samples : int
+        Fewer are refused.
+    jackknife_blocks : int
+        Pieces of time that the covariance leaves out one by one.
+    axial_sigma : float
+        Tesla, standard deviation of the hard iron along the axis when neither strength nor
+        inclination is known.
+
+    Raises
+    ------
+    ValueError
+        For a name that is none of the choices.
+    """
+
+    plane: PlaneFit = PlaneFit.EIGEN
+    conic: ConicFit = ConicFit.TAUBIN
+    axis: AxisSource = AxisSource.AUTO
+    min_samples: int = 20
+    jackknife_blocks: int = 16
+    axial_sigma: float = 50e-6
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "plane", PlaneFit(self.plane))
+        object.__setattr__(self, "conic", ConicFit(self.conic))
+        object.__setattr__(self, "axis", AxisSource(self.axis))
