@@ -1,0 +1,78 @@
+"""From a window to a judged calibration: the one way that node and command line both go."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
+
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.verdict import Verdict, judge, refuse
+from magcal_ros.core.window import Window
+
+Fit = Callable[[Window, Knowledge], Estimate]
+
+METHODS = ("maximum_likelihood", "design_tip")
+"""Names that `find_method` knows, the recommended one first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a window.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        How it is judged.
+    calibration : Calibration or None
+        What was found, whatever the verdict; None if nothing could be found.
+    estimate : Estimate or None
+        The method's own result.
+    """
+
+    verdict: Verdict
+    calibration: Calibration | None = None
+    estimate: Estimate | None = None
+
+
+def find_method(name: str) -> Fit:
+    """Return the method of a name, imported when it is asked for.
+
+    Raises
+    ------
+    ValueError
+        If there is none of that name.
+    """
+    if name not in METHODS:
+        raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
+    module = importlib.import_module(f"magcal_ros.core.methods.{name}")
+    return cast("Fit", module.fit)
+
+
+def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
+    """Fit a window and judge the result.
+
+    Parameters
+    ----------
+    window : Window
+        The samples of one turn.
+    knowledge : Knowledge
+        What is known beforehand.
+    method : str
+        One of `METHODS`.
+
+    Returns
+    -------
+    Outcome
+        Never raises for bad data: a refusal is a verdict.
+    """
+    try:
+        estimate = find_method(method)(window, knowledge)
+    except Refusal as refusal:
+        return Outcome(refuse(refusal))
+    verdict = judge(estimate, knowledge)
+    return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)

@@ -1,0 +1,188 @@
+"""How much of the turn has been seen, and where the hole is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.attitude import unit, wrap_angle
+from magcal_ros.core.conics import fit_circle_taubin
+from magcal_ros.core.errors import Refusal
+
+BINS = 36
+BINS_NEEDED = 34
+LARGEST_GAP_DEG = 20.0
+"""A turn is complete when no gap is larger and `BINS_NEEDED` of `BINS` are filled."""
+
+SPREAD_OVER_NOISE = 6.0
+"""The field's cloud must be so many times wider than its noise before it shows a phase."""
+
+SMALLEST_RADIUS = 4e-6
+"""Tesla. A smaller circle is noise, or a robot that stands."""
+
+GYRO_LEADS_UNTIL = math.radians(60.0)
+"""A shorter arc does not show its circle well; a gyro, where there is one, measures it."""
+
+SMALLEST_TURN = math.radians(10.0)
+LARGEST_GYRO_BIAS = math.radians(1.0)
+"""rad/s. A gyro at rest may pretend to turn as fast as this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Which headings of the turn were seen.
+
+    Parameters
+    ----------
+    filled : ndarray of bool, shape (36,)
+        Bins of yaw relative to the first sample, counter-clockwise.
+    arc : float
+        Radians seen: the full turn less the largest gap.
+    gap : float
+        Radians of the largest gap.
+    gap_centre : float
+        Radians from the start to the middle of the largest gap, positive to the left.
+    turned : float
+        Radians turned in all, positive counter-clockwise.
+    """
+
+    filled: BoolArray
+    arc: float
+    gap: float
+    gap_centre: float
+    turned: float
+
+    @classmethod
+    def nothing(cls) -> Coverage:
+        """Return the coverage before the robot has moved."""
+        return cls(np.zeros(BINS, dtype=np.bool_), 0.0, 2.0 * math.pi, math.pi, 0.0)
+
+    @classmethod
+    def of(cls, progress: FloatArray) -> Coverage:
+        """Measure the unwrapped yaw progress (n,), radians from the start, left positive."""
+        if len(progress) < 2:
+            return cls.nothing()
+        around = np.sort(np.mod(progress, 2.0 * math.pi))
+        gaps = np.diff(np.append(around, around[0] + 2.0 * math.pi))
+        widest = int(np.argmax(gaps))
+        gap = float(gaps[widest])
+        filled = np.zeros(BINS, dtype=np.bool_)
+        filled[np.minimum((around * (BINS / (2.0 * math.pi))).astype(int), BINS - 1)] = True
+        centre = float(wrap_angle(around[widest] + 0.5 * gap))
+        turned = float(progress[-1] - progress[0])
+        return cls(filled, 2.0 * math.pi - gap, gap, centre, turned)
+
+    @property
+    def share(self) -> float:
+        """Share of the bins that are filled, 0 to 1."""
+        return float(self.filled.mean())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every heading was seen, up to small gaps."""
+        return self.gap <= math.radians(LARGEST_GAP_DEG) and int(self.filled.sum()) >= BINS_NEEDED
+
+    @property
+    def hole_in_words(self) -> str:
+        """The largest gap as a person would point at it; empty when the turn is complete."""
+        if self.is_complete:
+            return ""
+        size = math.degrees(self.gap)
+        if self.arc < math.radians(5.0):
+            return "the robot has not turned yet"
+        away = math.degrees(self.gap_centre)
+        side = "left" if away >= 0.0 else "right"
+        if abs(away) > 175.0:
+            return f"missing: {size:.0f}° opposite the start"
+        return f"missing: {size:.0f}°, centred {abs(away):.0f}° to the {side} of the start"
+
+
+def yaw_progress(
+    time: FloatArray, field: FloatArray, force: FloatArray, rate: FloatArray | None
+) -> FloatArray | None:
+    """Return how far the robot has turned since the first sample.
+
+    The field's phase on its circle tells it; before the circle can be seen the gyro does.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds.
+    field : ndarray, shape (n, 3)
+        Field in nominal body axes, hard iron still in it, tesla.
+    force : ndarray, shape (n, 3)
+        Specific force in body axes, m/s².
+    rate : ndarray, shape (n, 3), or None
+        rad/s in body axes.
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        Unwrapped radians, counter-clockwise positive; None while neither sensor shows a turn.
+    """
+    if len(time) < 5:
+        return None
+    up = unit(force.mean(axis=0))
+    if rate is not None:
+        steps = 0.5 * (rate[1:] + rate[:-1]) @ up * np.diff(time)
+        turned = np.concatenate([[0.0], np.cumsum(steps)])
+        if np.ptp(turned) < GYRO_LEADS_UNTIL:
+            drift = LARGEST_GYRO_BIAS * float(time[-1] - time[0])
+            return turned if np.ptp(turned) > SMALLEST_TURN + drift else None
+    return _magnetic_progress(field, up)
+
+
+def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
+    """Return minus the field's phase on its circle about `up`, unwrapped from the first sample."""
+    centred = field - field.mean(axis=0)
+    spread, axes = np.linalg.eigh(centred.T @ centred / len(field))
+    steps = np.diff(field, axis=0)
+    noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 6.0)
+    if math.sqrt(max(float(spread[2]), 0.0)) < SPREAD_OVER_NOISE * noise:
+        return None
+    normal = axes[:, 0] if axes[:, 0] @ up >= 0.0 else -axes[:, 0]
+    first = unit(np.cross(normal, axes[:, 1]))
+    plane = np.stack([first, np.cross(normal, first)])
+    flat_field = centred @ plane.T
+    try:
+        circle = fit_circle_taubin(flat_field)
+    except Refusal:
+        return None
+    if circle.radius < SMALLEST_RADIUS:
+        return None
+    offset = flat_field - circle.centre
+    phase = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+    return np.asarray(phase[0] - phase)
+
+
+def thin_to_equal_angles(progress: FloatArray, bins: int = 180) -> IntArray:
+    """Choose samples so that a pause does not weigh.
+
+    A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
+    spread over the time that was spent in it.
+
+    Parameters
+    ----------
+    progress : ndarray, shape (n,)
+        Yaw of each sample, radians.
+    bins : int
+        Number of bins on the circle.
+
+    Returns
+    -------
+    ndarray of int
+        Increasing row numbers.
+    """
+    where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
+    counts = np.bincount(where, minlength=bins)
+    limit = max(2, int(2 * np.median(counts[counts > 0])))
+    order = np.argsort(where, kind="stable")
+    kept = []
+    for rows in np.split(order, np.cumsum(counts)[:-1]):
+        if len(rows) > limit:
+            rows = rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)]
+        kept.append(rows)
+    return np.sort(np.concatenate(kept))

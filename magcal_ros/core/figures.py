@@ -1,0 +1,68 @@
+"""Figures that every method's estimate has, whatever the method measured besides."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.attitude import field_in_enu
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.rotations import rotation_from_rpy
+
+CHECKED_TILT = math.radians(10.0)
+UP: FloatArray = np.array([0.0, 0.0, 1.0])
+
+
+def common_figures(estimate: Estimate) -> dict[str, float]:
+    """Measure an estimate.
+
+    Returns
+    -------
+    dict of str to float
+        heading_sigma, heading_sigma_tilted : rad, predicted from the covariance, root mean square
+        over all headings on the level and on slopes of 10°;
+        residual_ratio : rms residual of the believed samples over the level field;
+        outlier_share : share of the samples that was not believed;
+        installation_angle : rad, where the method knows one;
+        radius_misfit : relative, where the method compared radii.
+    """
+    residual = estimate.residual[estimate.inliers]
+    rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
+    figures = {
+        "heading_sigma": predicted_heading_sigma(estimate, 0.0),
+        "heading_sigma_tilted": predicted_heading_sigma(estimate, CHECKED_TILT),
+        "residual_ratio": rms / max(estimate.circle_radius, 1e-12),
+        "outlier_share": 1.0 - float(np.mean(estimate.inliers)),
+    }
+    if estimate.installation is not None:
+        figures["installation_angle"] = estimate.installation.angle
+    if "radius_ratio" in estimate.figures:
+        figures["radius_misfit"] = abs(estimate.figures["radius_ratio"] - 1.0)
+    if "ellipse_ratio" in estimate.figures:
+        figures["ellipse_excess"] = estimate.figures["ellipse_ratio"] - 1.0
+    return figures
+
+
+def predicted_heading_sigma(estimate: Estimate, tilt: float) -> float:
+    """Return the yaw's standard deviation from the covariance of the twelve numbers.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What was found.
+    tilt : float
+        Radians. Zero for the level; otherwise over slopes to all four sides.
+
+    Returns
+    -------
+    float
+        Radians, root mean square over 24 headings.
+    """
+    leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
+    yaws = np.arange(24) * (math.tau / 24)
+    poses = np.array([[rotation_from_rpy(r, p, y).T for y in yaws] for r, p in leanings])
+    reference = field_in_enu(estimate.strength, estimate.inclination)
+    sigma = estimate.heading_sigma(poses @ UP, poses @ reference)
+    return math.sqrt(float(np.mean(sigma**2)))

@@ -1,0 +1,212 @@
+"""The state machine of one calibration; time is passed in.
+
+Paired samples enter, coverage answers how far the turn is, and the session says when it is over
+and why. It does not fit: whoever owns it takes the window and gives it to a method.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.coverage import Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.streams import Pair
+from magcal_ros.core.window import Window
+
+LARGEST_BUFFER = 20_000
+"""Pairs. When it is full it is thinned to equal angles, so an hour of waiting does no harm."""
+
+ROWS = 10
+"""Columns of the buffer: stamp, field, specific force, angular rate."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a session ends by itself.
+
+    Parameters
+    ----------
+    timeout : float
+        Seconds on a steady clock until whatever was seen is used or refused.
+    silence : float
+        Seconds without a usable pair after which waiting longer is pointless.
+    smallest_arc : float
+        Radians below which a turn is refused without a fit.
+    """
+
+    timeout: float = 90.0
+    silence: float = 10.0
+    smallest_arc: float = math.radians(45.0)
+
+
+class Stage(str, Enum):
+    """Where a session stands."""
+
+    COLLECTING = "collecting"
+    COMPLETE = "complete"
+    TIMED_OUT = "timed_out"
+    SILENT = "silent"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a session is.
+
+    Parameters
+    ----------
+    stage : Stage
+        Whether it is over, and why.
+    coverage : Coverage
+        What of the turn was seen.
+    samples : int
+        Pairs held.
+    elapsed : float
+        Seconds since the start on a steady clock.
+    turn_rate : float
+        rad/s over the last seconds, left positive; zero when not known.
+    """
+
+    stage: Stage
+    coverage: Coverage
+    samples: int
+    elapsed: float
+    turn_rate: float
+
+    @property
+    def in_words(self) -> str:
+        """One line for a person."""
+        arc = math.degrees(self.coverage.arc)
+        line = f"{arc:.0f}° of the turn seen, {self.samples} samples"
+        hole = self.coverage.hole_in_words
+        return f"{line}; {hole}" if hole else line
+
+
+class Session:
+    """Collects one turn.
+
+    Parameters
+    ----------
+    limits : Limits
+        When it ends by itself.
+    mounting : Mounting
+        How the magnetometer is meant to sit: a phase about the up vector needs it.
+    now : float
+        Seconds on a steady clock.
+    """
+
+    def __init__(self, limits: Limits, mounting: Mounting, now: float) -> None:
+        self.limits = limits
+        self._to_body = np.linalg.inv(mounting.matrix)
+        self._started = now
+        self._last_pair: float | None = None
+        self._buffer = np.empty((1024, ROWS))
+        self._size = 0
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether any pair has come."""
+        return self._size > 0
+
+    def add(self, pair: Pair, now: float) -> None:
+        """Take a pair; a stamp that does not increase is left out."""
+        rows = self._buffer
+        if self._size and pair.field.stamp <= rows[self._size - 1, 0]:
+            return
+        if self._size == len(rows):
+            self._make_room()
+        self._buffer[self._size] = (
+            pair.field.stamp,
+            *pair.field.field,
+            *pair.imu.force,
+            *pair.imu.rate,
+        )
+        self._size += 1
+        self._last_pair = now
+
+    def progress(self, now: float) -> Progress:
+        """Return how far the turn is at `now`, seconds on the steady clock of the start."""
+        angle = self._angle()
+        coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
+        return Progress(
+            self._stage(coverage, now),
+            coverage,
+            self._size,
+            now - self._started,
+            0.0 if angle is None else self._turn_rate(angle),
+        )
+
+    def window(self) -> Window:
+        """Return what was collected, thinned to equal angles.
+
+        Raises
+        ------
+        Refusal
+            If nothing was collected.
+        """
+        if not self._size:
+            raise Refusal(
+                Reason.TOO_FEW_SAMPLES,
+                "no pair of field and acceleration samples has arrived; check both topics",
+            )
+        angle = self._angle()
+        rows = self._rows()
+        if angle is not None:
+            rows = rows[thin_to_equal_angles(angle)]
+        rate = _rate_if_any(rows)
+        if rate is not None:
+            rows, rate = rows[np.isfinite(rate).all(axis=1)], rate[np.isfinite(rate).all(axis=1)]
+        return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rate)
+
+    def _rows(self) -> FloatArray:
+        return np.array(self._buffer[: self._size])
+
+    def _angle(self) -> FloatArray | None:
+        rows = self._buffer[: self._size]
+        rate = _rate_if_any(rows)
+        if rate is not None:
+            rate = np.nan_to_num(rate)
+        return yaw_progress(rows[:, 0], rows[:, 1:4] @ self._to_body.T, rows[:, 4:7], rate)
+
+    def _stage(self, coverage: Coverage, now: float) -> Stage:
+        if coverage.is_complete:
+            return Stage.COMPLETE
+        if now - (self._started if self._last_pair is None else self._last_pair) > (
+            self.limits.silence
+        ):
+            return Stage.SILENT
+        if now - self._started > self.limits.timeout:
+            return Stage.TIMED_OUT
+        return Stage.COLLECTING
+
+    def _turn_rate(self, angle: FloatArray) -> float:
+        stamps = self._buffer[: self._size, 0]
+        first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
+        span = float(stamps[-1] - stamps[first])
+        return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
+
+    def _make_room(self) -> None:
+        if self._size < LARGEST_BUFFER:
+            self._buffer = np.concatenate([self._buffer, np.empty_like(self._buffer)])
+            return
+        angle = self._angle()
+        kept = None if angle is None else thin_to_equal_angles(angle)
+        if kept is None or len(kept) > LARGEST_BUFFER // 2:
+            kept = np.arange(0, self._size, 2)
+        rows = self._buffer[kept]
+        self._buffer[: len(rows)] = rows
+        self._size = len(rows)
+
+
+def _rate_if_any(rows: FloatArray) -> FloatArray | None:
+    """Return the angular rates, or None if there is no gyro: absent, or an unfilled field."""
+    rate = rows[:, 7:10]
+    finite = np.isfinite(rate).all(axis=1)
+    if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():
+        return None
+    return np.asarray(rate)

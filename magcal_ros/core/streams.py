@@ -1,0 +1,229 @@
+"""Two raw streams become clean ones, and meet by stamp.
+
+What is dropped is counted by its reason, so that the user can be told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from enum import Enum
+from typing import NamedTuple
+
+BACKWARD_SAMPLES_UNTIL_RESTART = 10
+"""So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
+
+HISTORY = 4096
+"""Samples kept of each stream: four seconds of the fastest sensors."""
+
+LARGEST_FIELD = 1e-3
+"""Tesla. Twenty times the Earth's field: beyond it is a unit error or a magnet on the sensor."""
+
+
+class Drop(str, Enum):
+    """Why a sample was not used."""
+
+    NOT_FINITE = "not_finite"
+    ZERO = "zero"
+    TOO_LARGE = "too_large"
+    ABSENT = "absent"
+    ZERO_STAMP = "zero_stamp"
+    BACKWARD_STAMP = "backward_stamp"
+    REPEATED = "repeated"
+    UNPAIRED = "unpaired"
+
+
+class ImuSample(NamedTuple):
+    """Specific force (m/s²) and angular rate (rad/s, NaN without a gyro) at a stamp (s)."""
+
+    stamp: float
+    force: tuple[float, float, float]
+    rate: tuple[float, float, float]
+
+
+class FieldSample(NamedTuple):
+    """Raw field (tesla) at a stamp (s)."""
+
+    stamp: float
+    field: tuple[float, float, float]
+
+
+class Pair(NamedTuple):
+    """A field sample with the IMU interpolated at its stamp."""
+
+    field: FieldSample
+    imu: ImuSample
+
+
+class StampGuard:
+    """Lets only increasing stamps pass, and follows time when it is set back for good."""
+
+    def __init__(self) -> None:
+        self.newest = -math.inf
+        self._backward = 0
+
+    def check(self, stamp: float) -> Drop | None:
+        """Return why a stamp is refused, or None and remember it as the newest."""
+        if stamp <= 0.0 or not math.isfinite(stamp):
+            return Drop.ZERO_STAMP
+        if stamp <= self.newest:
+            self._backward += 1
+            if self._backward < BACKWARD_SAMPLES_UNTIL_RESTART:
+                return Drop.REPEATED if stamp == self.newest else Drop.BACKWARD_STAMP
+        self._backward = 0
+        self.newest = stamp
+        return None
+
+
+class Streams:
+    """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
+
+    Parameters
+    ----------
+    max_gap : float
+        Seconds. IMU samples further apart are not interpolated between, and a field sample that
+        is further from the newest IMU sample has no up vector.
+
+    Attributes
+    ----------
+    imu_drops, field_drops : Counter of Drop
+        How many samples were dropped, by reason.
+    is_repeated : bool
+        Whether the newest field sample has the values of the one before it.
+    largest_field : float
+        Size of the last field that was too large, tesla as published; zero if none was.
+    """
+
+    def __init__(self, max_gap: float) -> None:
+        self.max_gap = max_gap
+        self.imu_drops: Counter[Drop] = Counter()
+        self.field_drops: Counter[Drop] = Counter()
+        self.imu_stamps = StampGuard()
+        self.field_stamps = StampGuard()
+        self._imu: deque[ImuSample] = deque(maxlen=HISTORY)
+        self._last_field = (math.nan, math.nan, math.nan)
+        self.is_repeated = False
+        self.largest_field = 0.0
+
+    def add_imu(self, sample: ImuSample) -> bool:
+        """Take an IMU sample; returns whether it was usable."""
+        x, y, z = sample.force
+        size = x * x + y * y + z * z
+        if not math.isfinite(size):
+            self.imu_drops[Drop.NOT_FINITE] += 1
+            return False
+        if size == 0.0:
+            self.imu_drops[Drop.ZERO] += 1
+            return False
+        went_back_from = self.imu_stamps.newest
+        reason = self.imu_stamps.check(sample.stamp)
+        if reason is not None:
+            self.imu_drops[reason] += 1
+            return False
+        if sample.stamp < went_back_from:
+            self._imu.clear()
+        self._imu.append(sample)
+        return True
+
+    def add_field(self, sample: FieldSample) -> bool:
+        """Take a field sample; returns whether a corrected field may be made of it.
+
+        A sample with the values of the one before is counted as repeated, and still usable: a
+        robot that stands still in a quantised field is no fault. `is_repeated` tells.
+        """
+        x, y, z = sample.field
+        size = x * x + y * y + z * z
+        if not math.isfinite(size):
+            self.field_drops[Drop.NOT_FINITE] += 1
+            return False
+        if size == 0.0:
+            self.field_drops[Drop.ZERO] += 1
+            return False
+        if size > LARGEST_FIELD * LARGEST_FIELD:
+            self.largest_field = math.sqrt(size)
+            self.field_drops[Drop.TOO_LARGE] += 1
+            return False
+        reason = self.field_stamps.check(sample.stamp)
+        if reason is not None:
+            self.field_drops[reason] += 1
+            return False
+        self.is_repeated = sample.field == self._last_field
+        if self.is_repeated:
+            self.field_drops[Drop.REPEATED] += 1
+        self._last_field = sample.field
+        return True
+
+    def force_at(self, stamp: float) -> tuple[float, float, float] | None:
+        """Return the specific force at a stamp, m/s²; None if no IMU sample is near enough.
+
+        Between two samples it is interpolated; after the newest, that one is held.
+        """
+        if not self._imu:
+            return None
+        newest = self._imu[-1]
+        if stamp >= newest.stamp:
+            return newest.force if stamp - newest.stamp <= self.max_gap else None
+        between = self.imu_at(stamp)
+        return None if between is None else between.force
+
+    def imu_at(self, stamp: float) -> ImuSample | None:
+        """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
+        later = None
+        for sample in reversed(self._imu):
+            if sample.stamp <= stamp:
+                return _interpolate(sample, later, stamp, self.max_gap)
+            later = sample
+        return None
+
+    def imu_has_passed(self, stamp: float) -> bool:
+        """Whether waiting longer can bring no IMU sample before `stamp`."""
+        return bool(self._imu) and self._imu[-1].stamp >= stamp
+
+
+def _interpolate(
+    before: ImuSample, after: ImuSample | None, stamp: float, max_gap: float
+) -> ImuSample | None:
+    if before.stamp == stamp:
+        return before
+    if after is None or after.stamp - before.stamp > max_gap:
+        return None
+    share = (stamp - before.stamp) / (after.stamp - before.stamp)
+    (a, b, c), (d, e, f) = before.force, after.force
+    (g, h, i), (j, k, m) = before.rate, after.rate
+    return ImuSample(
+        stamp,
+        (a + share * (d - a), b + share * (e - b), c + share * (f - c)),
+        (g + share * (j - g), h + share * (k - h), i + share * (m - i)),
+    )
+
+
+class Pairer:
+    """Holds field samples until the IMU samples around them have come.
+
+    Parameters
+    ----------
+    streams : Streams
+        Where the IMU samples are.
+    """
+
+    def __init__(self, streams: Streams) -> None:
+        self._streams = streams
+        self._waiting: deque[FieldSample] = deque(maxlen=HISTORY)
+        self.unpaired = 0
+
+    def offer(self, sample: FieldSample) -> None:
+        """Take a field sample; an unchanged repetition of the one before should not come here."""
+        self._waiting.append(sample)
+
+    def take(self) -> list[Pair]:
+        """Return the pairs that can be made now, in the order of their stamps."""
+        pairs: list[Pair] = []
+        while self._waiting and self._streams.imu_has_passed(self._waiting[0].stamp):
+            sample = self._waiting.popleft()
+            imu = self._streams.imu_at(sample.stamp)
+            if imu is None:
+                self.unpaired += 1
+                self._streams.field_drops[Drop.UNPAIRED] += 1
+            else:
+                pairs.append(Pair(sample, imu))
+        return pairs

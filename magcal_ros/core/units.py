@@ -1,0 +1,28 @@
+"""Guessing the unit of numbers that cannot be what they claim to be."""
+
+from __future__ import annotations
+
+FIELD_UNITS: tuple[tuple[float, float, str, str], ...] = (
+    (0.05, 5.0, "gauss", "1e-4"),
+    (5.0, 150.0, "microtesla", "1e-6"),
+    (150.0, 5000.0, "milligauss", "1e-7"),
+    (5000.0, 500_000.0, "nanotesla", "1e-9"),
+)
+"""Size range of a field in the Earth's when published in another unit, its name, its factor."""
+
+
+def likely_field_unit(size: float) -> str:
+    """Say in words which unit a field of `size` "tesla" probably has; empty if none fits.
+
+    Parameters
+    ----------
+    size : float
+        Length of the field vector as published.
+    """
+    for low, high, name, factor in FIELD_UNITS:
+        if low <= size < high:
+            return (
+                f"a field of {size:.3g} T looks like {name} published as tesla; "
+                f"multiply by {factor} in the driver"
+            )
+    return ""

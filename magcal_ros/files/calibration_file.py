@@ -1,0 +1,233 @@
+"""The calibration as YAML: it says what it is, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from magcal_ros import __version__
+from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.correction import Correction
+from magcal_ros.files.atomic import FileTrouble, write_atomically
+
+FORMAT = "magcal_ros/calibration"
+FORMAT_VERSION = 1
+LARGEST_FILE = 1_000_000
+"""Bytes. A calibration has a few thousand; anything larger is something else."""
+
+HEADER = """\
+# Magnetometer calibration by magcal_ros.
+# field_body = correction_matrix * (field_raw - hard_iron): tesla, body axes (x forward, y left,
+# z up). magnetometer_bias_x/y/z repeat the hard iron for tools that look for it there.
+"""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where and when a calibration was made.
+
+    Parameters
+    ----------
+    magnetometer_frame, imu_frame : str
+        `frame_id` of the two sensors' messages.
+    created : str
+        ISO 8601, UTC.
+    """
+
+    magnetometer_frame: str
+    imu_frame: str
+    created: str
+
+    @classmethod
+    def now(cls, magnetometer_frame: str, imu_frame: str) -> Origin:
+        """Return the origin of a calibration made at this moment."""
+        stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
+        return cls(magnetometer_frame, imu_frame, stamp)
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Safe YAML without anchors: a calibration needs none, and a bomb is made of them."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases do not belong in a calibration file")
+        return super().compose_node(parent, index)
+
+
+def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> None:
+    """Write a calibration in one step.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    calibration : Calibration
+        What to store, at full precision.
+    origin : Origin
+        Frames and time.
+
+    Raises
+    ------
+    FileTrouble
+        If the file cannot be written; what was there before still is.
+    """
+    document = _document(calibration, origin)
+    body = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    write_atomically(path, HEADER + body)
+
+
+def read_calibration(path: Path) -> tuple[Calibration, Origin]:
+    """Read a calibration back.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Returns
+    -------
+    Calibration, Origin
+        The same numbers that were written, to the last bit.
+
+    Raises
+    ------
+    FileTrouble
+        If the file is missing, damaged, or something else than a calibration of this version.
+    """
+    document = _parse(path)
+    try:
+        return _calibration(document), _origin(document)
+    except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+        detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+        raise _damaged(path, detail) from error
+
+
+def _parse(path: Path) -> Mapping[str, Any]:
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise _damaged(path, "it is too large to be a calibration")
+        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
+    except OSError as error:
+        raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise _damaged(path, f"it is not readable YAML ({reason})") from error
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise _damaged(path, f"it does not say 'format: {FORMAT}'")
+    version = document.get("format_version")
+    if version != FORMAT_VERSION:
+        raise _damaged(path, f"its format version is {version!r}, this package reads 1")
+    return document
+
+
+def _damaged(path: Path, detail: str) -> FileTrouble:
+    return FileTrouble(
+        f"{path} is not a usable calibration: {detail}. "
+        "Calibrate again to replace it, or name another file in calibration_file."
+    )
+
+
+def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
+    hard_iron = [float(value) for value in calibration.correction.hard_iron]
+    evidence = calibration.evidence
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "written_by": f"magcal_ros {__version__}",
+        "created": origin.created,
+        "formula": "field_body = correction_matrix * (field_raw - hard_iron)",
+        "units": {
+            "hard_iron": "tesla",
+            "correction_matrix": "1",
+            "noise_up": "radian",
+            "inclination": "radian",
+        },
+        "frames": {"field_raw": origin.magnetometer_frame, "field_body": origin.imu_frame},
+        "magnetometer_bias_x": hard_iron[0],
+        "magnetometer_bias_y": hard_iron[1],
+        "magnetometer_bias_z": hard_iron[2],
+        "hard_iron": hard_iron,
+        "correction_matrix": calibration.correction.matrix.tolist(),
+        "covariance": calibration.covariance.tolist(),
+        "noise_field": float(calibration.noise_field),
+        "noise_up": float(calibration.noise_up),
+        "reference": {
+            "strength": float(calibration.strength),
+            "inclination": float(calibration.inclination),
+        },
+        "method": evidence.method,
+        "evidence": {
+            "quality": evidence.quality,
+            "confidence": evidence.confidence,
+            "summary": evidence.summary,
+            "accepted_by_user": evidence.accepted_by_user,
+            "reasons": list(evidence.reasons),
+            "not_shown": list(evidence.not_shown),
+            "figures": {name: float(value) for name, value in evidence.figures.items()},
+        },
+    }
+
+
+def _calibration(document: Mapping[str, Any]) -> Calibration:
+    correction = Correction(
+        _numbers(document["correction_matrix"]), _numbers(document["hard_iron"])
+    )
+    bias = [_number(document[f"magnetometer_bias_{axis}"]) for axis in "xyz"]
+    if bias != list(correction.hard_iron):
+        raise ValueError("magnetometer_bias_x/y/z and hard_iron contradict each other")
+    reference = document["reference"]
+    return Calibration(
+        correction,
+        _numbers(document["covariance"]),
+        _positive(document["noise_field"], "noise_field"),
+        _positive(document["noise_up"], "noise_up"),
+        _positive(reference["strength"], "strength"),
+        _number(reference["inclination"]),
+        _evidence(document),
+    )
+
+
+def _evidence(document: Mapping[str, Any]) -> Evidence:
+    stored = document["evidence"]
+    return Evidence(
+        str(document["method"]),
+        str(stored["quality"]),
+        str(stored["confidence"]),
+        str(stored["summary"]),
+        tuple(str(reason) for reason in stored["reasons"]),
+        tuple(str(item) for item in stored["not_shown"]),
+        bool(stored["accepted_by_user"]),
+        {str(name): _number(value) for name, value in stored["figures"].items()},
+    )
+
+
+def _origin(document: Mapping[str, Any]) -> Origin:
+    frames = document["frames"]
+    return Origin(str(frames["field_raw"]), str(frames["field_body"]), str(document["created"]))
+
+
+def _number(value: Any) -> float:
+    # YAML 1.1 reads 1e-5 as text: a file edited by hand may well hold such numbers.
+    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+        raise ValueError(f"{value!r} is not a number")
+    return float(value)
+
+
+def _numbers(values: Any) -> Any:
+    if isinstance(values, list):
+        return [_numbers(value) for value in values]
+    return _number(values)
+
+
+def _positive(value: Any, name: str) -> float:
+    number = _number(value)
+    if not (math.isfinite(number) and number >= 0.0):
+        raise ValueError(f"{name} must be a finite number, zero or more")
+    return number

@@ -1,0 +1,37 @@
+"""The executable `ros2 run magcal_ros calibrator`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+from magcal_ros.ros.node import Calibrator
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node until it is told to stop; returns the exit status."""
+    try:
+        rclpy.init(args=list(sys.argv if arguments is None else arguments))
+    except Exception as error:  # rclpy has several roots: a bad argument or parameter file
+        print(f"calibrator: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201
+        return 2
+    node = None
+    try:
+        node = Calibrator()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            node.close()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,212 @@
+"""The calibrator node: topics in, one turn, a compass out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu, MagneticField
+from std_msgs.msg import String
+
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.streams import Drop, Streams
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.calibration_file import Origin
+from magcal_ros.ros.control import Conclusion, Control, State
+from magcal_ros.ros.inputs import Inputs, Sensor
+from magcal_ros.ros.keeper import Keeper, require_sensor
+from magcal_ros.ros.messages import field_sample, imu_sample
+from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
+from magcal_ros.ros.parameters import Parameters
+from magcal_ros.ros.services import Services
+from magcal_ros.ros.status import (
+    calibration_diagnostic,
+    field_diagnostic,
+    inputs_diagnostic,
+    status_json,
+)
+
+TICK = 0.1
+"""Seconds between looks at a turn under way; at rest nothing ticks."""
+
+HEARTBEAT = 1.0
+"""Seconds between diagnostics, and between repetitions of the bias."""
+
+
+class Calibrator(Node):
+    """Calibrates a magnetometer from one turn and publishes what it measures from then on.
+
+    Parameters
+    ----------
+    **kwargs
+        Passed on to `rclpy.node.Node`.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("calibrator", **kwargs)
+        self._table = Parameters(self)
+        self._outputs = Outputs(self)
+        self._keeper = Keeper(self.get_namespace(), self._outputs.put_in_force)
+        streams = Streams(self._table.settings.max_gap)
+        self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
+        self._control = Control(streams, self._put_in_force, self._describe_silence)
+        self._status_out = self.create_publisher(String, "~/status", LATCHED)
+        self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        short = {"accept": self._accept, "save": self._save, "load": self._load}
+        Services(self, self._control, self._start, {**short, "reset": self._reset})
+        sensor_data = qos_profile_sensor_data
+        self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data)
+        self.create_subscription(MagneticField, "imu/mag", self._on_field, sensor_data)
+        # Deadlines and heartbeats go on while simulated time stands still.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._tick = self.create_timer(TICK, self._on_tick, clock=steady, autostart=False)
+        self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
+        self._status = ""
+        if self._table.settings.calibration_file:
+            self._load_at_start()
+        self._publish_status()
+
+    def close(self) -> None:
+        """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
+        self._control.shut_down()
+
+    def _on_imu(self, message: Imu) -> None:
+        self._inputs.imu.heard(message.header.frame_id)
+        sample = imu_sample(message)
+        streams = self._inputs.streams
+        if sample is None:
+            streams.imu_drops[Drop.ABSENT] += 1
+        else:
+            streams.add_imu(sample)
+
+    def _on_field(self, message: MagneticField) -> None:
+        first = self._inputs.field.last_heard is None
+        self._inputs.field.heard(message.header.frame_id)
+        if first:
+            self._meet_sensor()
+        sample = field_sample(message)
+        streams = self._inputs.streams
+        if not streams.add_field(sample):
+            return
+        if self._outputs.compass is not None:
+            reference = self._table.settings.knowledge.reference
+            force = streams.force_at(sample.stamp)
+            self._outputs.publish(
+                message, sample.field, force, self._body_frame(), reference.declination
+            )
+        if not streams.is_repeated:
+            self._control.add(sample)
+
+    def _sensor(self, topic: str) -> Sensor:
+        return Sensor(self.resolve_topic_name(topic))
+
+    def _body_frame(self) -> str:
+        heard = self._inputs.imu.frame
+        return heard or (self._keeper.origin.imu_frame if self._keeper.origin else "")
+
+    def _meet_sensor(self) -> None:
+        """Load the sensor's own file, or check that the loaded one is its own."""
+        frame = self._inputs.field.frame
+        if self._keeper.calibration is None:
+            self._load_at_start()
+            return
+        try:
+            assert self._keeper.origin is not None
+            path = self._keeper.path(self._table.settings.calibration_file, frame)
+            assert path is not None
+            require_sensor(path, self._keeper.origin, frame)
+        except FileTrouble as error:
+            self._keeper.reset()
+            self._keeper.trouble = str(error)
+            self.get_logger().error(str(error))
+
+    def _load_at_start(self) -> None:
+        frame = self._inputs.field.frame
+        path = self._keeper.path(self._table.settings.calibration_file, frame)
+        if path is None or not path.exists():
+            return
+        try:
+            self.get_logger().info(self._keeper.load(path, frame))
+        except FileTrouble as error:
+            self.get_logger().error(f"{error} Running uncalibrated.")
+
+    def _start(self) -> Conclusion:
+        opened = self._control.start(self._table.settings)
+        if opened.success:
+            self._tick.reset()
+            self._publish_status()
+        return opened
+
+    def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+        origin = Origin.now(self._inputs.field.frame, self._inputs.imu.frame)
+        self._keeper.put_in_force(calibration, origin)
+        return self._keeper.store(self._path())
+
+    def _path(self) -> Any:
+        chosen = self._table.settings.calibration_file
+        return self._keeper.path(chosen, self._inputs.field.frame or "magnetometer")
+
+    def _accept(self) -> Conclusion:
+        outcome = self._control.last_outcome
+        if self._control.state is not State.IDLE:
+            return Conclusion(False, "a turn is under way: wait for its verdict first")
+        if outcome is None or outcome.calibration is None:
+            return Conclusion(False, "there is no fitted calibration to accept")
+        return Conclusion(True, self._put_in_force(outcome.calibration.on_users_word())())
+
+    def _save(self) -> Conclusion:
+        try:
+            words = self._keeper.store(self._path())()
+        except FileTrouble as error:
+            return Conclusion(False, str(error))
+        return Conclusion(not self._keeper.trouble, words)
+
+    def _load(self) -> Conclusion:
+        try:
+            return Conclusion(True, self._keeper.load(self._path(), self._inputs.field.frame))
+        except FileTrouble as error:
+            return Conclusion(False, str(error))
+
+    def _reset(self) -> Conclusion:
+        if self._keeper.calibration is None:
+            return Conclusion(True, "there was no calibration in force")
+        self._keeper.reset()
+        return Conclusion(
+            True, "no calibration is in force any more; its file stays and is used at next start"
+        )
+
+    def _describe_silence(self) -> str:
+        complaints = self._inputs.complaints()
+        return "; ".join(complaints) or "no new field sample with an acceleration has come"
+
+    def _on_tick(self) -> None:
+        if not self._control.tick():
+            self._tick.cancel()
+        self._publish_status()
+
+    def _on_heartbeat(self) -> None:
+        self._inputs.streams.max_gap = self._table.settings.max_gap
+        now = self.get_clock().now().to_msg()
+        self._outputs.repeat_bias(now)
+        name = self.get_name()
+        report = DiagnosticArray()
+        report.header.stamp = now
+        report.status = [
+            calibration_diagnostic(name, self._control, self._keeper),
+            field_diagnostic(name, self._outputs, self._keeper),
+            inputs_diagnostic(name, self._inputs, self._table.complaints),
+        ]
+        self._diagnostics_out.publish(report)
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        declination = self._table.settings.knowledge.reference.declination
+        status = status_json(self._control, self._keeper, self._inputs, declination)
+        if status != self._status:
+            self._status = status
+            self._status_out.publish(String(data=status))
