@@ -48,7 +48,6 @@ setup(
     maintainer="magcal_ros maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-cbee3d67.example",
     license="Apache-2.0",
-    tests_require=["pytest"],
     entry_points={
         "console_scripts": [
             "calibrator = magcal_ros.ros.main:main",

@@ -16,7 +16,7 @@ from magcal_ros.core.window import Window
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("maximum_likelihood", "design_tip")
+METHODS = ("design_tip",)
 """Names that `find_method` knows, the recommended one first."""
 
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.attitude import true_yaw
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.correction import PARAMETERS
+from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.correction import PARAMETERS, Correction
 
 Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -77,6 +77,16 @@ class Compass:
         self._certainty = _body_covariance(calibration)
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
+
+    @classmethod
+    def without_calibration(cls) -> Compass:
+        """Return the compass that takes the raw field as it comes, for comparison."""
+        size = PARAMETERS
+        evidence = Evidence("none", "", "", "uncalibrated")
+        nothing = Calibration(
+            Correction.identity(), np.zeros((size, size)), 0.0, 0.0, 0.0, 0.0, evidence
+        )
+        return cls(nothing)
 
     def correct(self, raw: Triple) -> Triple:
         """Return the field in body axes, tesla."""

@@ -1,0 +1,44 @@
+# Everything runs in .venv; nothing else on the machine is touched.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+# DDS stays on this machine.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export OMP_NUM_THREADS := 1
+
+.PHONY: demo test lint types unit bench clean
+
+demo: $(VENV)/.demo
+	@$(BIN)/magcal demo
+
+test: lint types unit
+
+lint: $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.test
+	$(BIN)/mypy
+
+unit: $(VENV)/.test
+	$(BIN)/python -c "import rclpy"
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.test
+	$(BIN)/python benchmarks/throughput.py
+
+$(VENV)/bin/pip:
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+$(VENV)/.demo: setup.py | $(VENV)/bin/pip
+	$(BIN)/python -m pip install --quiet --editable '.[ros]'
+	@touch $@
+
+$(VENV)/.test: setup.py | $(VENV)/bin/pip
+	$(BIN)/python -m pip install --quiet --editable '.[ros,test]'
+	@touch $@ $(VENV)/.demo
+
+clean:
+	rm -rf $(VENV) build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -1,0 +1,140 @@
+"""`magcal demo`: the main job end to end, with a simulated robot and the real node."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.graph import joined, keep_traffic_here
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.rotations import rpy_from_rotation
+from magcal_ros.core.simulator import DEGREE, Robot
+from magcal_ros.files.calibration_file import read_calibration
+
+ROBOT = Robot(
+    strength=48e-6,
+    inclination=65.0 * DEGREE,
+    declination=3.0 * DEGREE,
+    roll=3.0 * DEGREE,
+    pitch=-4.0 * DEGREE,
+    hard_iron=np.array([15e-6, -8e-6, 10e-6]),
+    noise_field=0.3e-6,
+    noise_force=0.02,
+)
+"""A compass as it is often found: a few degrees off level, and as magnetised as the field."""
+
+LARGEST_ERROR_DEG = 1.0
+"""The demo fails if the heading is worse than this afterwards."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "demo",
+        help="calibrate a simulated robot with the real node",
+        description="Start the calibrator node and a simulated robot with a bad compass, turn "
+        "the robot once, and compare what was found with the truth.",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("calibration.yaml"), help="the file that is left"
+    )
+    parser.add_argument("--speed", type=float, default=1.0, help="times real time (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the demo; the exit status says whether the heading came out right."""
+    keep_traffic_here()
+    print("A simulated robot whose compass is badly mounted and magnetised, and the real node.\n")
+    process = _start_node(options.output)
+    try:
+        with joined("magcal_demo") as node:
+            from magcal_ros.ros.rehearsal import Rehearsal
+
+            rehearsal = Rehearsal(node, ROBOT, options.seed, options.speed)
+            return _rehearse(rehearsal, options.output)
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(timeout=10)
+
+
+def _start_node(output: Path) -> subprocess.Popen[bytes]:
+    parameters = {
+        "calibration_file": output.resolve(),
+        "reference.strength_ut": ROBOT.strength * 1e6,
+        "reference.inclination_deg": ROBOT.inclination / DEGREE,
+        "reference.declination_deg": ROBOT.declination / DEGREE,
+    }
+    command = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args", "--log-level", "warn"]
+    for name, value in parameters.items():
+        command += ["-p", f"{name}:={value}"]
+    return subprocess.Popen(command, env=os.environ)
+
+
+def _rehearse(rehearsal: Any, output: Path) -> int:
+    rehearsal.wait_for_node()
+    rehearsal.reset()
+    before = _both(rehearsal.uncalibrated_errors)
+    print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger     (the robot turns)")
+    answer = rehearsal.calibrate(_ProgressLine())
+    print(f"\n\n{answer.message}\n")
+    if not answer.success:
+        return Exit.REFUSED
+    calibration, _ = read_calibration(output)
+    after = _both(rehearsal.published_errors)
+    print(_comparison(calibration))
+    print("heading error, RMS over 24 headings      level   8° slopes")
+    for name, (level, slope) in (("before: raw field, true tilt", before), ("after", after)):
+        print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
+    print(f"\nThe calibration is in {output}; the node would load it at its next start.")
+    return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
+
+
+def _both(errors: Any) -> tuple[float, float]:
+    slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
+    level = _rms(errors([(0.0, 0.0)]))
+    return level, _rms(errors(slopes))
+
+
+def _rms(errors: list[float]) -> float:
+    return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
+
+
+class _ProgressLine:
+    """One line that is drawn again on a terminal, and a line a second through a pipe."""
+
+    def __init__(self) -> None:
+        self._last_second = -1
+
+    def __call__(self, progress: dict[str, Any]) -> None:
+        arc, samples, second = progress["arc_deg"], progress["samples"], int(progress["elapsed_s"])
+        line = f"[{progress['filled']}] {arc:4.0f}° seen, {samples} samples"
+        if sys.stdout.isatty():
+            print(f"\r{line}", end="", flush=True)
+        elif second != self._last_second:
+            print(line, flush=True)
+        self._last_second = second
+
+
+def _comparison(calibration: Calibration) -> str:
+    found = calibration.correction.hard_iron * 1e6
+    true = ROBOT.hard_iron * 1e6
+    roll, pitch, _ = rpy_from_rotation(calibration.correction.matrix)
+    rows = [
+        *((f"hard iron {axis} (µT)", t, f) for axis, t, f in zip("xyz", true, found, strict=True)),
+        ("roll of the sensor (°)", math.degrees(ROBOT.roll), math.degrees(roll)),
+        ("pitch of the sensor (°)", math.degrees(ROBOT.pitch), math.degrees(pitch)),
+    ]
+    lines = [f"{'':28s}{'true':>9s}{'found':>9s}{'error':>9s}"]
+    lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{f - t:9.2f}" for name, t, f in rows]
+    return "\n".join(lines) + "\n"

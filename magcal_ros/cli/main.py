@@ -1,0 +1,41 @@
+"""The command `magcal`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from magcal_ros import __version__
+from magcal_ros.cli import demo, replay
+from magcal_ros.cli.exits import Exit
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.files.atomic import FileTrouble
+
+COMMANDS = (demo, replay)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit status, and puts known errors into one line."""
+    parser = argparse.ArgumentParser(
+        prog="magcal", description="Calibrate a ground robot's magnetometer from one turn."
+    )
+    parser.add_argument("--version", action="version", version=f"magcal_ros {__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for command in COMMANDS:
+        command.add_to(commands)
+    options = parser.parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except KeyboardInterrupt:
+        return int(Exit.INTERRUPTED)
+    except FileTrouble as error:
+        print(f"magcal: {error}", file=sys.stderr)
+        return int(Exit.FILE_TROUBLE)
+    except MagcalError as error:
+        print(f"magcal: {error}", file=sys.stderr)
+        return int(Exit.FAILED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

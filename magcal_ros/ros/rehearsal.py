@@ -1,0 +1,192 @@
+"""A simulated robot in the graph, and a user who calibrates it: the demo's and the tests' actor."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
+
+from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.heading import Compass
+from magcal_ros.core.ride import Ride
+from magcal_ros.core.simulator import Robot
+from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.ros.outputs import LATCHED
+from magcal_ros.ros.sensor_source import SensorSource
+
+TURN_RATE = 0.5
+HEADINGS = 24
+SAMPLES_PER_HEADING = 20
+SETTLE = 0.15
+"""Seconds that messages of the heading before may still be under way."""
+
+
+class Rehearsal:
+    """Drives a simulated robot and calls the node's services.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The actor's own node.
+    robot : Robot
+        Truth and noise.
+    seed : int
+        Seed of the noise.
+    speed : float
+        How many times faster than real time the robot lives; stamps rule, so the node follows.
+    calibrator : str
+        Full name of the node under test.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        robot: Robot,
+        seed: int = 1,
+        speed: float = 1.0,
+        calibrator: str = "/calibrator",
+        **ride: Any,
+    ) -> None:
+        self.node = node
+        self.robot = robot
+        self.speed = speed
+        self.ride = Ride(robot, np.random.default_rng(seed), start=time.time(), **ride)
+        self.source = SensorSource(node)
+        self.status: dict[str, Any] = {}
+        self.yaws: list[float] = []
+        self.mangle: Callable[[ImuSample | FieldSample], list[ImuSample | FieldSample]] | None
+        self.mangle = None
+        self._calibrator = calibrator
+        node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
+        node.create_subscription(Float64, "compass/yaw", self._on_yaw, 10)
+        self._executor = rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(node)
+
+    def _on_status(self, message: String) -> None:
+        self.status = json.loads(message.data)
+
+    def _on_yaw(self, message: Float64) -> None:
+        self.yaws.append(message.data)
+
+    def wait_for_node(self, patience: float = 20.0) -> None:
+        """Wait until the node listens to the sensors and has told its state."""
+        deadline = time.monotonic() + patience
+        while not (self.source.listeners and self.status):
+            if time.monotonic() > deadline:
+                raise MagcalError(f"the node {self._calibrator} did not come up in {patience:g} s")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def call(self, service: str) -> Any:
+        """Call a service and return the future of its answer."""
+        client: Any = self.node.create_client(Trigger, f"{self._calibrator}/{service}")
+        if not client.wait_for_service(10.0):
+            raise MagcalError(f"the service {self._calibrator}/{service} does not answer")
+        return client.call_async(Trigger.Request())
+
+    def answer(self, future: Any, patience: float = 10.0) -> Any:
+        """Let the robot stand until a service has answered; returns the answer."""
+        self.run(patience, stop=future.done)
+        if not future.done():
+            raise MagcalError("the service did not answer in time")
+        return future.result()
+
+    def reset(self) -> None:
+        """Make the node forget what it may have loaded."""
+        self.answer(self.call("reset"))
+
+    def run(
+        self, seconds: float, yaw_rate: float = 0.0, stop: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Let the robot live for so many wall-clock seconds, or until `stop` says so."""
+        started = time.monotonic()
+        step = self.ride.period / self.speed
+        ticks = 0
+        while not stop() and time.monotonic() - started < seconds:
+            for sample in self.ride.step(yaw_rate):
+                for published in [sample] if self.mangle is None else self.mangle(sample):
+                    self.source.publish(published)
+            ticks += 1
+            self._spin_until(started + ticks * step)
+
+    def _spin_until(self, moment: float) -> None:
+        while True:
+            left = moment - time.monotonic()
+            self._executor.spin_once(timeout_sec=max(0.0, left))
+            if left <= 0.0:
+                return
+
+    def calibrate(
+        self,
+        show: Callable[[dict[str, Any]], None] = lambda _: None,
+        yaw_rate: float = TURN_RATE,
+        patience: float = 120.0,
+    ) -> Any:
+        """Call ~/calibrate and turn until it answers; returns the answer."""
+        future = self.call("calibrate")
+        shown = None
+
+        def stop() -> bool:
+            nonlocal shown
+            progress = self.status.get("progress")
+            if progress and progress != shown:
+                shown = progress
+                show(progress)
+            return bool(future.done())
+
+        self.run(patience, yaw_rate, stop)
+        return self.answer(future)
+
+    def published_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
+        """Stand at all headings and tilts (degrees) and compare the published yaw, radians."""
+        declination = float(self.robot.declination)
+
+        def measure() -> float:
+            self.run(SETTLE / self.speed + 0.05)
+            self.yaws.clear()
+            self.run(2.0, stop=lambda: len(self.yaws) >= SAMPLES_PER_HEADING)
+            if not self.yaws:
+                raise MagcalError("no yaw is published")
+            return _mean_angle(self.yaws) - (self.ride.magnetic_yaw - declination)
+
+        return [float(wrap_angle(measure())) for _ in self._poses(tilts)]
+
+    def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
+        """Compare the yaw that the raw field and the true tilt give, radians."""
+        compass = Compass.without_calibration()
+        errors = []
+        for _ in self._poses(tilts):
+            imu, field = _first_of_both(self.ride)
+            heading = compass.heading(field.field, imu.force)
+            assert heading is not None
+            errors.append(float(wrap_angle(heading.yaw - self.ride.magnetic_yaw)))
+        return errors
+
+    def _poses(self, tilts: Sequence[tuple[float, float]]) -> Iterator[None]:
+        for roll, pitch in tilts:
+            for k in range(HEADINGS):
+                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / HEADINGS)
+                yield
+
+
+def _first_of_both(ride: Ride) -> tuple[ImuSample, FieldSample]:
+    imu, field = None, None
+    while imu is None or field is None:
+        for sample in ride.step():
+            if isinstance(sample, ImuSample):
+                imu = sample
+            else:
+                field = sample
+    return imu, field
+
+
+def _mean_angle(angles: Sequence[float]) -> float:
+    return math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))

@@ -1,0 +1,69 @@
+"""Publishes sensor samples on the two topics as a driver would."""
+
+from __future__ import annotations
+
+import math
+
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu, MagneticField
+
+from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.ros.messages import ABSENT
+
+
+class SensorSource:
+    """A driver for an IMU and a magnetometer.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the publishers live.
+    imu_frame, field_frame : str
+        `frame_id` of the two sensors.
+    """
+
+    def __init__(
+        self, node: Node, imu_frame: str = "imu_link", field_frame: str = "mag_link"
+    ) -> None:
+        self._imu_out = node.create_publisher(Imu, "imu/data_raw", qos_profile_sensor_data)
+        self._field_out = node.create_publisher(MagneticField, "imu/mag", qos_profile_sensor_data)
+        self._imu, self._field = Imu(), MagneticField()
+        self._imu.header.frame_id = imu_frame
+        self._imu.orientation_covariance[0] = ABSENT
+        self._field.header.frame_id = field_frame
+
+    @property
+    def listeners(self) -> int:
+        """How many subscriptions both topics have, the less-heard one counting."""
+        return min(self._imu_out.get_subscription_count(), self._field_out.get_subscription_count())
+
+    def publish(self, sample: ImuSample | FieldSample) -> None:
+        """Publish one sample under its own stamp."""
+        if isinstance(sample, ImuSample):
+            self._publish_imu(sample)
+        else:
+            self._publish_field(sample)
+
+    def _publish_imu(self, sample: ImuSample) -> None:
+        message = self._imu
+        _stamp(message, sample.stamp)
+        force, rate = message.linear_acceleration, message.angular_velocity
+        force.x, force.y, force.z = sample.force
+        has_rate = all(math.isfinite(value) for value in sample.rate)
+        rate.x, rate.y, rate.z = sample.rate if has_rate else (0.0, 0.0, 0.0)
+        message.angular_velocity_covariance[0] = 0.0 if has_rate else ABSENT
+        self._imu_out.publish(message)
+
+    def _publish_field(self, sample: FieldSample) -> None:
+        message = self._field
+        _stamp(message, sample.stamp)
+        field = message.magnetic_field
+        field.x, field.y, field.z = sample.field
+        self._field_out.publish(message)
+
+
+def _stamp(message: Imu | MagneticField, stamp: float) -> None:
+    nanoseconds = round(stamp * 1e9)
+    message.header.stamp.sec = nanoseconds // 1_000_000_000
+    message.header.stamp.nanosec = nanoseconds % 1_000_000_000
