@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 import printed_tip
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tip_bridge import knowledge_of, ours, window_of, worst_difference
 
 from magcal_ros.core.conics import ConicFit
@@ -450,3 +452,43 @@ def refusal(window, knowledge, **options):
     with pytest.raises(Refusal) as caught:
         fit(window, knowledge, options=Options(**options))
     return caught.value
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    samples=st.integers(20, 80),
+    kinds=st.tuples(*[st.sampled_from(["noise", "turn", "line", "constant", "huge"])] * 2),
+    conic=st.sampled_from(ConicFit),
+    plane=st.sampled_from(PlaneFit),
+)
+def test_whatever_comes_in_an_estimate_is_finite_or_refused(seed, samples, kinds, conic, plane):
+    rng = np.random.default_rng(seed)
+    robot = Robot()
+    turned = level_turn(robot, seed, samples=samples, arc=rng.uniform(0.0, 7.0))
+    window = replace(
+        turned,
+        field=garbage(kinds[0], turned.field, rng),
+        specific_force=garbage(kinds[1], turned.specific_force, rng),
+    )
+    options = Options(conic=conic, plane=plane)
+    try:
+        estimate = fit(window, robot.knowledge(math.inf, 0.01), options=options)
+    except Refusal:
+        return
+    assert np.isfinite(estimate.correction.parameters).all()
+    assert np.isfinite(estimate.residual).all()
+    assert all(math.isfinite(value) for value in estimate.figures.values())
+    assert np.linalg.eigvalsh(estimate.covariance).min() > -1e-9
+
+
+def garbage(kind, honest, rng):
+    direction = rng.standard_normal(3)
+    scale = np.abs(honest).max()
+    return {
+        "noise": scale * rng.standard_normal(honest.shape),
+        "turn": honest,
+        "line": scale * np.outer(rng.uniform(-1.0, 1.0, len(honest)), direction),
+        "constant": scale * np.tile(direction, (len(honest), 1)),
+        "huge": 1e9 * honest,
+    }[kind]
