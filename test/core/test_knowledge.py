@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.knowledge import Belief, Mounting, ReferenceField, SoftIron
+from magcal_ros.core.rotations import rotation_from_rpy
+
+
+def test_a_belief_is_known_uncertain_or_unknown():
+    known, uncertain, unknown = Belief(1.0), Belief(1.0, 0.1), Belief.unknown()
+    assert [b.is_exact for b in (known, uncertain, unknown)] == [True, False, False]
+    assert [b.is_unknown for b in (known, uncertain, unknown)] == [False, False, True]
+
+
+@pytest.mark.parametrize(("value", "sigma"), [(math.nan, 0), (math.inf, 0), (1, -1), (1, math.nan)])
+def test_senseless_beliefs_are_rejected(value, sigma):
+    with pytest.raises(ValueError, match="belief"):
+        Belief(value, sigma)
+
+
+def test_a_reference_is_complete_with_both_numbers():
+    assert ReferenceField(Belief(50e-6), Belief(1.0, 0.1)).is_complete
+    assert not ReferenceField(Belief(50e-6), Belief.unknown()).is_complete
+    assert not ReferenceField().is_complete
+
+
+def test_mounting_turns_into_sensor_axes_before_it_scales():
+    # A board turned by 90° to the left sees the robot's forward on its own -y.
+    mounting = Mounting(gains=[2.0, 3.0, 4.0], pose=rotation_from_rpy(0.0, 0.0, math.pi / 2))
+    np.testing.assert_allclose(mounting.matrix @ [1.0, 0.0, 0.0], [0.0, -3.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize("gains", [[1.0, 0.0, 1.0], [1.0, -1.0, 1.0]])
+def test_gains_must_be_positive(gains):
+    with pytest.raises(ValueError, match="positive"):
+        Mounting(gains=gains)
+
+
+def test_no_soft_iron_means_none():
+    assert SoftIron.none() == SoftIron(0.0, 0.0, False)
