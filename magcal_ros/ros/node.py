@@ -49,9 +49,10 @@ class Calibrator(Node):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
+        self._status = ""
         self._table = Parameters(self)
         self._outputs = Outputs(self)
-        self._keeper = Keeper(self.get_namespace(), self._outputs.put_in_force)
+        self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
         self._control = Control(streams, self._put_in_force, self._describe_silence)
@@ -66,7 +67,6 @@ class Calibrator(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady, autostart=False)
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
-        self._status = ""
         if self._table.settings.calibration_file:
             self._load_at_start()
         self._publish_status()
@@ -141,6 +141,10 @@ class Calibrator(Node):
             self._tick.reset()
             self._publish_status()
         return opened
+
+    def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
+        self._outputs.put_in_force(calibration, magnetometer_frame)
+        self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
         origin = Origin.now(self._inputs.field.frame, self._inputs.imu.frame)

@@ -45,13 +45,14 @@ class Outputs:
         self._bias: MagneticField | None = None
         self.compass: Compass | None = None
         self.last_heading: Heading | None = None
-        self.last_strength = 0.0
+        self.last_field: Triple | None = None
 
     def put_in_force(self, calibration: Calibration | None, magnetometer_frame: str = "") -> None:
         """Use a calibration from the next message on; None stops every corrected output."""
         self.compass = None if calibration is None else Compass(calibration)
         self._covariance_in = b""
         self.last_heading = None
+        self.last_field = None
         self._bias = None
         if calibration is not None:
             self._bias = bias_message(calibration.correction, magnetometer_frame)
@@ -91,6 +92,7 @@ class Outputs:
         if compass is None:
             return
         corrected = compass.correct(field)
+        self.last_field = corrected
         stamp = message.header.stamp
         self._publish_field(compass, message, corrected, frame)
         if force is None:

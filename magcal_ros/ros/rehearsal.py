@@ -24,7 +24,6 @@ from magcal_ros.ros.outputs import LATCHED
 from magcal_ros.ros.sensor_source import SensorSource
 
 TURN_RATE = 0.5
-HEADINGS = 24
 SAMPLES_PER_HEADING = 20
 SETTLE = 0.15
 """Seconds that messages of the heading before may still be under way."""
@@ -145,7 +144,9 @@ class Rehearsal:
         self.run(patience, yaw_rate, stop)
         return self.answer(future)
 
-    def published_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
+    def published_errors(
+        self, tilts: Sequence[tuple[float, float]], headings: int = 24
+    ) -> list[float]:
         """Stand at all headings and tilts (degrees) and compare the published yaw, radians."""
         declination = float(self.robot.declination)
 
@@ -157,23 +158,23 @@ class Rehearsal:
                 raise MagcalError("no yaw is published")
             return _mean_angle(self.yaws) - (self.ride.magnetic_yaw - declination)
 
-        return [float(wrap_angle(measure())) for _ in self._poses(tilts)]
+        return [float(wrap_angle(measure())) for _ in self._poses(tilts, headings)]
 
     def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
         """Compare the yaw that the raw field and the true tilt give, radians."""
         compass = Compass.without_calibration()
         errors = []
-        for _ in self._poses(tilts):
+        for _ in self._poses(tilts, 24):
             imu, field = _first_of_both(self.ride)
             heading = compass.heading(field.field, imu.force)
             assert heading is not None
             errors.append(float(wrap_angle(heading.yaw - self.ride.magnetic_yaw)))
         return errors
 
-    def _poses(self, tilts: Sequence[tuple[float, float]]) -> Iterator[None]:
+    def _poses(self, tilts: Sequence[tuple[float, float]], headings: int) -> Iterator[None]:
         for roll, pitch in tilts:
-            for k in range(HEADINGS):
-                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / HEADINGS)
+            for k in range(headings):
+                self.ride.stand(math.radians(roll), math.radians(pitch), k * math.tau / headings)
                 yield
 
 

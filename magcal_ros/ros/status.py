@@ -124,7 +124,10 @@ def field_diagnostic(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticS
     if calibration is None:
         status.message = "no corrected field before a calibration is in force"
         return status
-    strength = outputs.last_strength
+    if outputs.last_field is None:
+        status.message = "no field has come since the calibration is in force"
+        return status
+    strength = math.hypot(*outputs.last_field)
     values = {
         "corrected strength": f"{strength * 1e6:.1f} µT",
         "calibrated strength": f"{calibration.strength * 1e6:.1f} µT",
@@ -133,7 +136,7 @@ def field_diagnostic(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticS
     if heading is not None:
         values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
         values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-    if strength and not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
+    if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
         status.level = DiagnosticStatus.WARN
         status.message += ": something magnetic is near, or the calibration is another sensor's"
     status.values = _key_values(values)

@@ -160,9 +160,10 @@ def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
 def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> int:
     if samples.turned is None:
         return 0
-    # A field fixed in the world turns backwards in the body.
-    expected = -(samples.turned @ axis.direction)
-    seen = np.angle(circle.phasor[1:] * circle.phasor[:-1].conj())
+    # A field fixed in the world turns backwards in the body. Sines, because a pause in the stream
+    # may hide a step of half a turn, whose sense the field does not show.
+    expected = np.sin(-(samples.turned @ axis.direction))
+    seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
     power = float(expected @ expected)
     slope = float(expected @ seen) / power if power > 0.0 else 0.0
     if abs(slope) < LEAST_GYRO_AGREEMENT:

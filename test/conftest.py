@@ -1,0 +1,24 @@
+"""What every test shares: DDS that stays on this machine, in a domain of the process's own."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+
+RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+
+
+@pytest.fixture
+def recording():
+    """Return the folder of a shared recording, or skip where the recordings are absent."""
+
+    def find(name):
+        folder = RECORDINGS / name
+        if not folder.is_dir():
+            pytest.skip(f"the recording {name} is not beside this checkout (../shared/recordings)")
+        return folder
+
+    return find

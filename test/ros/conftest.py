@@ -1,0 +1,85 @@
+"""The real node in a thread of its own, and a simulated robot that talks to it over DDS."""
+
+import contextlib
+import threading
+
+import pytest
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from support import REFERENCE, ROBOT, SPEED
+
+from magcal_ros.ros.node import Calibrator
+from magcal_ros.ros.rehearsal import Rehearsal
+
+
+@pytest.fixture(autouse=True)
+def ros_home(tmp_path, monkeypatch):
+    """Give each test a ROS home of its own."""
+    home = tmp_path / "ros_home"
+    monkeypatch.setenv("ROS_HOME", str(home))
+    return home
+
+
+@pytest.fixture
+def graph():
+    """Join the ROS graph for one test."""
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def start_node(graph):
+    """Return a function that starts the real node with parameters, spinning in a thread."""
+    running = []
+
+    def start(parameters=REFERENCE, arguments=()):
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = Calibrator(parameter_overrides=overrides, cli_args=list(arguments) or None)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+
+        def spin():
+            with contextlib.suppress(ExternalShutdownException):
+                executor.spin()
+
+        thread = threading.Thread(target=spin, daemon=True)
+        thread.start()
+        running.append((node, executor, thread))
+        return node
+
+    yield start
+    for node, executor, thread in running:
+        executor.shutdown(timeout_sec=5.0)
+        thread.join(timeout=5.0)
+        node.close()
+        node.destroy_node()
+
+
+@pytest.fixture
+def actor(graph):
+    """Return a function that brings a simulated robot into the graph."""
+    nodes = []
+
+    def enter(robot=ROBOT, **options):
+        node = rclpy.create_node("actor")
+        nodes.append(node)
+        rehearsal = Rehearsal(node, robot, **{"speed": SPEED, **options})
+        rehearsal.wait_for_node()
+        return rehearsal
+
+    yield enter
+    for node in nodes:
+        node.destroy_node()
+
+
+@pytest.fixture
+def stage(start_node, actor):
+    """Return a function that starts the node and a robot, and gives the robot."""
+
+    def set_up(robot=ROBOT, parameters=REFERENCE, **options):
+        start_node(parameters)
+        return actor(robot, **options)
+
+    return set_up

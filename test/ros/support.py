@@ -1,0 +1,27 @@
+"""The robot of the ROS tests, and how its headings are measured."""
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.simulator import Robot
+
+DEGREE = math.pi / 180.0
+SPEED = 4.0
+
+ROBOT = Robot(
+    strength=48e-6,
+    inclination=65.0 * DEGREE,
+    roll=3.0 * DEGREE,
+    pitch=-4.0 * DEGREE,
+    hard_iron=np.array([15e-6, -8e-6, 10e-6]),
+    noise_field=0.3e-6,
+    noise_force=0.02,
+)
+
+REFERENCE = {"reference.strength_ut": 48.0, "reference.inclination_deg": 65.0}
+
+
+def rms_deg(errors):
+    """Return the root mean square of radians in degrees."""
+    return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))

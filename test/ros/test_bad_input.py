@@ -1,0 +1,208 @@
+"""Bad input of every kind: a clear word, and a node that goes on."""
+
+import math
+
+import numpy as np
+import pytest
+from support import REFERENCE
+
+from magcal_ros.core.streams import FieldSample, ImuSample
+
+IMPATIENT = {**REFERENCE, "window.silence_s": 1.0, "window.timeout_s": 3.0}
+
+
+def every_fourth(replace):
+    """Replace each fourth sample by what `replace` makes of it: of IMU and field in turn."""
+    count = iter(range(10**9))
+
+    def mangle(sample):
+        return [replace(sample)] if next(count) % 4 == 0 else [sample]
+
+    return mangle
+
+
+def with_field(sample, field):
+    return sample._replace(field=field) if isinstance(sample, FieldSample) else sample
+
+
+def assert_alive(actor):
+    """The node still answers, and calibrates once the input is good again."""
+    actor.mangle = None
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_samples_that_are_not_finite_are_dropped_and_counted(stage, bad):
+    actor = stage()
+
+    def spoil(sample):
+        if isinstance(sample, ImuSample):
+            return sample._replace(force=(0.0, bad, 9.8))
+        return sample._replace(field=(1e-5, bad, 0.0))
+
+    actor.mangle = every_fourth(spoil)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    actor.run(1.5)
+    assert actor.status["dropped"]["imu"]["not_finite"] > 100
+    assert actor.status["dropped"]["field"]["not_finite"] > 50
+    assert np.isfinite(actor.yaws).all()
+    assert any("not finite" in words for words in actor.status["complaints"])
+
+
+def test_an_all_zero_field_is_refused_by_name(stage):
+    actor = stage(parameters=IMPATIENT)
+    actor.mangle = lambda sample: [with_field(sample, (0.0, 0.0, 0.0))]
+    answer = actor.calibrate()
+    assert not answer.success
+    assert "all zero" in answer.message
+    assert_alive(actor)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e6, "microtesla"), (1e4, "gauss")])
+def test_a_field_in_another_unit_is_named(stage, factor, unit):
+    actor = stage(parameters=IMPATIENT)
+
+    def scale(sample):
+        if isinstance(sample, ImuSample):
+            return [sample]
+        return [sample._replace(field=tuple(factor * value for value in sample.field))]
+
+    actor.mangle = scale
+    answer = actor.calibrate()
+    assert not answer.success
+    assert f"looks like {unit} published as tesla" in answer.message
+
+
+def test_no_imu_at_all_is_said_with_the_topic(stage):
+    actor = stage(parameters=IMPATIENT)
+    actor.mangle = lambda sample: [] if isinstance(sample, ImuSample) else [sample]
+    answer = actor.calibrate()
+    assert not answer.success
+    assert "nothing has arrived on /imu/data_raw" in answer.message
+    assert_alive(actor)
+
+
+def test_no_field_at_all_is_said_with_the_topic(stage):
+    actor = stage(parameters=IMPATIENT)
+    actor.mangle = lambda sample: [] if isinstance(sample, FieldSample) else [sample]
+    answer = actor.calibrate()
+    assert not answer.success
+    assert "nothing has arrived on /imu/mag" in answer.message
+
+
+def test_a_robot_that_stands_is_told_to_turn(stage):
+    actor = stage(parameters=IMPATIENT)
+    answer = actor.calibrate(yaw_rate=0.0)
+    assert not answer.success
+    assert "has not turned" in answer.message
+    assert_alive(actor)
+
+
+def test_half_a_turn_of_silence_is_waited_out(stage):
+    actor = stage()
+    half = math.pi / 0.5 / actor.speed
+    future = actor.call("calibrate")
+    actor.run(0.6 * half, 0.5)
+    actor.mangle = lambda _: []
+    actor.run(half, 0.5)
+    assert "missing" in actor.status["progress"]["hole"]
+    actor.mangle = None
+    actor.run(60.0, 0.5, stop=future.done)
+    assert future.result().success, future.result().message
+
+
+def test_a_sensor_that_dies_in_the_turn_ends_it_with_its_name(stage):
+    actor = stage(parameters={**IMPATIENT, "window.silence_s": 2.5, "window.timeout_s": 60.0})
+    future = actor.call("calibrate")
+    actor.run(0.5, 0.5)
+    actor.mangle = lambda sample: [] if isinstance(sample, ImuSample) else [sample]
+    answer = actor.answer(future)
+    assert not answer.success
+    assert "/imu/data_raw has been silent" in answer.message
+
+
+def test_stamps_that_are_zero_or_go_backward_are_counted(stage):
+    actor = stage()
+    count = iter(range(10**9))
+
+    def mangle(sample):
+        k = next(count)
+        if k % 5 == 0:
+            return [sample._replace(stamp=0.0)]
+        return [sample._replace(stamp=sample.stamp - 3.0)] if k % 5 == 1 else [sample]
+
+    actor.mangle = mangle
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    actor.run(1.5)
+    for sensor in ("imu", "field"):
+        assert actor.status["dropped"][sensor]["zero_stamp"] > 50
+        assert actor.status["dropped"][sensor]["backward_stamp"] > 50
+
+
+def test_repeated_field_samples_do_no_harm_and_are_counted(stage):
+    actor = stage()
+    last = {}
+
+    def mangle(sample):
+        if isinstance(sample, FieldSample) and int(sample.stamp * 25) % 2 and "field" in last:
+            return [sample._replace(field=last["field"])]
+        if isinstance(sample, FieldSample):
+            last["field"] = sample.field
+        return [sample]
+
+    actor.mangle = mangle
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    actor.run(1.5)
+    assert actor.status["dropped"]["field"]["repeated"] > 100
+
+
+def test_an_imu_stamped_by_another_clock_is_said(stage):
+    actor = stage(parameters=IMPATIENT)
+    actor.mangle = lambda s: [s._replace(stamp=s.stamp - 7.0) if isinstance(s, ImuSample) else s]
+    answer = actor.calibrate()
+    assert not answer.success
+    assert "+7.0 s apart" in answer.message
+
+
+def test_parameters_out_of_range_are_said_and_replaced(start_node, actor):
+    node = start_node({**REFERENCE, "reference.declination_deg": 999.0, "method": "magic"})
+    assert math.isnan(node.get_parameter("reference.declination_deg").value)
+    robot = actor()
+    assert robot.calibrate().success
+    robot.run(1.2)
+    assert robot.status["north"] == "magnetic"
+
+
+def test_an_unwritable_path_leaves_the_calibration_in_force_and_says_so(stage):
+    actor = stage(parameters={**REFERENCE, "calibration_file": "/proc/no/such/place.yaml"})
+    answer = actor.calibrate()
+    assert answer.success
+    assert "not saved: cannot write /proc/no/such/place.yaml" in answer.message
+    assert actor.status["state"] == "calibrated"
+
+
+def test_a_truncated_file_is_refused_and_the_node_runs_uncalibrated(stage, tmp_path):
+    path = tmp_path / "calibration.yaml"
+    path.write_text("format: magcal_ros/calibration\nformat_version: 1\nhard_ir")
+    actor = stage(parameters={**REFERENCE, "calibration_file": str(path)})
+    assert actor.status["state"] == "uncalibrated"
+    refused = actor.answer(actor.call("load"))
+    assert not refused.success
+    assert "not a usable calibration" in refused.message
+    assert_alive(actor)
+    assert "magnetometer_bias_x" in path.read_text()
+
+
+def test_a_calibration_of_another_sensor_is_refused(start_node, actor, tmp_path):
+    path = tmp_path / "calibration.yaml"
+    start_node({**REFERENCE, "calibration_file": str(path)})
+    first = actor()
+    assert first.calibrate().success
+    path.write_text(path.read_text().replace("mag_link", "another_sensor"))
+    refused = first.answer(first.call("load"))
+    assert not refused.success
+    assert "made for the magnetometer 'another_sensor'" in refused.message

@@ -1,0 +1,172 @@
+"""What the node publishes: frames, stamps, covariances, norths."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import qos_profile_sensor_data
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import Imu, MagneticField
+from support import REFERENCE, rms_deg
+
+from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.ros.outputs import LATCHED
+
+DECLINATION = math.radians(7.0)
+
+
+@pytest.fixture
+def listen():
+    """Return a function that collects the messages of a topic for an actor."""
+
+    def subscribe(actor, kind, topic, qos=10):
+        heard = []
+        actor.node.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    return subscribe
+
+
+@pytest.fixture
+def calibrated(stage, listen):
+    """Return an actor whose node is calibrated, and what it publishes."""
+    actor = stage(parameters={**REFERENCE, "reference.declination_deg": 7.0})
+    heard = {
+        "field": listen(actor, MagneticField, "imu/mag_unbiased"),
+        "magnetic": listen(actor, Imu, "compass/mag/enu/imu"),
+        "true": listen(actor, Imu, "compass/true/enu/imu"),
+        "raw": listen(actor, MagneticField, "imu/mag", qos_profile_sensor_data),
+    }
+    actor.run(0.5)
+    assert not heard["field"]
+    assert not heard["magnetic"]
+    assert not heard["true"]
+    assert actor.calibrate().success
+    for messages in heard.values():
+        messages.clear()
+    actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
+    actor.run(0.2)
+    actor.yaws.clear()
+    for messages in heard.values():
+        messages.clear()
+    actor.run(1.0)
+    return actor, heard
+
+
+def quaternion(message):
+    q = message.orientation
+    return [q.x, q.y, q.z, q.w]
+
+
+def test_the_outputs_agree_with_the_truth_and_with_each_other(calibrated):
+    actor, heard = calibrated
+    body_to_enu = Rotation.from_quat([quaternion(m) for m in heard["magnetic"]]).mean()
+    yaw, pitch, roll = body_to_enu.as_euler("ZYX")
+    truth = actor.ride.magnetic_yaw
+    assert abs(float(wrap_angle(yaw - truth))) < math.radians(1.0)
+    assert roll == pytest.approx(math.radians(5.0), abs=2e-3)
+    assert pitch == pytest.approx(math.radians(-3.0), abs=2e-3)
+    magnetic = {_stamp(m): quaternion(m) for m in heard["magnetic"]}
+    for message in heard["true"]:
+        turned = Rotation.from_quat(magnetic[_stamp(message)]).as_euler("ZYX")[0]
+        true = Rotation.from_quat(quaternion(message)).as_euler("ZYX")[0]
+        assert float(wrap_angle(turned - true)) == pytest.approx(DECLINATION, abs=1e-9)
+    mean_yaw = float(np.mean(actor.yaws))
+    assert mean_yaw == pytest.approx(float(wrap_angle(yaw - DECLINATION)), abs=2e-3)
+
+
+def test_stamps_are_the_fields_and_frames_are_the_imus(calibrated):
+    _, heard = calibrated
+    raw = {_stamp(message) for message in heard["raw"]}
+    for topic in ("field", "magnetic", "true"):
+        assert heard[topic]
+        assert {message.header.frame_id for message in heard[topic]} == {"imu_link"}
+        assert len({_stamp(message) for message in heard[topic]} - raw) <= 1
+
+
+def test_the_compensated_field_is_the_earths_in_body_axes(calibrated):
+    actor, heard = calibrated
+    field = np.mean([_vector(message.magnetic_field) for message in heard["field"]], axis=0)
+    truth = actor.ride.attitude @ actor.robot.field_enu
+    assert np.linalg.norm(field - truth) < 0.6e-6
+    assert not np.any(heard["field"][0].magnetic_field_covariance)
+
+
+def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(calibrated):
+    actor, heard = calibrated
+    first = heard["magnetic"][0]
+    assert first.angular_velocity_covariance[0] == -1.0
+    assert first.linear_acceleration_covariance[0] == -1.0
+    covariance = np.array(first.orientation_covariance).reshape(3, 3)
+    assert np.allclose(covariance, covariance.T)
+    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
+    scatter = float(np.std(actor.yaws))
+    assert 0.8 * scatter < math.sqrt(covariance[2, 2]) < 2.5 * scatter
+
+
+def test_a_covariance_of_the_field_is_carried_into_body_axes(stage, listen):
+    actor = stage()
+    sigma = np.diag([1e-14, 4e-14, 9e-14])
+    actor.source._field.magnetic_field_covariance = sigma.ravel()
+    heard = listen(actor, MagneticField, "imu/mag_unbiased")
+    bias = listen(actor, MagneticField, "imu/mag_bias", LATCHED)
+    assert actor.calibrate().success
+    actor.run(0.5)
+    a = np.array(bias[-1].magnetic_field_covariance).reshape(3, 3)
+    carried = np.array(heard[-1].magnetic_field_covariance).reshape(3, 3)
+    assert np.allclose(carried, a @ sigma @ a.T, rtol=1e-9)
+
+
+def test_the_bias_is_latched_for_late_joiners_and_repeated(stage, listen):
+    actor = stage()
+    assert actor.calibrate().success
+    late = listen(actor, MagneticField, "imu/mag_bias", LATCHED)
+    actor.run(0.3)
+    assert len(late) >= 1
+    hard_iron = _vector(late[0].magnetic_field)
+    assert np.allclose(hard_iron, actor.robot.hard_iron, atol=0.3e-6)
+    assert late[0].header.frame_id == "mag_link"
+    actor.run(2.3)
+    assert len(late) >= 3
+
+
+def test_without_declination_there_is_no_true_north(stage, listen):
+    actor = stage()
+    true = listen(actor, Imu, "compass/true/enu/imu")
+    magnetic = listen(actor, Imu, "compass/mag/enu/imu")
+    assert actor.calibrate().success
+    actor.run(1.5)
+    assert magnetic
+    assert not true
+    assert actor.status["north"] == "magnetic"
+    assert rms_deg(actor.published_errors([(0.0, 0.0)], 4)) < 1.0
+
+
+def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, listen):
+    actor = stage()
+    heard = listen(actor, DiagnosticArray, "/diagnostics")
+    actor.run(1.5)
+    parts = {status.name: status for status in heard[-1].status}
+    assert set(parts) == {
+        "calibrator: Calibration",
+        "calibrator: Field",
+        "calibrator: Inputs",
+    }
+    assert parts["calibrator: Calibration"].level == DiagnosticStatus.WARN
+    assert "not calibrated" in parts["calibrator: Calibration"].message
+    assert actor.calibrate().success
+    heard.clear()
+    actor.run(1.5)
+    levels = {status.level for status in heard[-1].status}
+    assert levels == {DiagnosticStatus.OK}
+    field = next(s for s in heard[-1].status if s.name == "calibrator: Field")
+    assert float(field.message.split(" ")[0]) == pytest.approx(48.0, abs=1.5)
+
+
+def _stamp(message):
+    return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+def _vector(v):
+    return np.array([v.x, v.y, v.z])

@@ -1,0 +1,101 @@
+"""Every service in every state that a user can bring it into."""
+
+from support import REFERENCE
+
+
+def collect_a_moment(actor, yaw_rate=0.5):
+    actor.run(0.5, yaw_rate)
+
+
+def test_a_second_call_is_refused_while_the_first_collects(stage):
+    actor = stage()
+    first = actor.call("calibrate")
+    collect_a_moment(actor)
+    for service in ("calibrate", "start"):
+        second = actor.answer(actor.call(service))
+        assert not second.success
+        assert "already collecting" in second.message
+    assert not first.done()
+    assert actor.answer(actor.call("cancel")).success
+    assert not actor.answer(first).success
+
+
+def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(stage):
+    actor = stage()
+    assert actor.calibrate().success
+    in_force = actor.status["calibration"]
+    waiting = actor.call("calibrate")
+    collect_a_moment(actor)
+    assert actor.answer(actor.call("cancel")).success
+    assert "cancelled" in actor.answer(waiting).message
+    actor.run(1.5)
+    assert actor.status["state"] == "calibrated"
+    assert actor.status["calibration"] == in_force
+    again = actor.answer(actor.call("cancel"))
+    assert not again.success
+    assert "nothing to cancel" in again.message
+
+
+def test_start_and_finish_are_calibrate_in_two_steps(stage):
+    actor = stage()
+    too_early = actor.answer(actor.call("finish"))
+    assert not too_early.success
+    assert "~/start" in too_early.message
+    assert actor.answer(actor.call("start")).success
+    actor.run(2.4, 0.5)
+    done = actor.call("finish")
+    answer = actor.answer(done)
+    assert answer.success, answer.message
+    assert "finished by hand" in answer.message
+    assert actor.status["state"] == "calibrated"
+
+
+def test_reset_stops_the_yaw_and_load_brings_it_back(stage):
+    actor = stage()
+    assert actor.calibrate().success
+    assert actor.answer(actor.call("reset")).success
+    actor.run(0.3)
+    actor.yaws.clear()
+    actor.run(0.3)
+    assert actor.yaws == []
+    nothing = actor.answer(actor.call("save"))
+    assert not nothing.success
+    assert "no calibration in force" in nothing.message
+    loaded = actor.answer(actor.call("load"))
+    assert loaded.success, loaded.message
+    actor.run(0.3)
+    assert actor.yaws
+
+
+def test_accept_wants_a_fit_first(stage):
+    actor = stage()
+    answer = actor.answer(actor.call("accept"))
+    assert not answer.success
+    assert "no fitted calibration" in answer.message
+
+
+def test_accept_applies_what_the_verdict_refused(stage):
+    # A reference a third too strong: the circle's radius contradicts it.
+    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0})
+    refused = actor.calibrate()
+    assert not refused.success
+    assert "~/accept" in refused.message
+    assert actor.status["state"] == "uncalibrated"
+    assert not actor.status["verdict"]["accepted"]
+    accepted = actor.answer(actor.call("accept"))
+    assert accepted.success
+    actor.run(1.5)
+    assert actor.status["state"] == "calibrated"
+    assert actor.yaws
+
+
+def test_a_saved_calibration_is_used_at_the_next_start(start_node, actor, ros_home):
+    start_node()
+    first = actor()
+    assert first.calibrate().success
+    stored = list((ros_home / "magcal").glob("*.yaml"))
+    assert [path.name for path in stored] == ["mag_link.yaml"]
+    start_node(arguments=["--ros-args", "-r", "__node:=second"])
+    second = actor(calibrator="/second")
+    second.run(0.5)
+    assert second.status["state"] == "calibrated"

@@ -1,0 +1,117 @@
+"""One turn, one service call, a heading: the whole path over real middleware."""
+
+import dataclasses
+import math
+import time
+
+import numpy as np
+from support import REFERENCE, ROBOT, rms_deg
+
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.simulator import UP_ENU
+
+LEVEL = [(0.0, 0.0)]
+SLOPES = [(8.0, 0.0), (0.0, -8.0)]
+
+
+def assert_heading_is_right(actor, headings=6):
+    assert rms_deg(actor.published_errors(LEVEL, headings)) <= 0.7
+    assert rms_deg(actor.published_errors(SLOPES, headings)) <= 1.0
+
+
+def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
+    actor = stage()
+    actor.run(0.5)
+    assert actor.yaws == []
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert_heading_is_right(actor, headings=24)
+
+
+def test_a_rolled_imu_board_does_no_harm(stage):
+    actor = stage()
+    actor.ride.stand(math.radians(10.0), 0.0, 0.0)
+    actor.ride.axis = actor.ride.attitude @ UP_ENU
+    assert actor.calibrate().success
+    assert_heading_is_right(actor)
+
+
+def test_a_turn_on_a_slope_gives_a_right_heading(stage):
+    actor = stage()
+    actor.ride.stand(math.radians(6.0), math.radians(-5.0), 1.0)
+    assert actor.calibrate().success
+    assert_heading_is_right(actor)
+
+
+def test_a_turn_to_the_right_without_a_gyro_gives_a_right_heading(stage):
+    actor = stage(gyro=False)
+    assert actor.calibrate(yaw_rate=-0.5).success
+    assert_heading_is_right(actor)
+
+
+def test_known_gains_and_a_nominal_mounting_are_taken_into_account(stage):
+    mounting = Mounting([0.8, 1.1, 1.0], rotation_from_rpy(math.pi, 0.0, math.radians(90.0)))
+    robot = dataclasses.replace(ROBOT, mounting=mounting)
+    parameters = {
+        **REFERENCE,
+        "soft_iron_gains": [0.8, 1.1, 1.0],
+        "mount_rpy_deg": [180, 0, 90],
+    }
+    actor = stage(robot, parameters)
+    assert actor.calibrate().success
+    assert_heading_is_right(actor)
+
+
+def test_the_answer_comes_within_a_second_of_the_complete_turn(stage):
+    actor = stage()
+    completed = []
+
+    def note(progress):
+        if progress["stage"] == "complete" and not completed:
+            completed.append(time.monotonic())
+
+    assert actor.calibrate(note).success
+    answered = time.monotonic()
+    # The turn is complete at most one look (0.1 s) before the status says so.
+    assert answered - completed[0] + 0.1 <= 1.0
+
+
+def test_half_a_turn_is_used_when_the_time_is_up(stage):
+    actor = stage(parameters={**REFERENCE, "window.timeout_s": 4.0})
+    future = actor.call("calibrate")
+    half_turn = math.pi * 1.1 / 0.5 / actor.speed
+    actor.run(half_turn, 0.5)
+    answer = actor.answer(future)
+    assert answer.success, answer.message
+    assert "the time is up" in answer.message
+
+
+def test_a_short_arc_is_refused_with_the_arc_that_was_seen(stage):
+    actor = stage(parameters={**REFERENCE, "window.timeout_s": 3.0})
+    future = actor.call("calibrate")
+    actor.run(math.radians(30.0) / 0.5 / actor.speed, 0.5)
+    answer = actor.answer(future)
+    assert not answer.success
+    seen = int(answer.message.split("° of the turn seen")[0].split()[-1])
+    assert abs(seen - 30) <= 6
+
+
+def test_yaw_keeps_flowing_while_the_next_turn_is_collected_and_fitted(stage):
+    actor = stage()
+    assert actor.calibrate().success
+    arrivals = []
+    future = actor.call("calibrate")
+
+    def watch():
+        while len(arrivals) < len(actor.yaws):
+            arrivals.append(time.monotonic())
+        return future.done()
+
+    actor.yaws.clear()
+    actor.run(30.0, 0.5, watch)
+    assert future.result().success
+    gaps = np.diff(arrivals)
+    # 50 Hz at four times real time: 5 ms apart; a stalled executor would show as a long gap.
+    assert len(gaps) > 300
+    assert float(np.max(gaps)) < 0.25
