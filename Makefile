@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint types unit bench clean
+.PHONY: demo test lint types unit bench docs clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo
@@ -39,6 +39,9 @@ $(VENV)/.demo: setup.py | $(VENV)/bin/pip
 $(VENV)/.test: setup.py | $(VENV)/bin/pip
 	$(BIN)/python -m pip install --quiet --editable '.[ros,test]'
 	@touch $@ $(VENV)/.demo
+
+docs: $(VENV)/.test
+	$(BIN)/python -m magcal_ros.ros.generated README.md config/calibrator.yaml
 
 clean:
 	rm -rf $(VENV) build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

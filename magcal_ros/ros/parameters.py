@@ -280,5 +280,44 @@ def _constraints(spec: Spec) -> str:
         return "one of: " + ", ".join(spec.choices)
     if math.isinf(spec.low):
         return ""
-    unset = " or .nan for not known" if spec.may_be_unset else ""
-    return f"{spec.low:g} to {spec.high:g} {spec.unit}{unset}".replace(" ,", ",")
+    unset = " or .nan" if spec.may_be_unset else ""
+    return f"{spec.low:g} to {spec.high:g} {spec.unit}".rstrip() + unset
+
+
+def as_yaml() -> str:
+    """Return the table as the parameter file that is shipped in `config/`."""
+    lines = ["# Every parameter of the calibrator node with its default.", "/**:"]
+    lines.append("  ros__parameters:")
+    group = ""
+    for spec in PARAMETERS:
+        prefix, _, name = spec.name.rpartition(".")
+        if prefix and prefix != group:
+            lines.append(f"    {prefix}:")
+        group = prefix
+        indent = "      " if prefix else "    "
+        lines.append(f"{indent}# {_full_description(spec)}")
+        lines.append(f"{indent}{name or spec.name}: {_yaml_value(spec.default)}")
+    return "\n".join(lines) + "\n"
+
+
+def as_markdown() -> str:
+    """Return the table as it stands in the README."""
+    lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
+    for spec in PARAMETERS:
+        default = _yaml_value(spec.default)
+        row = (f"`{spec.name}`", f"`{default}`", _constraints(spec), spec.description)
+        lines.append("| " + " | ".join(row) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _full_description(spec: Spec) -> str:
+    limits = _constraints(spec)
+    return f"{spec.description} ({limits})" if limits else spec.description
+
+
+def _yaml_value(value: float | str | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_yaml_value(item) for item in value) + "]"
+    if isinstance(value, float):
+        return ".nan" if math.isnan(value) else repr(value)
+    return value or '""'

@@ -1,0 +1,44 @@
+"""The demo as `make demo` runs it, four times as fast."""
+
+import subprocess
+import sys
+
+from magcal_ros.files.calibration_file import read_calibration
+
+
+def magcal(*arguments, **options):
+    return subprocess.run(
+        [sys.executable, "-m", "magcal_ros.cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=90,
+        **options,
+    )
+
+
+def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(tmp_path):
+    done = magcal("demo", "--speed", "4", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "Calibrated, quality" in done.stdout
+    assert "true    found    error" in done.stdout
+    after = next(line for line in done.stdout.splitlines() if line.startswith("  after"))
+    level, slope = (float(word) for word in after.replace("°", "").split()[1:])
+    assert level < 0.7
+    assert slope < 1.0
+    before = next(line for line in done.stdout.splitlines() if line.startswith("  before"))
+    assert float(before.replace("°", "").split()[-2]) > 10.0
+    calibration, _ = read_calibration(tmp_path / "calibration.yaml")
+    assert abs(calibration.correction.hard_iron[0] - 15e-6) < 0.3e-6
+
+
+def test_a_missing_recording_is_said_in_one_line(tmp_path):
+    done = magcal("replay", str(tmp_path / "nowhere"))
+    assert done.returncode == 5
+    assert done.stderr.startswith("magcal: cannot read")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_wrong_command_is_a_usage_error():
+    assert magcal("dance").returncode == 2
+    assert magcal("replay", "somewhere", "--rate", "-1").returncode == 2

@@ -1,0 +1,30 @@
+"""What the code says and what the documents say is the same."""
+
+from pathlib import Path
+
+from magcal_ros.ros.generated import readme_with_parameters
+from magcal_ros.ros.parameters import as_yaml
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def test_the_readme_has_the_parameters_of_the_code():
+    readme = (CHECKOUT / "README.md").read_text()
+    assert readme_with_parameters(readme) == readme, "run `make docs`"
+
+
+def test_the_shipped_parameter_file_has_the_defaults_of_the_code():
+    assert (CHECKOUT / "config" / "calibrator.yaml").read_text() == as_yaml(), "run `make docs`"
+
+
+def test_the_readme_opens_with_the_two_commands():
+    lines = (CHECKOUT / "README.md").read_text().splitlines()[:12]
+    assert any(line.startswith("make demo") for line in lines)
+    assert any(line.startswith("make test") for line in lines)
+
+
+def test_no_path_of_a_machine_is_in_the_documents():
+    for name in ("README.md", "setup.py", "package.xml"):
+        text = (CHECKOUT / name).read_text()
+        assert "/home/" not in text
+        assert "/tmp/" not in text

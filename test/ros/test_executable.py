@@ -1,0 +1,155 @@
+"""The package as a ROS user builds and runs it, in processes of their own."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import rclpy
+import yaml
+from rcl_interfaces.srv import GetParameters
+from std_srvs.srv import Trigger
+
+from magcal_ros.core.simulator import Robot
+from magcal_ros.ros.rehearsal import Rehearsal
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def installed(tmp_path_factory):
+    """Build a copy of the checkout with colcon; returns the package's install prefix."""
+    place = tmp_path_factory.mktemp("colcon")
+    source = place / "src" / "magcal_ros"
+    ignored = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
+    shutil.copytree(CHECKOUT, source, ignore=ignored)
+    environment = {**os.environ, "AMENT_PREFIX_PATH": sys.prefix, "PYTHONWARNINGS": "ignore"}
+    colcon = Path(sys.executable).with_name("colcon")
+    built = subprocess.run(
+        [colcon, "--log-base", "log", "build", "--base-paths", "src"],
+        cwd=place,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    return place / "install" / "magcal_ros"
+
+
+@pytest.fixture
+def run_installed(installed):
+    """Return a function that runs the installed calibrator as `ros2 run` would."""
+    processes = []
+    site = next((installed / "lib").glob("python*/site-packages"))
+    environment = {**os.environ, "PYTHONPATH": str(site), "AMENT_PREFIX_PATH": str(installed)}
+
+    def run(*arguments):
+        process = subprocess.Popen(
+            [installed / "lib" / "magcal_ros" / "calibrator", *arguments],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        processes.append(process)
+        return process
+
+    yield run
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def parameter_of(node, full_name, parameter):
+    client = node.create_client(GetParameters, f"{full_name}/get_parameters")
+    assert client.wait_for_service(10.0)
+    future = client.call_async(GetParameters.Request(names=[parameter]))
+    rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
+    return future.result().values[0]
+
+
+def test_everything_lies_where_ros_looks_for_it(installed):
+    assert (installed / "lib/magcal_ros/calibrator").is_file()
+    assert (installed / "share/ament_index/resource_index/packages/magcal_ros").is_file()
+    assert (installed / "share/magcal_ros/config/calibrator.yaml").is_file()
+    manifest = ElementTree.parse(installed / "share/magcal_ros/package.xml").getroot()
+    assert manifest.findtext("name") == "magcal_ros"
+    assert manifest.findtext("export/build_type") == "ament_python"
+    depends = {element.text for element in manifest.iter("exec_depend")}
+    assert {"rclpy", "sensor_msgs", "std_msgs", "std_srvs", "diagnostic_msgs"} <= depends
+    assert {"python3-numpy", "python3-scipy", "python3-yaml"} <= depends
+
+
+def test_the_installed_node_calibrates_under_remaps_and_a_namespace(graph, run_installed):
+    process = run_installed(
+        *("--ros-args", "-r", "__ns:=/robot1", "-r", "imu/mag:=/sensors/mag"),
+        *("-r", "imu/data_raw:=/sensors/imu", "-p", "reference.strength_ut:=50"),
+        *("-p", "reference.inclination_deg:=60"),
+    )
+    remaps = [
+        "--ros-args",
+        *("-r", "__ns:=/robot1", "-r", "imu/mag:=/sensors/mag"),
+        *("-r", "imu/data_raw:=/sensors/imu"),
+    ]
+    node = rclpy.create_node("actor", cli_args=remaps)
+    actor = Rehearsal(node, Robot(), speed=4.0, calibrator="/robot1/calibrator")
+    actor.wait_for_node()
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert "/magcal/robot1/mag_link.yaml" in answer.message
+    actor.run(0.5)
+    assert actor.yaws
+    node.destroy_node()
+    assert process.poll() is None
+
+
+def test_the_parameter_file_is_taken(graph, run_installed, installed, tmp_path):
+    shipped = installed / "share/magcal_ros/config/calibrator.yaml"
+    parameters = yaml.safe_load(shipped.read_text())
+    parameters["/**"]["ros__parameters"]["reference"]["declination_deg"] = 4.5
+    changed = tmp_path / "changed.yaml"
+    changed.write_text(yaml.safe_dump(parameters))
+    process = run_installed("--ros-args", "--params-file", str(changed))
+    node = rclpy.create_node("asker")
+    value = parameter_of(node, "/calibrator", "reference.declination_deg")
+    assert value.double_value == 4.5
+    node.destroy_node()
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=10)
+    assert "error" not in errors.lower()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_signal_ends_the_node_within_two_seconds_and_quietly(graph, run_installed, how, busy):
+    process = run_installed()
+    node = rclpy.create_node("caller")
+    client = node.create_client(Trigger, "/calibrator/calibrate")
+    assert client.wait_for_service(10.0)
+    if busy:
+        client.call_async(Trigger.Request())
+        time.sleep(0.5)
+    process.send_signal(how)
+    started = time.monotonic()
+    _, errors = process.communicate(timeout=10)
+    assert time.monotonic() - started < 2.0
+    assert process.returncode == 0
+    assert "Traceback" not in errors
+    node.destroy_node()
+
+
+def test_a_bad_parameter_file_is_said_in_one_line(run_installed, tmp_path):
+    bad = tmp_path / "bad.yaml"
+    bad.write_text("calibrator: [")
+    process = run_installed("--ros-args", "--params-file", str(bad))
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode == 2
+    assert "Traceback" not in errors
+    assert errors.splitlines()[-1].startswith("calibrator: ")

@@ -1,0 +1,92 @@
+"""Recorded drives, replayed by `magcal replay` into the running node."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import rclpy
+from sensor_msgs.msg import Imu
+from std_srvs.srv import Trigger
+from support import rms_deg
+
+from magcal_ros.core.attitude import wrap_angle
+
+BOSTON = {"reference.strength_ut": 51.3, "reference.inclination_deg": 66.3}
+
+
+class Audience:
+    """Hears the compass and calls the node while a drive is replayed."""
+
+    def __init__(self, node):
+        self.node = node
+        self.headings = []
+        node.create_subscription(Imu, "compass/mag/enu/imu", self._on_heading, 10)
+
+    def _on_heading(self, message):
+        q, stamp = message.orientation, message.header.stamp
+        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+        self.headings.append((stamp.sec + 1e-9 * stamp.nanosec, yaw))
+
+    def during_replay(self, folder, rate, service=None):
+        """Replay a drive, calling a service as it begins; returns the service's answer."""
+        command = [sys.executable, "-m", "magcal_ros.cli.main", "replay", str(folder)]
+        process = subprocess.Popen([*command, "--rate", str(rate)])
+        future = None
+        if service:
+            client = self.node.create_client(Trigger, f"/calibrator/{service}")
+            assert client.wait_for_service(10.0)
+            future = client.call_async(Trigger.Request())
+        while process.poll() is None or (future is not None and not future.done()):
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+        assert process.returncode == 0
+        return None if future is None else future.result()
+
+
+@pytest.fixture
+def audience(graph):
+    node = rclpy.create_node("audience")
+    yield Audience(node)
+    node.destroy_node()
+
+
+def heading_rms_against_course(headings, truth):
+    """RMS in degrees at the moments of the GPS course, one constant offset removed."""
+    stamps, yaws = np.array(headings).T
+    order = np.argsort(stamps)
+    fast = (truth["valid"] == b"True") & (truth["speed"] > 2.0)
+    inside = fast & (truth["t"] > stamps.min()) & (truth["t"] < stamps.max())
+    yaw = np.interp(truth["t"][inside], stamps[order], np.unwrap(yaws[order]))
+    error = yaw - truth["yaw"][inside]
+    offset = np.angle(np.exp(1j * error).mean())
+    assert inside.sum() > 40
+    return rms_deg(wrap_angle(error - offset))
+
+
+def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audience, recording):
+    folder = recording("car_circles_neu2025_kiran")
+    truth = np.genfromtxt(
+        folder / "truth.csv", delimiter=",", names=True, dtype=("f8", "f8", "f8", "f8", "f8", "S5")
+    )
+    start_node(BOSTON)
+    answer = audience.during_replay(folder, 8.0, "calibrate")
+    assert answer.success, answer.message
+    audience.headings.clear()
+    audience.during_replay(folder, 8.0)
+    rms = heading_rms_against_course(audience.headings, truth)
+    print(f"car circles: heading RMS against GPS course {rms:.2f} deg; {answer.message}")
+    assert rms <= 6.0
+
+
+@pytest.mark.parametrize(
+    ("name", "rate"),
+    [("broad05", 30.0), ("sailboat_lsm303_level", 10.0), ("sailboat_lsm303_roll", 10.0)],
+)
+def test_other_drives_run_through_with_a_sensible_word(start_node, audience, recording, name, rate):
+    start_node({"window.silence_s": 1.5})
+    answer = audience.during_replay(recording(name), rate, "calibrate")
+    print(f"{name}: {answer.success} {answer.message}")
+    assert len(answer.message) > 30
+    if name == "sailboat_lsm303_roll":
+        # One heading, rolled to both sides: there is no turn in it.
+        assert not answer.success
