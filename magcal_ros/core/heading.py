@@ -21,12 +21,16 @@ Quaternion = tuple[float, float, float, float]
 SMALLEST_LEVEL_SHARE = 0.02
 """Below this share of level field (a dip of 89°) there is no yaw."""
 
+SMALLEST_FORWARD = 1e-6
+"""Squared level share of body x; nose up or down, where it vanishes, roll and yaw are one."""
+
 
 class Heading(NamedTuple):
     """Attitude seen by gravity and field at one moment.
 
-    `yaw` is ENU to magnetic north, radians. `tilt_variance` (rad²) holds for roll and for pitch;
-    `roll_yaw` and `pitch_yaw` are the covariances that a tilt error causes.
+    `yaw` is ENU to magnetic north, radians. `tilt_variance` (rad²) is the up vector's in either
+    direction: it holds for pitch as it stands, and for roll over cos² pitch. `roll_yaw` and
+    `pitch_yaw` are the covariances that a tilt error causes.
     """
 
     roll: float
@@ -44,7 +48,8 @@ class Heading(NamedTuple):
     def covariance(self) -> tuple[float, ...]:
         """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad²."""
         t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
-        return (t, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance)
+        roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
+        return (roll, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance)
 
 
 def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
@@ -106,8 +111,10 @@ class Compass:
         Notes
         -----
         In the magnetic ENU axes of the moment let body x be (xe, xn, xu) and the field
-        (0, mn, mu). A small error of the up vector, a turn (pe, pn) about east and north, shows a
-        yaw error pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn².
+        (0, mn, mu). A small error of the attitude, a turn (pe, pn) about east and north that the
+        up vector missed, shows a yaw error
+        pe * (-xe xu / l²) + pn * (mu / mn - xn xu / l²), with l² = xe² + xn²,
+        a roll error (pe cos yaw + pn sin yaw) / l and a pitch error pn cos yaw - pe sin yaw.
         """
         fx, fy, fz = force
         mx, my, mz = field
@@ -124,7 +131,7 @@ class Compass:
         nx = uy * ez - uz * ey
         yaw = math.atan2(nx, ex)
         roll, pitch = math.atan2(uy, uz), math.atan2(-ux, math.hypot(uy, uz))
-        forward = max(1.0 - ux * ux, 1e-6)
+        forward = max(1.0 - ux * ux, SMALLEST_FORWARD)
         rise = mx * ux + my * uy + mz * uz
         by_east = -ex * ux / forward
         by_north = rise / level - nx * ux / forward
@@ -132,8 +139,8 @@ class Compass:
         variance = tilt * (by_east * by_east + by_north * by_north)
         variance += self._field_variance((ex / level, ey / level, ez / level), field)
         cosine, sine = math.cos(yaw), math.sin(yaw)
-        roll_yaw = -tilt * (by_east * cosine + by_north * sine)
-        pitch_yaw = -tilt * (by_north * cosine - by_east * sine)
+        roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
+        pitch_yaw = tilt * (by_north * cosine - by_east * sine)
         return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw)
 
     def _field_variance(self, gradient: Triple, field: Triple) -> float:

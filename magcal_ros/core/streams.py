@@ -66,10 +66,12 @@ class StampGuard:
         """Return why a stamp is refused, or None and remember it as the newest."""
         if stamp <= 0.0 or not math.isfinite(stamp):
             return Drop.ZERO_STAMP
-        if stamp <= self.newest:
+        if stamp == self.newest:
+            return Drop.REPEATED
+        if stamp < self.newest:
             self._backward += 1
             if self._backward < BACKWARD_SAMPLES_UNTIL_RESTART:
-                return Drop.REPEATED if stamp == self.newest else Drop.BACKWARD_STAMP
+                return Drop.BACKWARD_STAMP
         self._backward = 0
         self.newest = stamp
         return None
@@ -212,7 +214,13 @@ class Pairer:
         self.unpaired = 0
 
     def offer(self, sample: FieldSample) -> None:
-        """Take a field sample; an unchanged repetition of the one before should not come here."""
+        """Take a field sample; an unchanged repetition of the one before should not come here.
+
+        A stamp before those that wait means that time was set back: their IMU never comes.
+        """
+        while self._waiting and self._waiting[-1].stamp > sample.stamp:
+            self._waiting.pop()
+            self._count_unpaired()
         self._waiting.append(sample)
 
     def take(self) -> list[Pair]:
@@ -222,8 +230,11 @@ class Pairer:
             sample = self._waiting.popleft()
             imu = self._streams.imu_at(sample.stamp)
             if imu is None:
-                self.unpaired += 1
-                self._streams.field_drops[Drop.UNPAIRED] += 1
+                self._count_unpaired()
             else:
                 pairs.append(Pair(sample, imu))
         return pairs
+
+    def _count_unpaired(self) -> None:
+        self.unpaired += 1
+        self._streams.field_drops[Drop.UNPAIRED] += 1
