@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
@@ -10,6 +11,7 @@ from typing import cast
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.figures import predicted_heading_sigma
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.verdict import Verdict, judge, refuse
 from magcal_ros.core.window import Window
@@ -76,3 +78,14 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
         return Outcome(refuse(refusal))
     verdict = judge(estimate, knowledge)
     return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
+
+
+def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> float:
+    """Return the heading sigma on the level that a fit of this window would have, radians.
+
+    Infinite where there is no fit.
+    """
+    outcome = calibrate(window, knowledge, method)
+    if outcome.estimate is None:
+        return math.inf
+    return predicted_heading_sigma(outcome.estimate, 0.0)

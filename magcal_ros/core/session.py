@@ -22,6 +22,15 @@ from magcal_ros.core.window import Window
 LARGEST_BUFFER = 20_000
 """Pairs. When it is full it is thinned to equal angles, so an hour of waiting does no harm."""
 
+MOST_TURNS = 2.0
+"""Full turns after which more of the same hardly makes the answer more certain."""
+
+STANDS_STILL = 3.0
+"""Seconds without turning, after a complete turn, from which the robot is taken to be done."""
+
+SLOWEST_TURN = math.radians(3.0)
+"""rad/s. Slower than this the robot stands."""
+
 ROWS = 10
 """Columns of the buffer: stamp, field, specific force, angular rate."""
 
@@ -38,11 +47,14 @@ class Limits:
         Seconds without a usable pair after which waiting longer is pointless.
     smallest_arc : float
         Radians below which a turn is refused without a fit.
+    target_sigma : float
+        Radians of predicted heading sigma at which a complete turn is enough.
     """
 
     timeout: float = 90.0
     silence: float = 10.0
     smallest_arc: float = math.radians(45.0)
+    target_sigma: float = math.radians(0.5)
 
 
 class Stage(str, Enum):
@@ -70,6 +82,8 @@ class Progress:
         Seconds since the start on a steady clock.
     turn_rate : float
         rad/s over the last seconds, left positive; zero when not known.
+    heading_sigma : float
+        Radians, as a fit of what is there predicts it; infinite while none could.
     """
 
     stage: Stage
@@ -77,12 +91,15 @@ class Progress:
     samples: int
     elapsed: float
     turn_rate: float
+    heading_sigma: float = math.inf
 
     @property
     def in_words(self) -> str:
         """One line for a person."""
         arc = math.degrees(self.coverage.arc)
         line = f"{arc:.0f}° of the turn seen, {self.samples} samples"
+        if math.isfinite(self.heading_sigma):
+            line += f", heading ±{math.degrees(self.heading_sigma):.2f}°"
         hole = self.coverage.hole_in_words
         return f"{line}; {hole}" if hole else line
 
@@ -107,6 +124,8 @@ class Session:
         self._last_pair: float | None = None
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
+        self._sigmas = (math.inf, math.inf)
+        self._last_turning = now
 
     @property
     def has_samples(self) -> bool:
@@ -129,17 +148,20 @@ class Session:
         self._size += 1
         self._last_pair = now
 
+    def note_sigma(self, sigma: float) -> None:
+        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
+        self._sigmas = (self._sigmas[1], sigma)
+
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
         angle = self._angle()
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        return Progress(
-            self._stage(coverage, now),
-            coverage,
-            self._size,
-            now - self._started,
-            0.0 if angle is None else self._turn_rate(angle),
-        )
+        rate = 0.0 if angle is None else self._turn_rate(angle)
+        if abs(rate) > SLOWEST_TURN:
+            self._last_turning = now
+        stage = self._stage(coverage, now)
+        elapsed = now - self._started
+        return Progress(stage, coverage, self._size, elapsed, rate, self._sigmas[1])
 
     def window(self) -> Window:
         """Return what was collected, thinned to equal angles.
@@ -174,7 +196,7 @@ class Session:
         return yaw_progress(rows[:, 0], rows[:, 1:4] @ self._to_body.T, rows[:, 4:7], rate)
 
     def _stage(self, coverage: Coverage, now: float) -> Stage:
-        if coverage.is_complete:
+        if coverage.is_complete and self._is_enough(coverage, now):
             return Stage.COMPLETE
         if now - (self._started if self._last_pair is None else self._last_pair) > (
             self.limits.silence
@@ -183,6 +205,14 @@ class Session:
         if now - self._started > self.limits.timeout:
             return Stage.TIMED_OUT
         return Stage.COLLECTING
+
+    def _is_enough(self, coverage: Coverage, now: float) -> bool:
+        """Whether waiting longer is pointless: certain enough, or no longer getting better."""
+        return (
+            max(self._sigmas) <= self.limits.target_sigma
+            or abs(coverage.turned) >= MOST_TURNS * math.tau
+            or now - self._last_turning > STANDS_STILL
+        )
 
     def _turn_rate(self, angle: FloatArray) -> float:
         stamps = self._buffer[: self._size, 0]

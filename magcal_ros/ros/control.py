@@ -6,6 +6,7 @@ have a thread of their own, so the corrected field and the yaw keep flowing.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future as Job
@@ -13,13 +14,17 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 
-from magcal_ros.core.calibrate import Outcome, calibrate
+from magcal_ros.core.calibrate import Outcome, calibrate, predicted_sigma
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pairer, Streams
 from magcal_ros.core.verdict import refuse
 from magcal_ros.ros.parameters import Settings
+
+PREVIEW_ARC = math.radians(120.0)
+PREVIEW_PAUSE = 0.3
+"""Seconds between two previews of the heading sigma, so that they take a share of one core."""
 
 
 class State(str, Enum):
@@ -68,6 +73,8 @@ class Control:
         self._settings: Settings | None = None
         self._job: Job[Outcome] | None = None
         self._saving: Job[str] | None = None
+        self._preview: Job[float] | None = None
+        self._next_preview = 0.0
         self._why_ended = ""
         self._words = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
@@ -96,6 +103,7 @@ class Control:
                 f"already {self.state.value}: wait for it to end, or call ~/cancel first",
             )
         self._settings = settings
+        self._preview = None
         self._pairer = Pairer(self._streams)
         self._session = Session(settings.limits, settings.knowledge.mounting, time.monotonic())
         self.progress = self._session.progress(time.monotonic())
@@ -142,7 +150,9 @@ class Control:
         elif self._session is not None:
             self._collect(self._session)
             self.progress = self._session.progress(time.monotonic())
-            if self.progress.stage is not Stage.COLLECTING:
+            if self.progress.stage is Stage.COLLECTING:
+                self._look_ahead(self._session, self.progress)
+            else:
                 self._end_collection(self._session, self.progress)
         return self.state is not State.IDLE
 
@@ -155,6 +165,19 @@ class Control:
         now = time.monotonic()
         for pair in self._pairer.take():
             session.add(pair, now)
+
+    def _look_ahead(self, session: Session, progress: Progress) -> None:
+        """Let the worker predict, now and then, how certain a fit would be already."""
+        if self._preview is not None:
+            if not self._preview.done():
+                return
+            session.note_sigma(_sigma_or_none(self._preview))
+            self._preview = None
+            self._next_preview = time.monotonic() + PREVIEW_PAUSE
+        elif progress.coverage.arc > PREVIEW_ARC and time.monotonic() > self._next_preview:
+            assert self._settings is not None
+            work = (session.window(), self._settings.knowledge, self._settings.method)
+            self._preview = self._worker.submit(predicted_sigma, *work)
 
     def _end_collection(self, session: Session, progress: Progress) -> None:
         why = {
@@ -228,3 +251,8 @@ def _result_or_fault(saving: Job[str]) -> str:
         return saving.result()
     except Exception as error:  # the calibration is in force; a fault in storing it is only said
         return f"In force, but not saved: {error!r}"
+
+
+def _sigma_or_none(preview: Job[float]) -> float:
+    """Return the predicted sigma; a preview that failed predicts nothing, the fit will tell."""
+    return math.inf if preview.exception() is not None else preview.result()

@@ -159,6 +159,14 @@ PARAMETERS: tuple[Spec, ...] = (
         "°",
     ),
     Spec(
+        "confidence.target_sigma_deg",
+        0.5,
+        "Predicted heading error (1 σ, on the level) at which a complete turn is enough",
+        0.01,
+        10.0,
+        "°",
+    ),
+    Spec(
         "window.timeout_s",
         90.0,
         "A turn is used or refused after this time, whatever was seen",
@@ -204,7 +212,11 @@ class Settings:
             values["calibration_file"],
             values["method"],
             Knowledge(_reference(values), mounting),
-            Limits(values["window.timeout_s"], values["window.silence_s"]),
+            Limits(
+                values["window.timeout_s"],
+                values["window.silence_s"],
+                target_sigma=math.radians(values["confidence.target_sigma_deg"]),
+            ),
             values["window.max_gap_s"],
         )
 

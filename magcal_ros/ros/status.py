@@ -57,6 +57,9 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
         "samples": progress.samples,
         "elapsed_s": round(progress.elapsed, 1),
         "turn_rate_deg_s": round(math.degrees(progress.turn_rate), 1),
+        "heading_sigma_deg": round(math.degrees(progress.heading_sigma), 3)
+        if math.isfinite(progress.heading_sigma)
+        else None,
     }
 
 
