@@ -222,7 +222,8 @@ class Session:
 
     def _make_room(self) -> None:
         if self._size < LARGEST_BUFFER:
-            self._buffer = np.concatenate([self._buffer, np.empty_like(self._buffer)])
+            more = np.empty((min(self._size, LARGEST_BUFFER - self._size), ROWS))
+            self._buffer = np.concatenate([self._buffer, more])
             return
         angle = self._angle()
         kept = None if angle is None else thin_to_equal_angles(angle)
