@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.attitude import unit, wrap_angle
-from magcal_ros.core.conics import fit_circle_taubin
+from magcal_ros.core.circle import fit_circle_in_space
 from magcal_ros.core.errors import Refusal
 
 BINS = 36
@@ -137,24 +137,18 @@ def yaw_progress(
 
 def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     """Return minus the field's phase on its circle about `up`, unwrapped from the first sample."""
-    centred = field - field.mean(axis=0)
-    spread, axes = np.linalg.eigh(centred.T @ centred / len(field))
+    spread = float(np.linalg.eigvalsh(np.cov(field.T))[-1])
     steps = np.diff(field, axis=0)
     noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 6.0)
-    if math.sqrt(max(float(spread[2]), 0.0)) < SPREAD_OVER_NOISE * noise:
+    if math.sqrt(max(spread, 0.0)) < SPREAD_OVER_NOISE * noise:
         return None
-    normal = axes[:, 0] if axes[:, 0] @ up >= 0.0 else -axes[:, 0]
-    first = unit(np.cross(normal, axes[:, 1]))
-    plane = np.stack([first, np.cross(normal, first)])
-    flat_field = centred @ plane.T
     try:
-        circle = fit_circle_taubin(flat_field)
+        circle = fit_circle_in_space(field, up)
     except Refusal:
         return None
     if circle.radius < SMALLEST_RADIUS:
         return None
-    offset = flat_field - circle.centre
-    phase = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+    phase = np.unwrap(circle.phase(field))
     return np.asarray(phase[0] - phase)
 
 

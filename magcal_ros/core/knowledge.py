@@ -124,6 +124,11 @@ class Mounting:
         """K times the nominal rotation from body to sensor axes, shape (3, 3)."""
         return np.asarray(self.gains[:, None] * self.pose.T)
 
+    @property
+    def to_body(self) -> FloatArray:
+        """From sensor axes to nominal body axes, gains taken off; the inverse of `matrix`."""
+        return np.asarray(self.pose / self.gains)
+
 
 @dataclass(frozen=True)
 class Knowledge:

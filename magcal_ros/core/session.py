@@ -119,7 +119,7 @@ class Session:
 
     def __init__(self, limits: Limits, mounting: Mounting, now: float) -> None:
         self.limits = limits
-        self._to_body = np.linalg.inv(mounting.matrix)
+        self._to_body = mounting.to_body
         self._started = now
         self._last_pair: float | None = None
         self._buffer = np.empty((1024, ROWS))
@@ -156,7 +156,8 @@ class Session:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
         angle = self._angle()
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        rate = 0.0 if angle is None else self._turn_rate(angle)
+        flows = self._last_pair is not None and now - self._last_pair < STANDS_STILL
+        rate = self._turn_rate(angle) if angle is not None and flows else 0.0
         if abs(rate) > SLOWEST_TURN:
             self._last_turning = now
         stage = self._stage(coverage, now)

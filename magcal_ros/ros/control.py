@@ -20,6 +20,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pairer, Streams
 from magcal_ros.core.verdict import refuse
+from magcal_ros.core.window import Window
 from magcal_ros.ros.parameters import Settings
 
 PREVIEW_ARC = math.radians(120.0)
@@ -79,6 +80,7 @@ class Control:
         self._words = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
         self.progress: Progress | None = None
+        self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: Conclusion | None = None
 
@@ -103,6 +105,7 @@ class Control:
                 f"already {self.state.value}: wait for it to end, or call ~/cancel first",
             )
         self._settings = settings
+        self.last_window = None
         self._preview = None
         self._pairer = Pairer(self._streams)
         self._session = Session(settings.limits, settings.knowledge.mounting, time.monotonic())
@@ -176,7 +179,8 @@ class Control:
             self._next_preview = time.monotonic() + PREVIEW_PAUSE
         elif progress.coverage.arc > PREVIEW_ARC and time.monotonic() > self._next_preview:
             assert self._settings is not None
-            work = (session.window(), self._settings.knowledge, self._settings.method)
+            self.last_window = session.window()
+            work = (self.last_window, self._settings.knowledge, self._settings.method)
             self._preview = self._worker.submit(predicted_sigma, *work)
 
     def _end_collection(self, session: Session, progress: Progress) -> None:
@@ -197,7 +201,7 @@ class Control:
         self._why_ended = why
         self._session = None
         try:
-            window = session.window()
+            window = self.last_window = session.window()
             self._require_arc(session, self.progress)
         except Refusal as refusal:
             self._refuse(refusal)

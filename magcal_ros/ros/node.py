@@ -12,14 +12,17 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.streams import Drop, Streams
+from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
+from magcal_ros.ros.markers import turn_markers
 from magcal_ros.ros.messages import field_sample, imu_sample
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
 from magcal_ros.ros.parameters import Parameters
@@ -58,6 +61,8 @@ class Calibrator(Node):
         self._control = Control(streams, self._put_in_force, self._describe_silence)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
+        self._drawn: Window | None = None
         short = {"accept": self._accept, "save": self._save, "load": self._load}
         Services(self, self._control, self._start, {**short, "reset": self._reset})
         sensor_data = qos_profile_sensor_data
@@ -192,6 +197,22 @@ class Calibrator(Node):
         if not self._control.tick():
             self._tick.cancel()
         self._publish_status()
+        self._draw()
+
+    def _draw(self) -> None:
+        """Draw the window of the moment once; a turn under way has a new one with each preview."""
+        window = self._control.last_window
+        if window is None or window is self._drawn:
+            return
+        idle, outcome = self._control.state is State.IDLE, self._control.last_outcome
+        if not idle and not self._markers_out.get_subscription_count():
+            return
+        if idle or self._control.state is State.COLLECTING:
+            estimate = outcome.estimate if idle and outcome is not None else None
+            to_body = self._table.settings.knowledge.mounting.to_body
+            markers = turn_markers(window, to_body, estimate, self._body_frame())
+            self._markers_out.publish(markers)
+            self._drawn = window
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap

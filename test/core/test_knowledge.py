@@ -41,3 +41,8 @@ def test_gains_must_be_positive(gains):
 
 def test_no_soft_iron_means_none():
     assert SoftIron.none() == SoftIron(0.0, 0.0, False)
+
+
+def test_the_way_to_body_axes_undoes_the_mounting():
+    mounting = Mounting([0.8, 1.1, 1.3], rotation_from_rpy(0.4, -0.7, 2.0))
+    assert np.allclose(mounting.to_body @ mounting.matrix, np.eye(3), atol=1e-15)

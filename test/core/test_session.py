@@ -11,6 +11,7 @@ from magcal_ros.core.simulator import DEGREE, Robot, measure, turn
 from magcal_ros.core.streams import FieldSample, ImuSample, Pair
 
 ROBOT = Robot()
+CERTAIN, UNCERTAIN = math.radians(0.2), math.radians(0.9)
 LIMITS = Limits(timeout=90.0, silence=10.0)
 
 
@@ -41,13 +42,51 @@ class TestStages:
     def test_a_full_turn_completes_it_and_not_much_less(self, gyro, sense):
         window = simulated(gyro=gyro, arc=sense * 400 * DEGREE, samples=800, duration=20.0)
         session, done_at = Session(LIMITS, Mounting(), now=0.0), None
+        session.note_sigma(CERTAIN)
+        session.note_sigma(CERTAIN)
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.025 * k)
-            if done_at is None and k % 10 == 9 and session.progress(0.025 * k).stage is (
-                Stage.COMPLETE
+            if (
+                done_at is None
+                and k % 10 == 9
+                and session.progress(0.025 * k).stage is (Stage.COMPLETE)
             ):
                 done_at = k * 0.5
         assert done_at == pytest.approx(345.0, abs=18.0)
+
+    @pytest.mark.parametrize("sigmas", [[], [CERTAIN], [CERTAIN, UNCERTAIN], [UNCERTAIN, CERTAIN]])
+    def test_a_full_turn_goes_on_until_it_is_certain_twice_in_a_row(self, sigmas):
+        session = session_with(simulated())
+        for sigma in sigmas:
+            session.note_sigma(sigma)
+        assert session.progress(15.0).stage is Stage.COLLECTING
+        session.note_sigma(CERTAIN)
+        done = bool(sigmas) and sigmas[-1] == CERTAIN
+        assert session.progress(15.1).stage is (Stage.COMPLETE if done else Stage.COLLECTING)
+
+    def test_a_complete_turn_ends_when_the_robot_stands(self):
+        standing = turn(arc=0.0, samples=200, duration=6.0)
+        session = session_with(simulated(samples=300, duration=15.0))
+        last = 14.95
+        assert session.progress(last).stage is Stage.COLLECTING
+        window = measure(ROBOT, standing, np.random.default_rng(2), gyro=True)
+        stages = []
+        for k, pair in enumerate(pairs_of(window)):
+            shifted = Pair(
+                pair.field._replace(stamp=pair.field.stamp + 15.0),
+                pair.imu._replace(stamp=pair.imu.stamp + 15.0),
+            )
+            session.add(shifted, last + 0.03 * k)
+            if k % 10 == 0:
+                stages.append(session.progress(last + 0.03 * k).stage)
+        assert stages[0] is Stage.COLLECTING
+        assert stages[-1] is Stage.COMPLETE
+
+    def test_a_turn_that_never_gets_certain_ends_after_two_rounds(self):
+        session = session_with(simulated(arc=710 * DEGREE, samples=900, duration=27.0))
+        assert session.progress(27.0).stage is Stage.COLLECTING
+        session = session_with(simulated(arc=730 * DEGREE, samples=900, duration=27.0))
+        assert session.progress(27.0).stage is Stage.COMPLETE
 
     def test_three_quarters_do_not_complete_it(self):
         progress = session_with(simulated(arc=270 * DEGREE)).progress(15.0)
