@@ -202,7 +202,7 @@ class TestYawProgressOfARobotThatStands:
 
     def test_a_field_that_moves_along_a_line_shows_no_turn(self):
         time = np.linspace(0.0, 5.0, 100)
-        field = np.outer(time, [10e-6, 3e-6, 0.0]) + [20e-6, 0.0, -40e-6]
+        field = np.outer(time, [10e-6, 3e-6, 0.0]) + np.array([20e-6, 0.0, -40e-6])
         force = np.tile([0.0, 0.0, 9.81], (100, 1))
         progress = yaw_progress(time, field, force, None)
         assert progress is None or np.ptp(progress) < 0.1

@@ -60,7 +60,7 @@ def test_turning_left_raises_the_yaw_and_the_gyros_z(rate):
     before = one.magnetic_yaw
     imus, _ = run(one, 200, rate)
     assert wrap_angle(one.magnetic_yaw - before) == pytest.approx(2.0 * rate, abs=1e-9)
-    assert imus[-1].rate == pytest.approx(PERFECT.gyro_bias + [0.0, 0.0, rate])
+    assert imus[-1].rate == pytest.approx(PERFECT.gyro_bias + np.array([0.0, 0.0, rate]))
 
 
 def test_it_turns_about_the_axis_it_is_given():

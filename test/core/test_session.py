@@ -43,8 +43,10 @@ class TestStages:
         session, done_at = Session(LIMITS, Mounting(), now=0.0), None
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.025 * k)
-            if done_at is None and k % 10 == 9 and session.progress(0.025 * k).stage is (
-                Stage.COMPLETE
+            if (
+                done_at is None
+                and k % 10 == 9
+                and session.progress(0.025 * k).stage is (Stage.COMPLETE)
             ):
                 done_at = k * 0.5
         assert done_at == pytest.approx(345.0, abs=18.0)
