@@ -282,7 +282,7 @@ def refuse(refusal: Refusal) -> Verdict:
     """Turn a method's refusal into a verdict."""
     words = str(refusal)
     checks = tuple(Check(refusal.reason.value, aspect, Grade.REFUSED, words) for aspect in Aspect)
-    return Verdict(checks, (), f"Refused: {words}.".replace("..", "."))
+    return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
 
 
 def _check_strength(strength: float) -> Check:
