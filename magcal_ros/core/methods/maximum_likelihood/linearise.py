@@ -1,0 +1,313 @@
+"""Normal equations of the turn, and their step with the samples' attitudes eliminated.
+
+The attitudes enter block by block, so they leave by a Schur complement and the cost of a step is
+linear in the samples (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.methods.maximum_likelihood import parameters as p
+from magcal_ros.core.methods.maximum_likelihood.model import (
+    DATA_ROWS,
+    Prediction,
+    Samples,
+    State,
+    global_jacobian,
+    local_jacobian,
+    predict,
+    skews,
+)
+from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+
+SMALLEST_CURVATURE = 1e-9
+LARGEST_DAMPING = 1e6
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations: up (radians), field (field scales), wobble (radians), per axis."""
+
+    up: float
+    field: float
+    wobble: float
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """How much each sample's data (n,) and its wobble (n,) count, 0 to about 2."""
+
+    data: FloatArray
+    wobble: FloatArray
+
+    @classmethod
+    def ones(cls, n: int) -> Weights:
+        """Believe everything."""
+        return cls(np.ones(n), np.ones(n))
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One weighted least-squares problem.
+
+    Parameters
+    ----------
+    samples : Samples
+    prior : Prior
+    noise : Noise
+    weights : Weights
+    rigid : bool
+        Whether the axis is rigid; otherwise each sample may lean.
+    kappa : float
+        Samples per independent sample. It multiplies the prior instead of dividing the data.
+    """
+
+    samples: Samples
+    prior: Prior
+    noise: Noise
+    weights: Weights
+    rigid: bool = False
+    kappa: float = 1.0
+
+    def with_noise(self, noise: Noise) -> Problem:
+        """Return the problem with other standard deviations."""
+        return replace(self, noise=noise)
+
+    def with_weights(self, weights: Weights) -> Problem:
+        """Return the problem with other weights."""
+        return replace(self, weights=weights)
+
+
+@dataclass(frozen=True, eq=False)
+class ChiSquares:
+    """Squared whitened residuals per sample: up, field, wobble; each shape (n,)."""
+
+    up: FloatArray
+    field: FloatArray
+    wobble: FloatArray
+
+    @property
+    def data(self) -> FloatArray:
+        """Up and field together."""
+        return self.up + self.field
+
+
+def chi_squares(state: State, prediction: Prediction, noise: Noise) -> ChiSquares:
+    """Return the squared whitened residuals of a state."""
+    return ChiSquares(
+        np.sum(prediction.up_residual**2, axis=1) / noise.up**2,
+        np.sum(prediction.field_residual**2, axis=1) / noise.field**2,
+        np.sum(state.lean[:, :2] ** 2, axis=1) / noise.wobble**2,
+    )
+
+
+def cost(state: State, problem: Problem) -> float:
+    """Return the weighted sum of squares, prior included."""
+    chi = chi_squares(state, predict(state, problem.samples), problem.noise)
+    total = problem.weights.data @ chi.data + problem.kappa * problem.prior.cost(state.shared)
+    if not problem.rigid:
+        total += problem.weights.wobble @ chi.wobble
+    return float(total)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """The normal equations at one state; g free globals, l local numbers a sample (1 or 3).
+
+    Parameters
+    ----------
+    state, prediction
+        Where.
+    residual : ndarray, shape (n, 6)
+        Whitened, not weighted.
+    local : ndarray, shape (n, 6, l)
+        Whitened derivative by the local step, not weighted.
+    information, gradient : ndarray, shape (g, g) and (g,)
+        Of the globals, prior included, attitudes held.
+    coupling : ndarray, shape (n, l, g)
+    local_information : ndarray, shape (n, l, l)
+    local_covariance : ndarray, shape (n, l, l)
+        Its inverse.
+    local_gradient : ndarray, shape (n, l)
+    """
+
+    state: State
+    prediction: Prediction
+    residual: FloatArray
+    local: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+    coupling: FloatArray
+    local_information: FloatArray
+    local_covariance: FloatArray
+    local_gradient: FloatArray
+
+    @property
+    def reduced_information(self) -> FloatArray:
+        """Information on the globals after the attitudes are eliminated, shape (g, g)."""
+        return _eliminate(self.information, self.coupling, self.local_covariance)
+
+
+def linearise(state: State, problem: Problem) -> Linearisation:
+    """Build the normal equations of `problem` at `state`."""
+    prediction = predict(state, problem.samples)
+    noise, free = problem.noise, problem.prior.free
+    whitening = np.repeat([1.0 / noise.up, 1.0 / noise.field], 3)
+    local_full = local_jacobian(prediction)
+    jacobian = global_jacobian(state, prediction, local_full, problem.samples)[:, :, free]
+    jacobian *= whitening[:, None]
+    local = (local_full[:, :, 2:] if problem.rigid else local_full) * whitening[:, None]
+    residual = np.concatenate([prediction.up_residual, prediction.field_residual], axis=1)
+    residual *= whitening
+    weight = problem.weights.data[:, None, None]
+    weighted_local = np.swapaxes(local * weight, 1, 2)
+    flat = jacobian.reshape(-1, len(free))
+    weighted_rows = (jacobian * weight).reshape(-1, len(free)).T
+    kappa, prior = problem.kappa, problem.prior
+    prior_information = kappa * prior.information
+    information = weighted_rows @ flat + np.diag(prior_information[free])
+    gradient = weighted_rows @ residual.ravel()
+    gradient += (prior_information * prior.deviation(state.shared))[free]
+    local_information = weighted_local @ local
+    local_gradient = (weighted_local @ residual[:, :, None])[:, :, 0]
+    if not problem.rigid:
+        _add_wobble(local_information, local_gradient, state, problem)
+    return Linearisation(
+        state,
+        prediction,
+        residual,
+        local,
+        information,
+        gradient,
+        weighted_local @ jacobian,
+        local_information,
+        inverse_blocks(local_information),
+        local_gradient,
+    )
+
+
+def _add_wobble(
+    local_information: FloatArray, local_gradient: FloatArray, state: State, problem: Problem
+) -> None:
+    """Add the belief that the axis leans little: residual -(A z)_xy, derivative -[A z]x."""
+    by_step = -skews(state.lean)[:, :2]
+    strength = problem.weights.wobble / problem.noise.wobble**2
+    weighted = np.swapaxes(by_step, 1, 2) * strength[:, None, None]
+    local_information += weighted @ by_step
+    local_gradient -= (weighted @ state.lean[:, :2, None])[:, :, 0]
+
+
+def inverse_blocks(blocks: FloatArray) -> FloatArray:
+    """Invert symmetric blocks (n, l, l), l = 1 or 3, by cofactors."""
+    if blocks.shape[1] == 1:
+        return np.asarray(1.0 / np.maximum(blocks, SMALLEST_CURVATURE))
+    a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 0, 2]
+    d, e, f = blocks[:, 1, 1], blocks[:, 1, 2], blocks[:, 2, 2]
+    out = np.empty_like(blocks)
+    out[:, 0, 0], out[:, 1, 1], out[:, 2, 2] = d * f - e * e, a * f - c * c, a * d - b * b
+    out[:, 0, 1] = out[:, 1, 0] = c * e - b * f
+    out[:, 0, 2] = out[:, 2, 0] = b * e - c * d
+    out[:, 1, 2] = out[:, 2, 1] = b * c - a * e
+    determinant = a * out[:, 0, 0] + b * out[:, 0, 1] + c * out[:, 0, 2]
+    out /= np.maximum(determinant, SMALLEST_CURVATURE)[:, None, None]
+    return out
+
+
+def _eliminate(information: FloatArray, coupling: FloatArray, inverse: FloatArray) -> FloatArray:
+    flat = coupling.reshape(-1, coupling.shape[2])
+    return np.asarray(information - flat.T @ (inverse @ coupling).reshape(flat.shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One accepted or refused step.
+
+    Parameters
+    ----------
+    state : State
+        After it; the old one where no step lowered the cost.
+    cost, previous : float
+        Weighted sum of squares after and before.
+    damping : float
+        Where to start next time.
+    accepted : bool
+    size : float
+        Largest change of a global in its own units.
+    """
+
+    state: State
+    cost: float
+    previous: float
+    damping: float
+    accepted: bool
+    size: float = 0.0
+
+
+def take_step(
+    state: State, problem: Problem, damping: float, extra_gradient: FloatArray | None = None
+) -> Step:
+    """Take one Levenberg-Marquardt step that lowers the weighted sum of squares.
+
+    Parameters
+    ----------
+    state : State
+    problem : Problem
+    damping : float
+        Relative addition to the diagonal.
+    extra_gradient : ndarray, shape (g,), optional
+        Gradient of a further term of half the cost, taken as constant over the step.
+    """
+    lin = linearise(state, problem)
+    extra = np.zeros(len(lin.gradient)) if extra_gradient is None else extra_gradient
+    before = cost(state, problem)
+    while damping < LARGEST_DAMPING:
+        move, local = _solve(lin, damping, extra)
+        full = np.zeros(p.COUNT)
+        full[problem.prior.free] = move
+        if np.isfinite(move).all() and np.abs(full).max() < 3.0:
+            candidate = state.moved(full, local)
+            after = cost(candidate, problem)
+            if after + 2.0 * extra @ move <= before * (1.0 + 1e-12) + 1e-9:
+                size = float(np.abs(move).max())
+                return Step(candidate, after, before, max(damping / 10.0, 1e-10), True, size)
+        damping = max(10.0 * damping, 1e-7)
+    return Step(state, before, before, 1e-3, False)
+
+
+def _solve(
+    lin: Linearisation, damping: float, extra: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return global step (g,) and local steps (n, l) of the damped equations."""
+    blocks = lin.local_information.copy()
+    index = np.arange(blocks.shape[1])
+    blocks[:, index, index] *= 1.0 + damping
+    inverse = inverse_blocks(blocks) if damping > 1e-9 else lin.local_covariance
+    diagonal = np.diag(np.diag(lin.information) + SMALLEST_CURVATURE)
+    reduced = _eliminate(lin.information + damping * diagonal, lin.coupling, inverse)
+    pulled = (inverse @ lin.local_gradient[:, :, None])[:, :, 0]
+    right = lin.gradient - extra - np.einsum("nlg,nl->g", lin.coupling, pulled)
+    try:
+        move = np.linalg.solve(reduced, right)
+    except np.linalg.LinAlgError:
+        return np.full(len(right), np.nan), np.zeros((len(blocks), blocks.shape[1]))
+    follow = (inverse @ (lin.coupling @ move)[:, :, None])[:, :, 0]
+    return move, pulled - follow
+
+
+__all__ = [
+    "DATA_ROWS",
+    "ChiSquares",
+    "Linearisation",
+    "Noise",
+    "Problem",
+    "Step",
+    "Weights",
+    "chi_squares",
+    "cost",
+    "linearise",
+    "take_step",
+]
