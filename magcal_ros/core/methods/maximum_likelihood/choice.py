@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,8 +11,17 @@ from magcal_ros.core.arrays import BoolArray
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, chi_squares, linearise
 from magcal_ros.core.methods.maximum_likelihood.logdet import log_determinants
 from magcal_ros.core.methods.maximum_likelihood.model import predict
-from magcal_ros.core.methods.maximum_likelihood.refine import Solution
+from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
+
+WOBBLE_PRICE = 4.0
+SOFT_IRON_PRICE = 20.0
+"""By how much, times kappa, minus twice the log evidence must fall for a richer model."""
+
+FEW_COMMON = 0.95
+LARGEST_RIGID_WOBBLE = 0.05
+"""Radians of wobble beyond which a rigid axis is not tried."""
 
 
 def soft_evidence(solution: Solution) -> float:
@@ -59,3 +69,74 @@ def _noise_cost(solution: Solution, count: int) -> float:
     if not solution.problem.rigid:
         total += 4.0 * math.log(noise.wobble)
     return count * total
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The model that the samples ask for.
+
+    Parameters
+    ----------
+    solution : Solution
+    soft_iron_gain : float
+        Fall of minus twice the log evidence by soft iron; zero where it was not tried.
+    """
+
+    solution: Solution
+    soft_iron_gain: float
+
+
+def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Choice:
+    """Fit rigid and wobbling axis, with soft iron and without, and take what is asked for.
+
+    Parameters
+    ----------
+    start : Solution
+        A wobbling fit without soft iron.
+    with_iron : Prior
+        The prior that frees soft iron.
+    always_iron : bool
+        Whether soft iron is fitted whatever the samples say.
+    """
+    wobbling = gated(start)
+    plain = rigid_or_wobbling(wobbling)
+    if not with_iron.has_soft_iron:
+        return Choice(plain, 0.0)
+    if not always_iron and expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE:
+        return Choice(plain, 0.0)
+    freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
+    iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
+    gain = _difference(plain, iron)
+    if always_iron or gain > SOFT_IRON_PRICE * iron.problem.kappa:
+        return Choice(iron, gain)
+    return Choice(plain, gain)
+
+
+def rigid_or_wobbling(wobbling: Solution) -> Solution:
+    """Return the rigid solution where it explains the samples nearly as well."""
+    noise = wobbling.problem.noise
+    if noise.wobble > LARGEST_RIGID_WOBBLE:
+        return wobbling
+    first = replace(noise, up=math.hypot(noise.up, noise.wobble))
+    problem = replace(wobbling.problem, rigid=True, noise=first)
+    rigid = gated(Solution(wobbling.state.upright(), problem))
+    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
+        return wobbling
+    if _difference(rigid, wobbling) > WOBBLE_PRICE * wobbling.problem.kappa:
+        return wobbling
+    return rigid
+
+
+def _difference(simple: Solution, rich: Solution) -> float:
+    common = simple.believed & rich.believed
+    kappa = rich.problem.kappa
+    return evidence(simple, common, kappa) - evidence(rich, common, kappa)
+
+
+def expected_gain(solution: Solution, with_iron: Prior) -> float:
+    """Return by how much chi-square would fall with soft iron, from the slope at zero."""
+    problem = replace(solution.problem, prior=with_iron)
+    lin = linearise(solution.state, problem)
+    pulled = (lin.local_covariance @ lin.local_gradient[:, :, None])[:, :, 0]
+    slope = lin.gradient - lin.through_attitudes(pulled)
+    return float(slope @ np.linalg.lstsq(lin.reduced_information, slope, rcond=1e-14)[0])

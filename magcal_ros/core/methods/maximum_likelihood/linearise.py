@@ -13,7 +13,6 @@ import numpy as np
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.model import (
-    DATA_ROWS,
     Prediction,
     Samples,
     State,
@@ -26,6 +25,7 @@ from magcal_ros.core.methods.maximum_likelihood.prior import Prior
 
 SMALLEST_CURVATURE = 1e-9
 LARGEST_DAMPING = 1e6
+LARGEST_STEP = 3.0
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,25 @@ class Noise:
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """How much each sample's data (n,) and its wobble (n,) count, 0 to about 2."""
+    """How much each sample counts; each array of shape (n,).
+
+    Parameters
+    ----------
+    data, wobble : ndarray
+        Soft weights of the sample's measurements and of its lean, 0 to about 2.
+    sample : ndarray
+        What the sample as a whole says about the globals, 0 or 1. The attitude of a sample that
+        counts nothing still follows its measurements, so a gate can take it back.
+    """
 
     data: FloatArray
     wobble: FloatArray
+    sample: FloatArray
 
     @classmethod
     def ones(cls, n: int) -> Weights:
         """Believe everything."""
-        return cls(np.ones(n), np.ones(n))
+        return cls(np.ones(n), np.ones(n), np.ones(n))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +115,16 @@ def chi_squares(state: State, prediction: Prediction, noise: Noise) -> ChiSquare
     )
 
 
-def cost(state: State, problem: Problem) -> float:
-    """Return the weighted sum of squares, prior included."""
-    chi = chi_squares(state, predict(state, problem.samples), problem.noise)
-    total = problem.weights.data @ chi.data + problem.kappa * problem.prior.cost(state.shared)
+def cost(state: State, problem: Problem, prediction: Prediction | None = None) -> float:
+    """Return the weighted sum of squares, prior included; a known prediction saves its cost."""
+    if prediction is None:
+        prediction = predict(state, problem.samples)
+    chi = chi_squares(state, prediction, problem.noise)
+    weights = problem.weights
+    each = weights.data * chi.data
     if not problem.rigid:
-        total += problem.weights.wobble @ chi.wobble
-    return float(total)
+        each += weights.wobble * chi.wobble
+    return float(weights.sample @ each + problem.kappa * problem.prior.cost(state.shared))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +146,8 @@ class Linearisation:
     local_covariance : ndarray, shape (n, l, l)
         Its inverse.
     local_gradient : ndarray, shape (n, l)
+    counted : ndarray, shape (n,)
+        What each sample says about the globals, 0 or 1.
     """
 
     state: State
@@ -145,16 +160,47 @@ class Linearisation:
     local_information: FloatArray
     local_covariance: FloatArray
     local_gradient: FloatArray
+    counted: FloatArray
 
     @property
     def reduced_information(self) -> FloatArray:
         """Information on the globals after the attitudes are eliminated, shape (g, g)."""
-        return _eliminate(self.information, self.coupling, self.local_covariance)
+        return self._without_attitudes(self.information, self.local_covariance)
+
+    def solve(self, damping: float, extra_gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return global step (g,) and local steps (n, l) of the damped equations."""
+        blocks = self.local_information.copy()
+        index = np.arange(blocks.shape[1])
+        blocks[:, index, index] *= 1.0 + damping
+        inverse = inverse_blocks(blocks) if damping > 1e-9 else self.local_covariance
+        diagonal = np.diag(np.diag(self.information) + SMALLEST_CURVATURE)
+        reduced = self._without_attitudes(self.information + damping * diagonal, inverse)
+        pulled = (inverse @ self.local_gradient[:, :, None])[:, :, 0]
+        right = self.gradient - extra_gradient - self.through_attitudes(pulled)
+        try:
+            move = np.linalg.solve(reduced, right)
+        except np.linalg.LinAlgError:
+            return np.full(len(right), np.nan), np.zeros_like(pulled)
+        follow = (inverse @ (self.coupling @ move)[:, :, None])[:, :, 0]
+        return move, pulled - follow
+
+    def through_attitudes(self, local: FloatArray) -> FloatArray:
+        """Carry local vectors (n, l) to the globals, `sum C_i^T x_i`, shape (g,)."""
+        flat = self.coupling.reshape(-1, self.coupling.shape[2])
+        return np.asarray((local * self.counted[:, None]).ravel() @ flat)
+
+    def _without_attitudes(self, information: FloatArray, inverse: FloatArray) -> FloatArray:
+        counted = inverse * self.counted[:, None, None]
+        flat = self.coupling.reshape(-1, self.coupling.shape[2])
+        return np.asarray(information - flat.T @ (counted @ self.coupling).reshape(flat.shape))
 
 
-def linearise(state: State, problem: Problem) -> Linearisation:
-    """Build the normal equations of `problem` at `state`."""
-    prediction = predict(state, problem.samples)
+def linearise(
+    state: State, problem: Problem, prediction: Prediction | None = None
+) -> Linearisation:
+    """Build the normal equations of `problem` at `state`; a known prediction saves its cost."""
+    if prediction is None:
+        prediction = predict(state, problem.samples)
     noise, free = problem.noise, problem.prior.free
     whitening = np.repeat([1.0 / noise.up, 1.0 / noise.field], 3)
     local_full = local_jacobian(prediction)
@@ -166,7 +212,8 @@ def linearise(state: State, problem: Problem) -> Linearisation:
     weight = problem.weights.data[:, None, None]
     weighted_local = np.swapaxes(local * weight, 1, 2)
     flat = jacobian.reshape(-1, len(free))
-    weighted_rows = (jacobian * weight).reshape(-1, len(free)).T
+    counted = problem.weights.sample
+    weighted_rows = (jacobian * (weight * counted[:, None, None])).reshape(-1, len(free)).T
     kappa, prior = problem.kappa, problem.prior
     prior_information = kappa * prior.information
     information = weighted_rows @ flat + np.diag(prior_information[free])
@@ -187,6 +234,7 @@ def linearise(state: State, problem: Problem) -> Linearisation:
         local_information,
         inverse_blocks(local_information),
         local_gradient,
+        counted,
     )
 
 
@@ -217,11 +265,6 @@ def inverse_blocks(blocks: FloatArray) -> FloatArray:
     return out
 
 
-def _eliminate(information: FloatArray, coupling: FloatArray, inverse: FloatArray) -> FloatArray:
-    flat = coupling.reshape(-1, coupling.shape[2])
-    return np.asarray(information - flat.T @ (inverse @ coupling).reshape(flat.shape))
-
-
 @dataclass(frozen=True, eq=False)
 class Step:
     """One accepted or refused step.
@@ -230,8 +273,10 @@ class Step:
     ----------
     state : State
         After it; the old one where no step lowered the cost.
-    cost, previous : float
-        Weighted sum of squares after and before.
+    prediction : Prediction
+        At that state.
+    fall : float
+        By how much the weighted sum of squares fell.
     damping : float
         Where to start next time.
     accepted : bool
@@ -240,74 +285,44 @@ class Step:
     """
 
     state: State
-    cost: float
-    previous: float
+    prediction: Prediction
+    fall: float
     damping: float
     accepted: bool
     size: float = 0.0
 
 
 def take_step(
-    state: State, problem: Problem, damping: float, extra_gradient: FloatArray | None = None
+    lin: Linearisation,
+    problem: Problem,
+    damping: float,
+    extra_gradient: FloatArray | None = None,
 ) -> Step:
     """Take one Levenberg-Marquardt step that lowers the weighted sum of squares.
 
     Parameters
     ----------
-    state : State
+    lin : Linearisation
+        Of `problem`, at the state to leave.
     problem : Problem
     damping : float
         Relative addition to the diagonal.
     extra_gradient : ndarray, shape (g,), optional
         Gradient of a further term of half the cost, taken as constant over the step.
     """
-    lin = linearise(state, problem)
     extra = np.zeros(len(lin.gradient)) if extra_gradient is None else extra_gradient
-    before = cost(state, problem)
+    before = cost(lin.state, problem, lin.prediction)
     while damping < LARGEST_DAMPING:
-        move, local = _solve(lin, damping, extra)
+        move, local = lin.solve(damping, extra)
         full = np.zeros(p.COUNT)
         full[problem.prior.free] = move
-        if np.isfinite(move).all() and np.abs(full).max() < 3.0:
-            candidate = state.moved(full, local)
-            after = cost(candidate, problem)
+        if np.isfinite(move).all() and np.abs(full).max() < LARGEST_STEP:
+            candidate = lin.state.moved(full, local)
+            prediction = predict(candidate, problem.samples)
+            after = cost(candidate, problem, prediction)
             if after + 2.0 * extra @ move <= before * (1.0 + 1e-12) + 1e-9:
                 size = float(np.abs(move).max())
-                return Step(candidate, after, before, max(damping / 10.0, 1e-10), True, size)
+                relaxed = max(damping / 10.0, 1e-10)
+                return Step(candidate, prediction, before - after, relaxed, True, size)
         damping = max(10.0 * damping, 1e-7)
-    return Step(state, before, before, 1e-3, False)
-
-
-def _solve(
-    lin: Linearisation, damping: float, extra: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return global step (g,) and local steps (n, l) of the damped equations."""
-    blocks = lin.local_information.copy()
-    index = np.arange(blocks.shape[1])
-    blocks[:, index, index] *= 1.0 + damping
-    inverse = inverse_blocks(blocks) if damping > 1e-9 else lin.local_covariance
-    diagonal = np.diag(np.diag(lin.information) + SMALLEST_CURVATURE)
-    reduced = _eliminate(lin.information + damping * diagonal, lin.coupling, inverse)
-    pulled = (inverse @ lin.local_gradient[:, :, None])[:, :, 0]
-    right = lin.gradient - extra - np.einsum("nlg,nl->g", lin.coupling, pulled)
-    try:
-        move = np.linalg.solve(reduced, right)
-    except np.linalg.LinAlgError:
-        return np.full(len(right), np.nan), np.zeros((len(blocks), blocks.shape[1]))
-    follow = (inverse @ (lin.coupling @ move)[:, :, None])[:, :, 0]
-    return move, pulled - follow
-
-
-__all__ = [
-    "DATA_ROWS",
-    "ChiSquares",
-    "Linearisation",
-    "Noise",
-    "Problem",
-    "Step",
-    "Weights",
-    "chi_squares",
-    "cost",
-    "linearise",
-    "take_step",
-]
+    return Step(lin.state, lin.prediction, 0.0, 1e-3, False)

@@ -26,21 +26,22 @@ def log_determinants(lin: Linearisation) -> FloatArray:
 
 
 def log_determinant_gradient(lin: Linearisation, problem: Problem) -> FloatArray:
-    """Return the gradient of `1/2 sum log det D_i` by the free globals, shape (g,).
+    """Return the gradient of `1/2 sum log det D_i` of the counted samples, shape (g,).
 
     The attitudes follow the globals to their new optimum, `d = -D^-1 C^T dtheta`. Meant for a
     wobbling axis, where each sample has three local numbers.
     """
     state, prediction, noise = lin.state, lin.prediction, problem.noise
-    data = problem.weights.data[:, None]
+    counted = problem.weights.sample
+    data = (problem.weights.data * counted)[:, None]
     matrix = prediction.field_matrix
     by_up, _ = _by_vector(prediction.up, np.eye(3), lin)
     by_field, spread = _by_vector(prediction.field, matrix.T @ matrix, lin)
     by_lean, _ = _by_vector(state.lean, _WOBBLE_ROWS, lin)
     by_up *= data / noise.up**2
     by_field *= data / noise.field**2
-    by_lean *= problem.weights.wobble[:, None] / noise.wobble**2
-    spread = np.tensordot(problem.weights.data / noise.field**2, spread, axes=1)
+    by_lean *= (problem.weights.wobble * counted)[:, None] / noise.wobble**2
+    spread = np.tensordot(data[:, 0] / noise.field**2, spread, axes=1)
 
     turn_data = np.cross(prediction.up, by_up) + np.cross(prediction.field, by_field)
     full = np.zeros(p.COUNT)
@@ -51,8 +52,7 @@ def log_determinant_gradient(lin: Linearisation, problem: Problem) -> FloatArray
 
     turn = turn_data + np.cross(state.lean, by_lean)
     following = (lin.local_covariance @ turn[:, :, None])[:, :, 0]
-    indirect = np.einsum("nlg,nl->g", lin.coupling, following)
-    return np.asarray(0.5 * (full[problem.prior.free] - indirect))
+    return np.asarray(0.5 * (full[problem.prior.free] - lin.through_attitudes(following)))
 
 
 def _by_vector(
@@ -76,9 +76,7 @@ def _by_vector(
     return 2.0 * gradient, -half @ cross
 
 
-def _through_field_matrix(
-    lin: Linearisation, problem: Problem, weighted: FloatArray
-) -> FloatArray:
+def _through_field_matrix(lin: Linearisation, problem: Problem, weighted: FloatArray) -> FloatArray:
     """Return the gradient by the parameters that shape the matrix P in `S = P^T P`."""
     shared = lin.state.shared
     full = np.zeros(p.COUNT)

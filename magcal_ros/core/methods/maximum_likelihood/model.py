@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 
@@ -47,7 +47,7 @@ class Samples:
     def __len__(self) -> int:
         return len(self.up)
 
-    def take(self, rows: FloatArray | slice) -> Samples:
+    def take(self, rows: BoolArray | slice) -> Samples:
         """Return the samples of the chosen rows."""
         return Samples(self.up[rows], self.field[rows], self.mounting)
 

@@ -50,10 +50,10 @@ def estimate_noise(lin: Linearisation, problem: Problem, change: float) -> Noise
         Largest factor by which a sigma may change at once.
     """
     weight, noise = problem.weights.data, problem.noise
-    used = weight > 1e-3
+    used = problem.weights.sample > 0.5
     count = max(int(used.sum()), 1)
     paid = shares(lin, problem)
-    squares = weight[:, None] * lin.residual**2
+    squares = (weight * used)[:, None] * lin.residual**2
     freedom_up = np.sum(2.0 - paid.up[used]) - 4.0
     freedom_field = np.sum(3.0 - paid.field[used]) - (len(problem.prior.free) - 4.0)
     up = _sigma(squares[:, :3].sum(), freedom_up, count) * noise.up

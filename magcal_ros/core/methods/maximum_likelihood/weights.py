@@ -18,8 +18,6 @@ LOCAL_GATE = 16.0
 LOCAL_WINDOWS = (100, 25)
 """The local gate sums residuals over these fractions of the turn."""
 
-LEAST_WEIGHT = 1e-9
-
 
 def student_weights(chi: ChiSquares, rigid: bool) -> Weights:
     """Return the weights under which least squares fits Student-t residuals.
@@ -29,7 +27,7 @@ def student_weights(chi: ChiSquares, rigid: bool) -> Weights:
     """
     data = (STUDENT + 3.0) / (STUDENT + chi.data)
     wobble = np.ones(len(data)) if rigid else (STUDENT + 2.0) / (STUDENT + chi.wobble)
-    return Weights(data, wobble)
+    return Weights(data, wobble, np.ones(len(data)))
 
 
 def student_cost(chi: ChiSquares, rigid: bool) -> float:
@@ -87,5 +85,6 @@ def moving_sum(values: FloatArray, width: int) -> FloatArray:
 
 
 def hard_weights(believed: BoolArray) -> Weights:
-    """Return weights of one where believed, and next to nothing elsewhere."""
-    return Weights(np.where(believed, 1.0, LEAST_WEIGHT), np.ones(len(believed)))
+    """Return weights that count the believed samples fully and the others not at all."""
+    n = len(believed)
+    return Weights(np.ones(n), np.ones(n), believed.astype(float))

@@ -53,5 +53,6 @@ def samples(rng, state):
 @pytest.fixture
 def problem(rng, samples):
     prior = Prior(np.arange(17), np.linspace(1.0, 50.0, 17), 1.0, math.radians(60.0))
-    weights = Weights(rng.uniform(0.3, 1.5, COUNT), rng.uniform(0.3, 1.5, COUNT))
+    counted = (rng.random(COUNT) > 0.2).astype(float)
+    weights = Weights(rng.uniform(0.3, 1.5, COUNT), rng.uniform(0.3, 1.5, COUNT), counted)
     return Problem(samples, prior, Noise(0.01, 0.012, 0.08), weights)

@@ -36,9 +36,7 @@ def test_global_jacobian_against_differences(state, samples, parameter):
     still = np.zeros((len(samples), 3))
     ahead = prediction_in_body(state.moved(step, still), samples)
     behind = prediction_in_body(state.moved(-step, still), samples)
-    np.testing.assert_allclose(
-        jacobian[:, :, parameter], (ahead - behind) / (2 * STEP), atol=1e-8
-    )
+    np.testing.assert_allclose(jacobian[:, :, parameter], (ahead - behind) / (2 * STEP), atol=1e-8)
 
 
 @pytest.mark.parametrize("direction", range(3))
@@ -48,9 +46,7 @@ def test_local_jacobian_against_differences(state, samples, direction):
     local[:, direction] = STEP
     ahead = prediction_in_body(state.moved(np.zeros(17), local), samples)
     behind = prediction_in_body(state.moved(np.zeros(17), -local), samples)
-    np.testing.assert_allclose(
-        jacobian[:, :, direction], (ahead - behind) / (2 * STEP), atol=1e-8
-    )
+    np.testing.assert_allclose(jacobian[:, :, direction], (ahead - behind) / (2 * STEP), atol=1e-8)
 
 
 def test_prediction_follows_the_written_model(state, samples):
