@@ -154,8 +154,9 @@ def draw(condition: Condition, rng: np.random.Generator) -> tuple[Scene, Window]
     known = Robot()
     iron = np.zeros((3, 3))
     if condition.soft_iron > 0.0:
-        half = rng.standard_normal((3, 3)) * condition.soft_iron
-        iron = 0.5 * (half + half.T)
+        half = rng.standard_normal((3, 3))
+        iron = half + half.T
+        iron *= condition.soft_iron / np.abs(np.linalg.eigvalsh(iron)).max()
     robot = replace(
         known,
         noise_field=condition.noise * known.noise_field,
