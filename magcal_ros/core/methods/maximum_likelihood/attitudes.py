@@ -11,8 +11,8 @@ from magcal_ros.core.attitude import body_from_enu
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Problem,
     Weights,
+    best_local_step,
     cost,
-    linearise,
 )
 from magcal_ros.core.methods.maximum_likelihood.model import Samples, State
 from magcal_ros.core.methods.maximum_likelihood.parameters import COUNT, Globals
@@ -33,9 +33,7 @@ def follow(shared: Globals, problem: Problem, samples: Samples, steps: int = 3) 
     state = state.upright() if problem.rigid else state
     before = cost(state, problem)
     for _ in range(steps):
-        lin = linearise(state, problem)
-        local = (lin.local_covariance @ lin.local_gradient[:, :, None])[:, :, 0]
-        moved = state.moved(np.zeros(COUNT), local)
+        moved = state.moved(np.zeros(COUNT), best_local_step(state, problem))
         after = cost(moved, problem)
         if not after < before:
             break

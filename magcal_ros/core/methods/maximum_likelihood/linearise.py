@@ -178,7 +178,7 @@ class Linearisation:
         pulled = (inverse @ self.local_gradient[:, :, None])[:, :, 0]
         right = self.gradient - extra_gradient - self.through_attitudes(pulled)
         try:
-            move = np.linalg.solve(reduced, right)
+            move = np.asarray(np.linalg.solve(reduced, right), dtype=np.float64)
         except np.linalg.LinAlgError:
             return np.full(len(right), np.nan), np.zeros_like(pulled)
         follow = (inverse @ (self.coupling @ move)[:, :, None])[:, :, 0]
@@ -201,41 +201,68 @@ def linearise(
     """Build the normal equations of `problem` at `state`; a known prediction saves its cost."""
     if prediction is None:
         prediction = predict(state, problem.samples)
-    noise, free = problem.noise, problem.prior.free
-    whitening = np.repeat([1.0 / noise.up, 1.0 / noise.field], 3)
-    local_full = local_jacobian(prediction)
-    jacobian = global_jacobian(state, prediction, local_full, problem.samples)[:, :, free]
+    free = problem.prior.free
+    whitening = _whitening(problem.noise)
+    full, here = _local_equations(state, problem, prediction)
+    jacobian = global_jacobian(state, prediction, full, problem.samples)[:, :, free]
     jacobian *= whitening[:, None]
-    local = (local_full[:, :, 2:] if problem.rigid else local_full) * whitening[:, None]
+    weighted_local = np.swapaxes(here.jacobian * problem.weights.data[:, None, None], 1, 2)
+    counted = problem.weights.sample
+    row_weight = (problem.weights.data * counted)[:, None, None]
+    weighted_rows = (jacobian * row_weight).reshape(-1, len(free)).T
+    prior_information = problem.kappa * problem.prior.information
+    deviation = problem.prior.deviation(state.shared)
+    return Linearisation(
+        state=state,
+        prediction=prediction,
+        residual=here.residual,
+        local=here.jacobian,
+        information=weighted_rows @ jacobian.reshape(-1, len(free))
+        + np.diag(prior_information[free]),
+        gradient=weighted_rows @ here.residual.ravel() + (prior_information * deviation)[free],
+        coupling=weighted_local @ jacobian,
+        local_information=here.information,
+        local_covariance=inverse_blocks(here.information),
+        local_gradient=here.gradient,
+        counted=counted,
+    )
+
+
+def best_local_step(state: State, problem: Problem) -> FloatArray:
+    """Return each sample's step (n, l) to its best attitude, globals held."""
+    _, here = _local_equations(state, problem, predict(state, problem.samples))
+    return np.asarray((inverse_blocks(here.information) @ here.gradient[:, :, None])[:, :, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """Whitened residual (n, 6) and its derivative (n, 6, l); information and gradient (n, l)."""
+
+    residual: FloatArray
+    jacobian: FloatArray
+    information: FloatArray
+    gradient: FloatArray
+
+
+def _whitening(noise: Noise) -> FloatArray:
+    return np.repeat([1.0 / noise.up, 1.0 / noise.field], 3)
+
+
+def _local_equations(
+    state: State, problem: Problem, prediction: Prediction
+) -> tuple[FloatArray, _Local]:
+    """Return the plain derivative by the local step (n, 6, 3), and the samples' own equations."""
+    whitening = _whitening(problem.noise)
+    full = local_jacobian(prediction)
+    jacobian = (full[:, :, 2:] if problem.rigid else full) * whitening[:, None]
     residual = np.concatenate([prediction.up_residual, prediction.field_residual], axis=1)
     residual *= whitening
-    weight = problem.weights.data[:, None, None]
-    weighted_local = np.swapaxes(local * weight, 1, 2)
-    flat = jacobian.reshape(-1, len(free))
-    counted = problem.weights.sample
-    weighted_rows = (jacobian * (weight * counted[:, None, None])).reshape(-1, len(free)).T
-    kappa, prior = problem.kappa, problem.prior
-    prior_information = kappa * prior.information
-    information = weighted_rows @ flat + np.diag(prior_information[free])
-    gradient = weighted_rows @ residual.ravel()
-    gradient += (prior_information * prior.deviation(state.shared))[free]
-    local_information = weighted_local @ local
-    local_gradient = (weighted_local @ residual[:, :, None])[:, :, 0]
+    weighted = np.swapaxes(jacobian * problem.weights.data[:, None, None], 1, 2)
+    information = weighted @ jacobian
+    gradient = (weighted @ residual[:, :, None])[:, :, 0]
     if not problem.rigid:
-        _add_wobble(local_information, local_gradient, state, problem)
-    return Linearisation(
-        state,
-        prediction,
-        residual,
-        local,
-        information,
-        gradient,
-        weighted_local @ jacobian,
-        local_information,
-        inverse_blocks(local_information),
-        local_gradient,
-        counted,
-    )
+        _add_wobble(information, gradient, state, problem)
+    return full, _Local(residual, jacobian, information, gradient)
 
 
 def _add_wobble(

@@ -63,7 +63,7 @@ class Globals:
     @property
     def installation(self) -> FloatArray:
         """Body to installed axes, shape (3, 3)."""
-        return rotation_from_rpy(self.roll, self.pitch).T
+        return np.asarray(rotation_from_rpy(self.roll, self.pitch).T)
 
     @property
     def soft_iron_matrix(self) -> FloatArray:
@@ -74,13 +74,13 @@ class Globals:
     def field_enu(self) -> FloatArray:
         """The reference field in magnetic ENU."""
         level, down = math.cos(self.inclination), math.sin(self.inclination)
-        return self.strength * np.array([0.0, level, -down])
+        return np.array([0.0, self.strength * level, -self.strength * down])
 
     @property
     def field_enu_by_inclination(self) -> FloatArray:
         """Derivative of `field_enu` by the inclination."""
         level, down = math.cos(self.inclination), math.sin(self.inclination)
-        return self.strength * np.array([0.0, -down, -level])
+        return np.array([0.0, -self.strength * down, -self.strength * level])
 
     def distortion(self, mounting: FloatArray) -> FloatArray:
         """Return the matrix from the field in body axes to the raw field, shape (3, 3)."""
