@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.arrays import BoolArray
-from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, chi_squares, linearise
+from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
+from magcal_ros.core.methods.maximum_likelihood.linearise import (
+    Noise,
+    Weights,
+    chi_squares,
+    linearise,
+)
 from magcal_ros.core.methods.maximum_likelihood.logdet import log_determinants
-from magcal_ros.core.methods.maximum_likelihood.model import predict
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
-WOBBLE_PRICE = 4.0
+WOBBLE_PRICE = 10.0
 SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
@@ -24,21 +29,44 @@ LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """Minus twice the log marginal likelihood, up to a constant, in two parts.
+
+    Parameters
+    ----------
+    data : float
+        From up, field and the beliefs on the globals.
+    lean : float
+        From the leans of a wobbling axis, integrated out; zero for a rigid axis.
+    """
+
+    data: float
+    lean: float
+
+    @property
+    def total(self) -> float:
+        """Both together."""
+        return self.data + self.lean
+
+
 def soft_evidence(solution: Solution) -> float:
     """Return minus twice the log marginal likelihood with Student-t residuals, up to a constant."""
     problem = solution.problem.with_weights(Weights.ones(len(solution.problem.samples)))
     lin = linearise(solution.state, problem)
     chi = chi_squares(solution.state, lin.prediction, problem.noise)
+    count = len(problem.samples)
     return (
         student_cost(chi, problem.rigid)
-        + float(log_determinants(lin).sum())
-        + _noise_cost(solution, len(problem.samples))
+        + _noise_cost(problem.noise, count)
         + problem.kappa * problem.prior.cost(solution.state.shared)
+        + float(log_determinants(lin).sum())
+        + (0.0 if problem.rigid else 4.0 * count * math.log(problem.noise.wobble))
     )
 
 
-def evidence(solution: Solution, believed: BoolArray, kappa: float) -> float:
-    """Return minus twice the log marginal likelihood of the believed samples, up to a constant.
+def evidence(solution: Solution, believed: BoolArray, kappa: float) -> Evidence:
+    """Weigh the believed samples.
 
     Parameters
     ----------
@@ -49,26 +77,21 @@ def evidence(solution: Solution, believed: BoolArray, kappa: float) -> float:
         The same for all models that are compared.
     """
     problem = solution.problem.with_weights(Weights.ones(len(believed)))
-    chi = chi_squares(solution.state, predict(solution.state, problem.samples), problem.noise)
     lin = linearise(solution.state, problem)
-    total = float(np.sum(chi.data[believed]) + np.sum(log_determinants(lin)[believed]))
-    if not problem.rigid:
-        total += float(np.sum(chi.wobble[believed]))
-    total += _noise_cost(solution, int(believed.sum()))
-    return total + kappa * problem.prior.cost(solution.state.shared)
+    chi = chi_squares(solution.state, lin.prediction, problem.noise)
+    count = int(believed.sum())
+    data = float(np.sum(chi.data[believed])) + _noise_cost(problem.noise, count)
+    data += kappa * problem.prior.cost(solution.state.shared)
+    if problem.rigid:
+        return Evidence(data, 0.0)
+    # Two lean angles a sample, each with a Gaussian belief and integrated over.
+    lean = np.sum((chi.wobble + log_determinants(lin))[believed])
+    return Evidence(data, float(lean) + 4.0 * count * math.log(problem.noise.wobble))
 
 
-def _noise_cost(solution: Solution, count: int) -> float:
-    """Return the normalisation of the Gaussians: two numbers of up, three of field, two of lean.
-
-    Each of the three (or one) local numbers was integrated over its whole range, so the prior on
-    the wobble counts with its own width.
-    """
-    noise = solution.problem.noise
-    total = 4.0 * math.log(noise.up) + 6.0 * math.log(noise.field)
-    if not solution.problem.rigid:
-        total += 4.0 * math.log(noise.wobble)
-    return count * total
+def _noise_cost(noise: Noise, count: int) -> float:
+    """Return the normalisation of the Gaussians: two numbers of up, three of field."""
+    return count * (4.0 * math.log(noise.up) + 6.0 * math.log(noise.field))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +129,7 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
         return Choice(plain, 0.0)
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
     iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
-    gain = _difference(plain, iron)
+    gain = _gain(plain, iron)
     if always_iron or gain > SOFT_IRON_PRICE * iron.problem.kappa:
         return Choice(iron, gain)
     return Choice(plain, gain)
@@ -122,15 +145,25 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     rigid = gated(Solution(wobbling.state.upright(), problem))
     if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
         return wobbling
-    if _difference(rigid, wobbling) > WOBBLE_PRICE * wobbling.problem.kappa:
+    if _gain(rigid, wobbling) > WOBBLE_PRICE * wobbling.problem.kappa:
         return wobbling
     return rigid
 
 
-def _difference(simple: Solution, rich: Solution) -> float:
+def _gain(simple: Solution, rich: Solution) -> float:
+    """Return by how much minus twice the log evidence falls from the simple to the rich model.
+
+    A real axis leans slowly, so its leans are far fewer than the samples and may not vote for the
+    rich model as if they were independent.
+    """
     common = simple.believed & rich.believed
     kappa = rich.problem.kappa
-    return evidence(simple, common, kappa) - evidence(rich, common, kappa)
+    before, after = evidence(simple, common, kappa), evidence(rich, common, kappa)
+    if simple.problem.rigid or rich.problem.rigid:
+        return before.total - after.total
+    kappa_lean = samples_per_independent(rich.state.lean[:, :2], common.astype(float))
+    by_lean = before.lean - after.lean
+    return before.data - after.data + min(by_lean, by_lean / kappa_lean)
 
 
 def expected_gain(solution: Solution, with_iron: Prior) -> float:

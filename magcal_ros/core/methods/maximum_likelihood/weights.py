@@ -14,9 +14,9 @@ STUDENT = 4.0
 GATE_TAIL = 3e-4
 """Share of honest samples that the gate may drop."""
 
-LOCAL_GATE = 16.0
-LOCAL_WINDOWS = (100, 25)
-"""The local gate sums residuals over these fractions of the turn."""
+LOCAL_TAIL = 1e-4
+LOCAL_WINDOWS = ((100, 5), (25, 9))
+"""The local gate sums residuals over these fractions of the turn, at least so many samples."""
 
 
 def student_weights(chi: ChiSquares, rigid: bool) -> Weights:
@@ -51,7 +51,7 @@ def gate(lin: Linearisation, chi: ChiSquares, share: FloatArray) -> BoolArray:
         Degrees of freedom that each sample spent on its attitude.
     """
     alone = passes_alone(chi, share)
-    together = alone & locally_quiet(lin.residual[:, 3:], alone)
+    together = alone & locally_quiet(lin.residual, alone, 5.0 - float(np.mean(share)))
     enough = max(20, int(0.3 * len(alone)))
     return together if together.sum() >= enough else alone
 
@@ -61,21 +61,33 @@ def passes_alone(chi: ChiSquares, share: FloatArray | float = 3.0) -> BoolArray:
     return np.asarray(chi.data < chdtri(np.clip(5.0 - share, 2.0, 4.0), GATE_TAIL))
 
 
-def locally_quiet(residual: FloatArray, alone: BoolArray) -> BoolArray:
+def locally_quiet(residual: FloatArray, alone: BoolArray, freedom: float) -> BoolArray:
     """Return where the residuals of neighbouring samples do not add up to something.
 
-    A passing disturbance too weak for any single sample shows in sums over a stretch. Honest
-    residuals are correlated too, so each sum is measured against the median of all.
+    A passing disturbance too weak for any single sample shows in sums over a stretch, and the
+    whole stretch is dropped: the disturbance comes and goes gently. Honest residuals are
+    correlated too, so each sum is measured against the median of all.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n, k)
+        Whitened.
+    alone : ndarray of bool, shape (n,)
+        Samples that passed by themselves.
+    freedom : float
+        Degrees of freedom of one sample's residual.
     """
     n = len(residual)
     quiet = np.ones(n, dtype=bool)
     masked = residual * alone[:, None]
-    for part in LOCAL_WINDOWS:
-        width = max(5 if part == LOCAL_WINDOWS[0] else 9, n // part)
+    limit, half = chdtri(freedom, LOCAL_TAIL), chdtri(freedom, 0.5)
+    for part, least in LOCAL_WINDOWS:
+        width = max(least, n // part)
         count = np.maximum(moving_sum(alone.astype(float), width), 1.0)
         power = np.sum(moving_sum(masked, width) ** 2, axis=1) / count
-        usual = float(np.median(power[alone])) if alone.any() else 1.0
-        quiet &= power < LOCAL_GATE * max(1.0, usual / 1.4)
+        usual = float(np.median(power[alone])) / half if alone.any() else 1.0
+        loud = (power > limit * max(1.0, usual)).astype(float)
+        quiet &= moving_sum(loud[::-1], width)[::-1] == 0.0
     return quiet
 
 
