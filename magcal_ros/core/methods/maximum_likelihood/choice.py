@@ -8,16 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.arrays import BoolArray
-from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
+    Linearisation,
     Noise,
+    Problem,
     Weights,
     chi_squares,
+    cost,
     linearise,
 )
 from magcal_ros.core.methods.maximum_likelihood.logdet import log_determinants
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
-from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated
+from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, settle
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
@@ -27,27 +29,6 @@ SOFT_IRON_PRICE = 20.0
 FEW_COMMON = 0.95
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """Minus twice the log marginal likelihood, up to a constant, in two parts.
-
-    Parameters
-    ----------
-    data : float
-        From up, field and the beliefs on the globals.
-    lean : float
-        From the leans of a wobbling axis, integrated out; zero for a rigid axis.
-    """
-
-    data: float
-    lean: float
-
-    @property
-    def total(self) -> float:
-        """Both together."""
-        return self.data + self.lean
 
 
 def soft_evidence(solution: Solution) -> float:
@@ -65,8 +46,8 @@ def soft_evidence(solution: Solution) -> float:
     )
 
 
-def evidence(solution: Solution, believed: BoolArray, kappa: float) -> Evidence:
-    """Weigh the believed samples.
+def evidence(solution: Solution, believed: BoolArray, kappa: float) -> float:
+    """Return minus twice the log marginal likelihood of the believed samples, up to a constant.
 
     Parameters
     ----------
@@ -80,13 +61,13 @@ def evidence(solution: Solution, believed: BoolArray, kappa: float) -> Evidence:
     lin = linearise(solution.state, problem)
     chi = chi_squares(solution.state, lin.prediction, problem.noise)
     count = int(believed.sum())
-    data = float(np.sum(chi.data[believed])) + _noise_cost(problem.noise, count)
-    data += kappa * problem.prior.cost(solution.state.shared)
+    total = float(np.sum(chi.data[believed])) + _noise_cost(problem.noise, count)
+    total += kappa * problem.prior.cost(solution.state.shared)
     if problem.rigid:
-        return Evidence(data, 0.0)
+        return total
     # Two lean angles a sample, each with a Gaussian belief and integrated over.
     lean = np.sum((chi.wobble + log_determinants(lin))[believed])
-    return Evidence(data, float(lean) + 4.0 * count * math.log(problem.noise.wobble))
+    return total + float(lean) + 4.0 * count * math.log(problem.noise.wobble)
 
 
 def _noise_cost(noise: Noise, count: int) -> float:
@@ -102,7 +83,7 @@ class Choice:
     ----------
     solution : Solution
     soft_iron_gain : float
-        Fall of minus twice the log evidence by soft iron; zero where it was not tried.
+        Fall of chi-square by soft iron; zero where it was not tried.
     """
 
     solution: Solution
@@ -129,10 +110,28 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
         return Choice(plain, 0.0)
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
     iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
-    gain = _gain(plain, iron)
+    gain = soft_iron_gain(plain, iron)
     if always_iron or gain > SOFT_IRON_PRICE * iron.problem.kappa:
         return Choice(iron, gain)
     return Choice(plain, gain)
+
+
+def soft_iron_gain(plain: Solution, iron: Solution) -> float:
+    """Return the likelihood ratio of soft iron, under the noise and gate found with it.
+
+    Only then are the two nested: noise found by each for itself moves the comparison by more than
+    what is to be decided.
+    """
+    problem = replace(iron.problem, prior=plain.problem.prior)
+    start = plain.state.upright() if problem.rigid else plain.state
+    without = settle(start, problem, steps=6, tolerance=1e-3)
+    with_it = settle(iron.state, iron.problem, steps=6, tolerance=1e-3)
+    return _nested_cost(without, problem) - _nested_cost(with_it, iron.problem)
+
+
+def _nested_cost(lin: Linearisation, problem: Problem) -> float:
+    lean = float(problem.weights.sample @ log_determinants(lin))
+    return cost(lin.state, problem, lin.prediction) + lean
 
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
@@ -145,25 +144,12 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     rigid = gated(Solution(wobbling.state.upright(), problem))
     if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
         return wobbling
-    if _gain(rigid, wobbling) > WOBBLE_PRICE * wobbling.problem.kappa:
+    common = rigid.believed & wobbling.believed
+    kappa = wobbling.problem.kappa
+    gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
+    if gain > WOBBLE_PRICE * kappa:
         return wobbling
     return rigid
-
-
-def _gain(simple: Solution, rich: Solution) -> float:
-    """Return by how much minus twice the log evidence falls from the simple to the rich model.
-
-    A real axis leans slowly, so its leans are far fewer than the samples and may not vote for the
-    rich model as if they were independent.
-    """
-    common = simple.believed & rich.believed
-    kappa = rich.problem.kappa
-    before, after = evidence(simple, common, kappa), evidence(rich, common, kappa)
-    if simple.problem.rigid or rich.problem.rigid:
-        return before.total - after.total
-    kappa_lean = samples_per_independent(rich.state.lean[:, :2], common.astype(float))
-    by_lean = before.lean - after.lean
-    return before.data - after.data + min(by_lean, by_lean / kappa_lean)
 
 
 def expected_gain(solution: Solution, with_iron: Prior) -> float:

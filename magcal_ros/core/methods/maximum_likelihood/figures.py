@@ -39,7 +39,7 @@ FIGURES: Mapping[str, str] = MappingProxyType(
         "rival_gap": "heading between the solution and another that explains the samples as"
         " well, radians; zero without one",
         "soft_iron": "one where soft iron was fitted, else zero",
-        "soft_iron_gain": "fall of minus twice the log evidence by soft iron",
+        "soft_iron_gain": "fall of chi-square by soft iron; zero where it was not tried",
         "gyro_carried": "one where the gyro carried the attitude from sample to sample, else zero;"
         " absent without a gyro",
         "gyro_compass_rms": "RMS difference between the gyro's yaw and the corrected compass's"
