@@ -23,7 +23,7 @@ from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, s
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
-SOFT_IRON_PRICE = 20.0
+SOFT_IRON_PRICE = 25.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
 FEW_COMMON = 0.95

@@ -4,18 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood.attitudes import attitudes_from_vectors
+from magcal_ros.core.methods.maximum_likelihood.carried import choose_carried, explains_as_well
 from magcal_ros.core.methods.maximum_likelihood.choice import choose_model
 from magcal_ros.core.methods.maximum_likelihood.figures import measure_figures
+from magcal_ros.core.methods.maximum_likelihood.gyro import (
+    Carrier,
+    carry,
+    gyro_compass_rms,
+    sense_of_mounting,
+)
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
 from magcal_ros.core.methods.maximum_likelihood.model import Samples, State
-from magcal_ros.core.methods.maximum_likelihood.prepare import prepare
+from magcal_ros.core.methods.maximum_likelihood.prepare import Prepared, prepare
 from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution, converged
 from magcal_ros.core.methods.maximum_likelihood.report import build_estimate, twelve_covariance
 from magcal_ros.core.methods.maximum_likelihood.screening import (
+    check_gyro,
     check_solution,
     check_window,
     seen_arc,
@@ -63,20 +72,72 @@ def fit(
     """
     check_window(window, knowledge)
     prepared = prepare(window.field, window.specific_force, knowledge, options.largest)
+    outcome = _solve(window, prepared, knowledge)
+    solution = outcome.solution
+    arc = seen_arc(solution.state, solution.believed)
+    gyro = outcome.gyro_compass_rms is not None
+    if outcome.gyro_compass_rms is not None:
+        check_gyro(outcome.gyro_compass_rms)
+    check_solution(solution, knowledge, arc, outcome.rival_gap, gyro=gyro)
+    covariance = twelve_covariance(solution, outcome.information, prepared.scale)
+    figures = measure_figures(solution, covariance, knowledge, prepared.scale, arc)
+    figures.update(rival_gap=outcome.rival_gap, soft_iron_gain=outcome.soft_iron_gain)
+    if outcome.gyro_compass_rms is not None:
+        figures.update(
+            gyro_carried=float(outcome.gyro_carried), gyro_compass_rms=outcome.gyro_compass_rms
+        )
+    return build_estimate(solution, prepared, covariance, arc, figures)
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """What the fit came to, before anything is believed."""
+
+    solution: Solution
+    information: FloatArray
+    rival_gap: float
+    soft_iron_gain: float
+    gyro_carried: bool = False
+    gyro_compass_rms: float | None = None
+
+
+def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome:
     samples, scale = prepared.averaged, prepared.scale
     without_iron = prior_from(knowledge, scale, soft_iron=False)
     with_iron = prior_from(knowledge, scale, soft_iron=True)
-    found = search(starts(samples, knowledge.reference, scale, 1.0), samples, without_iron)
+    carrier = None if window.angular_rate is None else carry(window, prepared.first)
+    sense = 1.0 if carrier is None else sense_of_mounting(samples, carrier)
+    found = search(starts(samples, knowledge.reference, scale, sense), samples, without_iron)
     everyone = _on_all(found.best, samples)
-    choice = choose_model(everyone, with_iron, always_iron=knowledge.soft_iron.always)
+    always = knowledge.soft_iron.always
+    if carrier is not None:
+        carried = choose_carried(everyone, carrier, with_iron, always_iron=always)
+        if explains_as_well(carried.best, found.best):
+            return _Outcome(
+                carried.best.solution,
+                carried.best.information,
+                found.rival_gap,
+                carried.soft_iron_gain,
+                gyro_carried=True,
+                gyro_compass_rms=_consistency(carried.best.solution, carrier, prepared, window),
+            )
+    choice = choose_model(everyone, with_iron, always_iron=always)
     solution = converged(choice.solution)
-    arc = seen_arc(solution.state, solution.believed)
-    check_solution(solution, knowledge, arc, found.rival_gap, gyro=False)
     information = linearise(solution.state, solution.problem).reduced_information
-    covariance = twelve_covariance(solution, information, scale)
-    figures = measure_figures(solution, covariance, knowledge, scale, arc)
-    figures.update(rival_gap=found.rival_gap, soft_iron_gain=choice.soft_iron_gain)
-    return build_estimate(solution, prepared, covariance, arc, figures)
+    consistency = None if carrier is None else _consistency(solution, carrier, prepared, window)
+    return _Outcome(
+        solution,
+        information,
+        found.rival_gap,
+        choice.soft_iron_gain,
+        gyro_compass_rms=consistency,
+    )
+
+
+def _consistency(solution: Solution, carrier: Carrier, prepared: Prepared, window: Window) -> float:
+    attitude = attitudes_from_vectors(solution.state.shared, prepared.averaged)
+    axis = solution.state.shared.body_axis
+    return gyro_compass_rms(axis @ attitude, carrier, window.time[prepared.first])
 
 
 def _on_all(thin: Solution, samples: Samples) -> Solution:

@@ -32,7 +32,8 @@ STEEPEST = math.radians(80.0)
 WORST_FIELD_NOISE = 0.15
 WORST_WOBBLE = math.radians(30.0)
 FEWEST_BELIEVED = 0.4
-WIDEST_RIVAL = math.radians(2.0)
+WIDEST_RIVAL = math.radians(5.0)
+WORST_STRAY = math.radians(20.0)
 
 
 def check_window(window: Window, knowledge: Knowledge) -> None:
@@ -125,6 +126,22 @@ def check_solution(
             f"two calibrations explain this turn equally well and differ by"
             f" {math.degrees(rival_gap):.0f} degrees of heading; turn a full circle, on level"
             " ground or with the known field given",
+        )
+
+
+def check_gyro(stray: float) -> None:
+    """Refuse a compass that the gyro contradicts; `stray` is their difference, radians RMS.
+
+    Raises
+    ------
+    Refusal
+        `AXES_DISAGREE`.
+    """
+    if stray > WORST_STRAY:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            f"gyro and compass differ by {math.degrees(stray):.0f} degrees over the turn; check"
+            " that the axes of both sensors belong together, and turn away from iron",
         )
 
 

@@ -50,15 +50,20 @@ def gate(lin: Linearisation, chi: ChiSquares, share: FloatArray) -> BoolArray:
     share : ndarray, shape (n,)
         Degrees of freedom that each sample spent on its attitude.
     """
+    return gate_residuals(lin.residual, chi, share)
+
+
+def gate_residuals(residual: FloatArray, chi: ChiSquares, share: FloatArray) -> BoolArray:
+    """Return the same from whitened residuals (n, 6) alone."""
     alone = passes_alone(chi, share)
-    together = alone & locally_quiet(lin.residual, alone, 5.0 - float(np.mean(share)))
+    together = alone & locally_quiet(residual, alone, 5.0 - float(np.mean(share)))
     enough = max(20, int(0.3 * len(alone)))
     return together if together.sum() >= enough else alone
 
 
 def passes_alone(chi: ChiSquares, share: FloatArray | float = 3.0) -> BoolArray:
     """Return which samples pass the gate by themselves, shape (n,)."""
-    return np.asarray(chi.data < chdtri(np.clip(5.0 - share, 2.0, 4.0), GATE_TAIL))
+    return np.asarray(chi.data < chdtri(np.clip(5.0 - share, 2.0, 5.0), GATE_TAIL))
 
 
 def locally_quiet(residual: FloatArray, alone: BoolArray, freedom: float) -> BoolArray:
