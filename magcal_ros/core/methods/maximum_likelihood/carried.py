@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.choice import SOFT_IRON_PRICE
+from magcal_ros.core.methods.maximum_likelihood.choice import Gain, is_steady
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
@@ -27,7 +27,6 @@ from magcal_ros.core.methods.maximum_likelihood.linearise import (
 from magcal_ros.core.methods.maximum_likelihood.model import (
     Prediction,
     State,
-    exp_rotations,
     global_jacobian,
     local_jacobian,
     predict,
@@ -44,7 +43,12 @@ from magcal_ros.core.methods.maximum_likelihood.weights import (
     hard_weights,
     student_weights,
 )
+from magcal_ros.core.rotations import exp_rotations
 
+SUSPICIOUS_BIAS = 2.0
+"""A gyro bias beyond this many sigmas calls for a look at the accelerometer."""
+OFFSET_PRICE = 30.0
+"""By how much, times kappa, the cost must fall for an offset of the accelerometer."""
 FIRST_DRIFT = 2e-3
 SMALLEST_DRIFT = 2e-4
 LARGEST_DRIFT = 0.05
@@ -67,14 +71,28 @@ class Carried:
         On the free globals, the gyro's errors eliminated, prior times kappa included.
     cost : float
         Weighted sum of squares, priors included.
+    chi_square : ndarray, shape (n,)
+        The counted samples' share of it.
     drift : float
         Random walk of the gyro's attitude, radians per root second.
+    coefficients : ndarray, shape (c,)
+        The gyro's errors.
+    carrier : Carrier
+        What they are coefficients of.
     """
 
     solution: Solution
     information: FloatArray
     cost: float
+    chi_square: FloatArray
     drift: float
+    coefficients: FloatArray
+    carrier: Carrier
+
+    @property
+    def offset(self) -> FloatArray:
+        """What the up vectors read too much all the time, in body axes, shape (3,)."""
+        return self.carrier.offset(self.coefficients)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +171,15 @@ def converge_carried(
     lean = np.sqrt(np.mean(place.state.lean[:, :2] ** 2))
     noise = replace(problem.noise, wobble=max(float(lean), 1e-3))
     solution = Solution(place.state, problem.with_noise(noise))
-    return Carried(solution, information, _cost(place, problem, carrier, drift), drift)
+    return Carried(
+        solution,
+        information,
+        _cost(place, problem, carrier, drift),
+        chi_squares(place.state, place.prediction, problem.noise).data * problem.weights.sample,
+        drift,
+        place.coefficients,
+        carrier,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,14 +194,31 @@ def choose_carried(
     start: Solution, carrier: Carrier, with_iron: Prior, *, always_iron: bool
 ) -> CarriedChoice:
     """Fit with soft iron and without, and take what is asked for."""
-    plain = fit_carried(start, carrier, start.problem.prior)
+    plain = _with_or_without_offset(start, carrier)
+    carrier = plain.carrier
     if not with_iron.has_soft_iron:
         return CarriedChoice(plain, 0.0)
     iron = fit_carried(plain.solution, carrier, with_iron)
-    without = cost_without_soft_iron(iron, carrier, start.problem.prior)
-    gain = without - iron.cost
-    asked = gain > SOFT_IRON_PRICE * iron.solution.problem.kappa
-    return CarriedChoice(iron if always_iron or asked else plain, gain)
+    without = _held_to(iron, carrier, start.problem.prior)
+    gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
+    asked = gain.asks_for_it(iron.solution.problem.kappa)
+    return CarriedChoice(iron if always_iron or asked else plain, gain.total)
+
+
+def _with_or_without_offset(start: Solution, carrier: Carrier) -> Carried:
+    """Fit without soft iron, and with an offset of the accelerometer where the gyro asks for it.
+
+    Held to an accelerometer that is pulled sideways all the time, the gyro can only follow with
+    a bias that no gyro has.
+    """
+    plain = fit_carried(start, carrier, start.problem.prior)
+    if carrier.bias_pull(plain.coefficients) < SUSPICIOUS_BIAS:
+        return plain
+    offset = fit_carried(start, replace(carrier, sideways=True), start.problem.prior)
+    held = _held_to(offset, carrier, start.problem.prior)
+    if held.cost - offset.cost > OFFSET_PRICE * offset.solution.problem.kappa:
+        return offset
+    return plain
 
 
 def explains_as_well(carried: Carried, free: Solution) -> bool:
@@ -189,13 +232,15 @@ def explains_as_well(carried: Carried, free: Solution) -> bool:
     )
 
 
-def cost_without_soft_iron(carried: Carried, carrier: Carrier, prior: Prior) -> float:
-    """Return the cost of the same samples, noise and gate without soft iron."""
-    solution = carried.solution
+def _held_to(rich: Carried, carrier: Carrier, prior: Prior) -> Carried:
+    """Return a poorer model under the noise, gate and drift of a richer one."""
+    solution = rich.solution
     problem = replace(solution.problem, prior=without_axes(prior))
-    state = State(solution.state.shared.without_soft_iron(), solution.state.attitude)
-    place = _begin(Solution(state, problem), carrier)
-    return converge_carried(place, problem, carrier, carried.drift).cost
+    shared = solution.state.shared
+    if not prior.has_soft_iron:
+        shared = shared.without_soft_iron()
+    place = _begin(Solution(State(shared, solution.state.attitude), problem), carrier)
+    return converge_carried(place, problem, carrier, rich.drift)
 
 
 def _begin(start: Solution, carrier: Carrier) -> _Place:
@@ -209,7 +254,14 @@ def _begin(start: Solution, carrier: Carrier) -> _Place:
     attitude = shared.body_axis.T @ carrier.relative @ first @ shared.world_axis
     state = State(shared, attitude)
     # The coefficients speak in the first sample's axes, the attitudes in the turn's frame.
-    return _Place(state, predict(state, start.problem.samples), np.zeros(carrier.basis.shape[2]))
+    return _at(state, np.zeros(carrier.size), start.problem, carrier)
+
+
+def _at(state: State, coefficients: FloatArray, problem: Problem, carrier: Carrier) -> _Place:
+    samples = problem.samples
+    if carrier.sideways:
+        samples = replace(samples, up=samples.up - carrier.offset(coefficients))
+    return _Place(state, predict(state, samples), coefficients)
 
 
 def _weights(place: _Place, problem: Problem, chi: ChiSquares, *, soft: bool) -> Weights:
@@ -234,7 +286,12 @@ def _equations(place: _Place, problem: Problem, carrier: Carrier, drift: float) 
     whitening = np.repeat([1.0 / noise.up, 1.0 / noise.field], 3)
     local = local_jacobian(prediction)
     jacobian = global_jacobian(place.state, prediction, local, problem.samples)[:, :, free]
-    jacobian = np.concatenate([jacobian, local @ _frame(place, carrier)], axis=2)
+    columns = [jacobian, local @ _frame(place, carrier)]
+    if carrier.sideways:
+        by_offset = np.zeros_like(local)
+        by_offset[:, :3] = place.state.shared.body_axis.T
+        columns.append(by_offset)
+    jacobian = np.concatenate(columns, axis=2)
     jacobian *= whitening[:, None]
     residual = np.concatenate([prediction.up_residual, prediction.field_residual], axis=1)
     residual *= whitening
@@ -269,11 +326,10 @@ def _step(
         move = np.linalg.lstsq(damped, equations.gradient, rcond=1e-14)[0]
         full = np.zeros(p.COUNT)
         full[free] = move[: len(free)]
-        turns = exp_rotations(frame @ move[len(free) :])
+        errors = move[len(free) :]
+        turns = exp_rotations(frame @ errors[: frame.shape[2]])
         state = State(place.state.shared.moved(full), turns @ place.state.attitude)
-        moved = _Place(
-            state, predict(state, problem.samples), place.coefficients + move[len(free) :]
-        )
+        moved = _at(state, place.coefficients + errors, problem, carrier)
         if _cost(moved, problem, carrier, drift) <= before * (1.0 + 1e-12) + 1e-9:
             return moved, float(np.abs(move[: len(free)]).max())
     return place, 0.0
@@ -308,8 +364,10 @@ def _drift(
     if carrier.knots == 0:
         return drift
     size = 3 * carrier.knots
-    covariance = np.linalg.pinv(equations.information, hermitian=True)[-size:, -size:]
-    walk = carrier.prior_information(drift)[-size:, -size:]
+    first = len(problem.prior.free) + 9
+    rows = slice(first, first + size)
+    covariance = np.linalg.pinv(equations.information, hermitian=True)[rows, rows]
+    walk = carrier.prior_information(drift)[9 : 9 + size, 9 : 9 + size]
     seen = size - problem.kappa * float(np.sum(covariance * walk))
     moved = float(np.sum(carrier.knot_steps(place.coefficients) ** 2)) / carrier.spacing
     new = math.sqrt(moved / max(seen, 0.5))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray
+from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Linearisation,
     Noise,
@@ -25,6 +25,10 @@ from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 WOBBLE_PRICE = 10.0
 SOFT_IRON_PRICE = 25.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
+
+STRETCHES = 8
+STEADINESS = 1.75
+"""Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
 
 FEW_COMMON = 0.95
 LARGEST_RIGID_WOBBLE = 0.05
@@ -111,13 +115,32 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
     iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
     gain = soft_iron_gain(plain, iron)
-    if always_iron or gain > SOFT_IRON_PRICE * iron.problem.kappa:
-        return Choice(iron, gain)
-    return Choice(plain, gain)
+    chosen = iron if always_iron or gain.asks_for_it(iron.problem.kappa) else plain
+    return Choice(chosen, gain.total)
 
 
-def soft_iron_gain(plain: Solution, iron: Solution) -> float:
-    """Return the likelihood ratio of soft iron, under the noise and gate found with it.
+@dataclass(frozen=True)
+class Gain:
+    """What soft iron brings.
+
+    Parameters
+    ----------
+    total : float
+        Fall of the cost, log-determinants included.
+    steady : bool
+        Whether the samples fit better all along the turn.
+    """
+
+    total: float
+    steady: bool
+
+    def asks_for_it(self, kappa: float) -> bool:
+        """Return whether soft iron is worth its price."""
+        return self.steady and self.total > SOFT_IRON_PRICE * kappa
+
+
+def soft_iron_gain(plain: Solution, iron: Solution) -> Gain:
+    """Return what soft iron brings, under the noise and gate found with it.
 
     Only then are the two nested: noise found by each for itself moves the comparison by more than
     what is to be decided.
@@ -126,30 +149,35 @@ def soft_iron_gain(plain: Solution, iron: Solution) -> float:
     start = plain.state.upright() if problem.rigid else plain.state
     without = settle(start, problem, steps=6, tolerance=1e-3)
     with_it = settle(iron.state, iron.problem, steps=6, tolerance=1e-3)
-    return _nested_cost(without, problem) - _nested_cost(with_it, iron.problem)
+    falls = _sample_costs(without, problem) - _sample_costs(with_it, iron.problem)
+    total = cost(without.state, problem, without.prediction) - cost(
+        with_it.state, iron.problem, with_it.prediction
+    )
+    lean = log_determinants(without) - log_determinants(with_it)
+    total += float(problem.weights.sample @ lean)
+    return Gain(total, is_steady(falls))
 
 
-def _nested_cost(lin: Linearisation, problem: Problem) -> float:
-    lean = float(problem.weights.sample @ log_determinants(lin))
-    return cost(lin.state, problem, lin.prediction) + lean
+def _sample_costs(lin: Linearisation, problem: Problem) -> FloatArray:
+    chi = chi_squares(lin.state, lin.prediction, problem.noise)
+    each = chi.data if problem.rigid else chi.data + chi.wobble
+    return np.asarray(problem.weights.sample * each)
 
 
-def rigid_or_wobbling(wobbling: Solution) -> Solution:
-    """Return the rigid solution where it explains the samples nearly as well."""
-    noise = wobbling.problem.noise
-    if noise.wobble > LARGEST_RIGID_WOBBLE:
-        return wobbling
-    first = replace(noise, up=math.hypot(noise.up, noise.wobble))
-    problem = replace(wobbling.problem, rigid=True, noise=first)
-    rigid = gated(Solution(wobbling.state.upright(), problem))
-    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
-        return wobbling
-    common = rigid.believed & wobbling.believed
-    kappa = wobbling.problem.kappa
-    gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
-    if gain > WOBBLE_PRICE * kappa:
-        return wobbling
-    return rigid
+def is_steady(falls: FloatArray) -> bool:
+    """Return whether a better fit is better all along the turn.
+
+    Soft iron helps everywhere; what fits one stretch of the turn at the expense of others is
+    something else.
+
+    Parameters
+    ----------
+    falls : ndarray, shape (n,)
+        Each sample's fall of chi-square.
+    """
+    parts = np.array([part.sum() for part in np.array_split(falls, STRETCHES)])
+    spread = math.sqrt(STRETCHES) * float(parts.std(ddof=1))
+    return bool(parts.sum() > STEADINESS * spread)
 
 
 def expected_gain(solution: Solution, with_iron: Prior) -> float:

@@ -119,7 +119,9 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
                 found.rival_gap,
                 carried.soft_iron_gain,
                 gyro_carried=True,
-                gyro_compass_rms=_consistency(carried.best.solution, carrier, prepared, window),
+                gyro_compass_rms=_consistency(
+                    carried.best.solution, carrier, prepared, window, carried.best.offset
+                ),
             )
     choice = choose_model(everyone, with_iron, always_iron=always)
     solution = converged(choice.solution)
@@ -134,10 +136,19 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
     )
 
 
-def _consistency(solution: Solution, carrier: Carrier, prepared: Prepared, window: Window) -> float:
-    attitude = attitudes_from_vectors(solution.state.shared, prepared.averaged)
-    axis = solution.state.shared.body_axis
-    return gyro_compass_rms(axis @ attitude, carrier, window.time[prepared.first])
+def _consistency(
+    solution: Solution,
+    carrier: Carrier,
+    prepared: Prepared,
+    window: Window,
+    offset: FloatArray | None = None,
+) -> float:
+    samples = prepared.averaged
+    if offset is not None:
+        samples = replace(samples, up=samples.up - offset)
+    shared = solution.state.shared
+    attitude = shared.body_axis @ attitudes_from_vectors(shared, samples)
+    return gyro_compass_rms(attitude, carrier, window.time[prepared.first])
 
 
 def _on_all(thin: Solution, samples: Samples) -> Solution:

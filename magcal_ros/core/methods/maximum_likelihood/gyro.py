@@ -10,16 +10,19 @@ import numpy as np
 from magcal_ros.core.arrays import FloatArray, IntArray
 from magcal_ros.core.attitude import unit, wrap_angle
 from magcal_ros.core.methods.maximum_likelihood.circle import fit_circle
-from magcal_ros.core.methods.maximum_likelihood.model import Samples, exp_rotations
+from magcal_ros.core.methods.maximum_likelihood.model import Samples
+from magcal_ros.core.up import relative_attitudes
 from magcal_ros.core.window import Window
 
-BIAS_SIGMA = 0.02
-"""rad/s, about one degree a second."""
+BIAS_SIGMA = 0.01
+"""rad/s, about half a degree a second."""
 SCALE_SIGMA = 0.02
 KNOT_SPACING = 1.0
 """Seconds between the knots of the drift that neither bias nor scale explain."""
 MOST_KNOTS = 12
 CLEAR_SENSE = 0.5
+OFFSET_SIGMA = 0.1
+"""Steady sideways pull on the accelerometer, over gravity: a car in a circle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +42,29 @@ class Carrier:
         Number of knots.
     spacing : float
         Seconds between knots.
+    sideways : bool
+        Whether a steady offset of the accelerometer is to be found too. Its three coefficients
+        come last: what up vectors read too much, in body axes.
     """
 
     relative: FloatArray
     basis: FloatArray
     knots: int
     spacing: float
+    sideways: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return int(self.basis.shape[2]) + 3 * int(self.sideways)
+
+    def offset(self, coefficients: FloatArray) -> FloatArray:
+        """Return the accelerometer's offset, shape (3,)."""
+        return coefficients[-3:] if self.sideways else np.zeros(3)
+
+    def bias_pull(self, coefficients: FloatArray) -> float:
+        """Return the gyro's bias in sigmas of what is believed of it."""
+        return float(np.linalg.norm(coefficients[3:6])) / BIAS_SIGMA
 
     def prior_information(self, drift: float) -> FloatArray:
         """Return the information on the coefficients, shape (c, c).
@@ -54,19 +74,22 @@ class Carrier:
         drift : float
             Random walk between knots, radians per root second.
         """
-        size = self.basis.shape[2]
-        information = np.zeros((size, size))
+        information = np.zeros((self.size, self.size))
         information[3:6, 3:6] = np.eye(3) / BIAS_SIGMA**2
         information[6:9, 6:9] = np.eye(3) / SCALE_SIGMA**2
         if self.knots > 0:
             difference = np.eye(self.knots) - np.eye(self.knots, k=-1)
             walk = difference.T @ difference / (drift**2 * self.spacing)
-            information[9:, 9:] = np.kron(walk, np.eye(3))
+            last = 9 + 3 * self.knots
+            information[9:last, 9:last] = np.kron(walk, np.eye(3))
+        if self.sideways:
+            information[-3:, -3:] = np.eye(3) / OFFSET_SIGMA**2
         return information
 
     def knot_steps(self, coefficients: FloatArray) -> FloatArray:
         """Return the drift from knot to knot, shape (knots, 3), radians."""
-        return np.diff(coefficients[9:].reshape(-1, 3), axis=0, prepend=np.zeros((1, 3)))
+        knots = coefficients[9 : 9 + 3 * self.knots].reshape(-1, 3)
+        return np.diff(knots, axis=0, prepend=np.zeros((1, 3)))
 
 
 def carry(window: Window, first: IntArray) -> Carrier:
@@ -81,7 +104,7 @@ def carry(window: Window, first: IntArray) -> Carrier:
     """
     if window.angular_rate is None:
         raise ValueError("the window has no angular rate")
-    attitude = integrate(window.time, window.angular_rate)
+    attitude = relative_attitudes(window.time, window.angular_rate)
     back = np.swapaxes(attitude, 1, 2)
     step = np.diff(window.time)
     by_bias = _cumulated(back, step)
@@ -95,20 +118,6 @@ def carry(window: Window, first: IntArray) -> Carrier:
     start = np.broadcast_to(np.eye(3), (n, 3, 3))
     basis = np.concatenate([start, by_bias, by_scale, by_knot.reshape(n, 3, -1)], axis=2)
     return Carrier(_average_rotations(attitude, first), _averages(basis, first), knots, spacing)
-
-
-def integrate(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return rotations from the first sample's body axes to each sample's, shape (n, 3, 3).
-
-    Steps `exp(-[w]x dt)` with the mean rate of both ends, multiplied up by a parallel scan.
-    """
-    mean = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
-    product = np.concatenate([np.eye(3)[None], exp_rotations(-mean)])
-    reach = 1
-    while reach < len(product):
-        product[reach:] = product[reach:] @ product[:-reach]
-        reach *= 2
-    return product
 
 
 def _cumulated(values: FloatArray, step: FloatArray) -> FloatArray:

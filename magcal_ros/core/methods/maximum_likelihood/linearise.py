@@ -19,9 +19,9 @@ from magcal_ros.core.methods.maximum_likelihood.model import (
     global_jacobian,
     local_jacobian,
     predict,
-    skews,
 )
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+from magcal_ros.core.rotations import skews
 
 SMALLEST_CURVATURE = 1e-9
 LARGEST_DAMPING = 1e6

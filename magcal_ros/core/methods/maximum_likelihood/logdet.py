@@ -19,7 +19,8 @@ import numpy as np
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.linearise import Linearisation, Problem
-from magcal_ros.core.methods.maximum_likelihood.model import field_by_inclination, skews
+from magcal_ros.core.methods.maximum_likelihood.model import field_by_inclination
+from magcal_ros.core.rotations import skews
 
 _WOBBLE_ROWS: FloatArray = np.diag([1.0, 1.0, 0.0])
 

@@ -21,6 +21,7 @@ import numpy as np
 from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
+from magcal_ros.core.rotations import exp_rotations, skews
 
 DATA_ROWS = 6
 """Residuals of one sample: three of up (turn's frame, two degrees of freedom), three of field."""
@@ -152,26 +153,6 @@ def field_by_inclination(state: State) -> FloatArray:
     """Return the derivative of the field in the turn's frame by the inclination, shape (n, 3)."""
     shared = state.shared
     return np.asarray(state.attitude @ (shared.world_axis.T @ shared.field_enu_by_inclination))
-
-
-def skews(vectors: FloatArray) -> FloatArray:
-    """Return the cross-product matrices of vectors (n, 3), shape (n, 3, 3)."""
-    out = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
-    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
-    return out
-
-
-def exp_rotations(vectors: FloatArray) -> FloatArray:
-    """Return Rodrigues' rotation for each vector (n, 3) of radians, shape (n, 3, 3)."""
-    angle = np.linalg.norm(vectors, axis=1)
-    safe = np.maximum(angle, 1e-8)
-    sine = np.where(angle < 1e-8, 1.0, np.sin(safe) / safe)
-    # 1 - cos by the half angle: no cancellation for small steps.
-    versine = np.where(angle < 1e-8, 0.5, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
-    k = skews(vectors)
-    return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
 def about_z(angle: FloatArray) -> FloatArray:

@@ -9,12 +9,11 @@ from magcal_ros.core.methods.maximum_likelihood.model import (
     Samples,
     State,
     about_z,
-    exp_rotations,
     predict,
 )
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
-from magcal_ros.core.rotations import exp_rotation, rotation_from_rpy
+from magcal_ros.core.rotations import exp_rotation, exp_rotations, rotation_from_rpy
 
 COUNT = 40
 

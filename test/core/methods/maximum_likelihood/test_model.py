@@ -4,12 +4,11 @@ import pytest
 from magcal_ros.core.methods.maximum_likelihood.model import (
     State,
     about_z,
-    exp_rotations,
     global_jacobian,
     local_jacobian,
     predict,
 )
-from magcal_ros.core.rotations import exp_rotation
+from magcal_ros.core.rotations import exp_rotation, exp_rotations
 
 STEP = 1e-6
 
