@@ -119,6 +119,24 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     return Choice(chosen, gain.total)
 
 
+def rigid_or_wobbling(wobbling: Solution) -> Solution:
+    """Return the rigid solution where it explains the samples nearly as well."""
+    noise = wobbling.problem.noise
+    if noise.wobble > LARGEST_RIGID_WOBBLE:
+        return wobbling
+    first = replace(noise, up=math.hypot(noise.up, noise.wobble))
+    problem = replace(wobbling.problem, rigid=True, noise=first)
+    rigid = gated(Solution(wobbling.state.upright(), problem))
+    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
+        return wobbling
+    common = rigid.believed & wobbling.believed
+    kappa = wobbling.problem.kappa
+    gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
+    if gain > WOBBLE_PRICE * kappa:
+        return wobbling
+    return rigid
+
+
 @dataclass(frozen=True)
 class Gain:
     """What soft iron brings.
