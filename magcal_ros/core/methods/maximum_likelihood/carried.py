@@ -45,8 +45,10 @@ from magcal_ros.core.methods.maximum_likelihood.weights import (
 )
 from magcal_ros.core.rotations import exp_rotations
 
-SUSPICIOUS_BIAS = 2.0
-"""A gyro bias beyond this many sigmas calls for a look at the accelerometer."""
+SUSPICIOUS_BIAS = 4.0
+SUSPICIOUS_STRAY = 3.5
+"""A gyro bias, or a mean of up's residual, beyond so many sigmas calls for a look at the
+accelerometer."""
 OFFSET_PRICE = 30.0
 """By how much, times kappa, the cost must fall for an offset of the accelerometer."""
 FIRST_DRIFT = 2e-3
@@ -212,13 +214,24 @@ def _with_or_without_offset(start: Solution, carrier: Carrier) -> Carried:
     a bias that no gyro has.
     """
     plain = fit_carried(start, carrier, start.problem.prior)
-    if carrier.bias_pull(plain.coefficients) < SUSPICIOUS_BIAS:
+    if not _strained(plain):
         return plain
     offset = fit_carried(start, replace(carrier, sideways=True), start.problem.prior)
     held = _held_to(offset, carrier, start.problem.prior)
     if held.cost - offset.cost > OFFSET_PRICE * offset.solution.problem.kappa:
         return offset
     return plain
+
+
+def _strained(plain: Carried) -> bool:
+    """Return whether the gyro needs a large bias, or up strays to one side all the time."""
+    problem = plain.solution.problem
+    counted = problem.weights.sample
+    stray = predict(plain.solution.state, problem.samples).up_residual
+    mean = float(np.linalg.norm(counted @ stray)) / float(counted.sum())
+    chance = problem.noise.up * math.sqrt(problem.kappa / float(counted.sum()))
+    bias = plain.carrier.bias_pull(plain.coefficients)
+    return bias > SUSPICIOUS_BIAS or mean > SUSPICIOUS_STRAY * chance
 
 
 def explains_as_well(carried: Carried, free: Solution) -> bool:

@@ -8,6 +8,8 @@ from magcal_ros.core.arrays import FloatArray
 
 LONGEST_LAG = 8
 """Lags up to this fraction of the samples are looked at."""
+LEAST_POWER = 1.0
+"""Mean square of a whitened residual vector below which the noise is taken as white."""
 
 
 def samples_per_independent(residual: FloatArray, weight: FloatArray) -> float:
@@ -37,7 +39,8 @@ def samples_per_independent(residual: FloatArray, weight: FloatArray) -> float:
     if products[0] <= 0.0:
         return 1.0
     mean_products = products / np.maximum(pairs, 1.0)
-    rho = (mean_products / mean_products[0])[1:]
+    # Residuals far below the noise that is assumed say nothing of its correlation.
+    rho = (mean_products / max(float(mean_products[0]), LEAST_POWER))[1:]
     chance = 2.0 / np.sqrt(3.0 * max(float(weight.sum()), 1.0))
     below = np.flatnonzero(rho < chance)
     first_quiet = int(below[0]) if len(below) else len(rho)

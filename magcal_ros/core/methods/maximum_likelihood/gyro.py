@@ -14,12 +14,15 @@ from magcal_ros.core.methods.maximum_likelihood.model import Samples
 from magcal_ros.core.up import relative_attitudes
 from magcal_ros.core.window import Window
 
-BIAS_SIGMA = 0.01
-"""rad/s, about half a degree a second."""
+BIAS_SIGMA = 0.003
+"""rad/s, about 0.2 degrees a second."""
 SCALE_SIGMA = 0.02
 KNOT_SPACING = 1.0
 """Seconds between the knots of the drift that neither bias nor scale explain."""
 MOST_KNOTS = 12
+WORST_BIAS = 0.03
+WORST_SCALE = 0.05
+"""No more bias (rad/s) and scale than this is taken off before gyro and compass are compared."""
 CLEAR_SENSE = 0.5
 OFFSET_SIGMA = 0.1
 """Steady sideways pull on the accelerometer, over gravity: a car in a circle."""
@@ -180,15 +183,14 @@ def gyro_compass_rms(attitude: FloatArray, carrier: Carrier, time: FloatArray) -
     away = np.swapaxes(relative, 1, 2) @ attitude
     stray = np.unwrap(_turn_about_z(away @ away[len(away) // 2].T))
     turned = np.unwrap(_turn_about_z(np.swapaxes(relative, 1, 2)))
-    moment = (time - time.mean()) / max(float(np.ptp(time)), 1e-9)
-    rows = np.column_stack([np.ones_like(moment), moment, turned - turned.mean()])
-    held = np.diag([0.0, 0.0, (0.05 / SCALE_SIGMA) ** 2])
+    rows = np.column_stack([np.ones_like(stray), time - time.mean(), turned - turned.mean()])
+    most = np.array([np.inf, WORST_BIAS, WORST_SCALE])
     weight, left = np.ones_like(stray), stray
     for _ in range(10):
         weighted = rows.T * weight
-        left = (
-            stray - rows @ np.linalg.lstsq(weighted @ rows + held, weighted @ stray, rcond=None)[0]
-        )
+        found = np.linalg.lstsq(weighted @ rows, weighted @ stray, rcond=None)[0]
+        left = stray - rows @ np.clip(found, -most, most)
+        left = left - np.median(left)
         weight = 1.0 / (1.0 + (left / (3.0 * np.median(np.abs(left)) + 1e-9)) ** 2)
     kept = np.abs(left) <= 6.0 * np.median(np.abs(left)) + 1e-9
     return float(np.sqrt(np.mean(left[kept] ** 2)))

@@ -22,7 +22,8 @@ WEAKEST_FIELD = 1e-9
 """Tesla; the Earth's field is 20 to 70 millionths."""
 LEAST_MOTION = 2.5
 """The raw field must move by this many times its own noise."""
-SMALLEST_MOTION = 0.3e-6
+SMALLEST_MOTION = 0.005
+"""Spread of the field, or of the force, over its own size."""
 LEAST_ARC = math.radians(45.0)
 LEAST_ARC_ALONE = math.radians(90.0)
 """Without a known field or a gyro."""
@@ -66,9 +67,9 @@ def check_window(window: Window, knowledge: Knowledge) -> None:
 
 
 def _check_motion(window: Window) -> None:
-    if visible_motion(window.field, SMALLEST_MOTION):
+    if visible_motion(window.field):
         return
-    if visible_motion(window.specific_force, 0.05):
+    if visible_motion(window.specific_force):
         raise Refusal(
             Reason.AXIS_ALONG_FIELD,
             "the robot turned but its field did not change: the axis lies along the field; turn"
@@ -80,14 +81,15 @@ def _check_motion(window: Window) -> None:
     )
 
 
-def visible_motion(values: FloatArray, smallest: float) -> bool:
+def visible_motion(values: FloatArray) -> bool:
     """Return whether vectors (n, 3) spread by more than their sample-to-sample noise."""
     clean = values[without_spikes(values)]
     if len(clean) < FEWEST_SAMPLES // 2:
         clean = values
     noise = float(np.median(np.abs(np.diff(clean, axis=0)))) / 0.954
     spread = math.sqrt(max(float(plane_normal(clean)[1][-1]), 0.0))
-    return spread > max(smallest, LEAST_MOTION * noise)
+    size = float(np.median(np.linalg.norm(clean, axis=1)))
+    return spread > max(SMALLEST_MOTION * size, LEAST_MOTION * noise)
 
 
 def seen_arc(state: State, believed: BoolArray) -> float:
