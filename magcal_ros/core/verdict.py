@@ -155,7 +155,7 @@ THRESHOLDS: tuple[Threshold, ...] = (
         "give soft_iron_gains, or move the magnetometer away from iron parts",
     ),
     Threshold(
-        "split_half_heading",
+        "split_half",
         Aspect.CONFIDENCE,
         0.3,
         0.7,
