@@ -64,6 +64,18 @@ class _PlainLoader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
+class _PlainDumper(yaml.SafeDumper):
+    """Safe YAML that quotes texts with unprintable characters: some breaks would come back else."""
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = None if text.isprintable() else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
+
+
+_PlainDumper.add_representer(str, _represent_text)
+
+
 def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> None:
     """Write a calibration in one step.
 
@@ -82,7 +94,13 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
         If the file cannot be written; what was there before still is.
     """
     document = _document(calibration, origin)
-    body = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    body = yaml.dump(
+        document,
+        Dumper=_PlainDumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+    )
     write_atomically(path, HEADER + body)
 
 
