@@ -157,7 +157,7 @@ class TestJudge:
     def test_the_summary_of_a_refusal_names_its_causes_only(self):
         figures = {
             "gyro_compass_rms": math.radians(20.0),
-            "split_half_heading": math.radians(9.0),
+            "split_half": math.radians(9.0),
             "ellipse_excess": 0.2,
         }
         summary = judge(estimate(figures=figures), KNOWN).summary
