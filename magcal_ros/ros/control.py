@@ -24,8 +24,8 @@ from magcal_ros.core.window import Window
 from magcal_ros.ros.parameters import Settings
 
 PREVIEW_ARC = math.radians(120.0)
-PREVIEW_PAUSE = 0.3
-"""Seconds between two previews of the heading sigma, so that they take a share of one core."""
+PREVIEW_SHARE = 0.25
+"""Share of one core that may go into predicting the heading sigma while the robot turns."""
 
 
 class State(str, Enum):
@@ -75,7 +75,7 @@ class Control:
         self._job: Job[Outcome] | None = None
         self._saving: Job[str] | None = None
         self._preview: Job[float] | None = None
-        self._next_preview = 0.0
+        self._preview_began = self._next_preview = 0.0
         self._why_ended = ""
         self._words = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
@@ -176,8 +176,10 @@ class Control:
                 return
             session.note_sigma(_sigma_or_none(self._preview))
             self._preview = None
-            self._next_preview = time.monotonic() + PREVIEW_PAUSE
+            took = time.monotonic() - self._preview_began
+            self._next_preview = time.monotonic() + took * (1.0 / PREVIEW_SHARE - 1.0)
         elif progress.coverage.arc > PREVIEW_ARC and time.monotonic() > self._next_preview:
+            self._preview_began = time.monotonic()
             assert self._settings is not None
             self.last_window = session.window()
             work = (self.last_window, self._settings.knowledge, self._settings.method)
