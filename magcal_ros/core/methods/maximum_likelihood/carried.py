@@ -14,7 +14,11 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.choice import Gain, is_steady
+from magcal_ros.core.methods.maximum_likelihood.choice import (
+    Gain,
+    is_steady,
+    keeps_samples,
+)
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
@@ -203,7 +207,8 @@ def choose_carried(
     iron = fit_carried(plain.solution, carrier, with_iron)
     without = _held_to(iron, carrier, start.problem.prior)
     gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
-    asked = gain.asks_for_it(iron.solution.problem.kappa)
+    asked = keeps_samples(plain.solution, iron.solution)
+    asked = asked and gain.asks_for_it(iron.solution.problem.kappa)
     return CarriedChoice(iron if always_iron or asked else plain, gain.total)
 
 

@@ -31,6 +31,7 @@ STEADINESS = 1.75
 """Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
 
 FEW_COMMON = 0.95
+FEW_KEPT = 0.965
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
@@ -115,8 +116,17 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
     iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
     gain = soft_iron_gain(plain, iron)
-    chosen = iron if always_iron or gain.asks_for_it(iron.problem.kappa) else plain
+    asked = keeps_samples(plain, iron) and gain.asks_for_it(iron.problem.kappa)
+    chosen = iron if always_iron or asked else plain
     return Choice(chosen, gain.total)
+
+
+def keeps_samples(simple: Solution, rich: Solution) -> bool:
+    """Return whether the rich model believes about as many samples as the simple one.
+
+    A model that has to throw samples away to fit the rest better explains nothing.
+    """
+    return bool(rich.believed.sum() > FEW_KEPT * simple.believed.sum())
 
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
