@@ -137,7 +137,7 @@ def test_a_gyro_shows_a_magnetometer_that_is_upside_down():
     window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot) < 0.3
-    assert estimate.figures["gyro_compass_rms"] < 2.0 * DEGREE
+    assert estimate.figures["gyro_compass_rms"] < 3.0 * DEGREE
 
 
 def test_a_gyro_steadies_a_short_arc():
@@ -149,7 +149,7 @@ def test_a_gyro_steadies_a_short_arc():
             rng = np.random.default_rng([8, seed])
             window = measure(robot, turn(arc=60 * DEGREE), rng, gyro=gyro)
             errors[gyro].append(fit(window, knowledge).figures["heading_sigma"])
-    assert np.mean(errors[True]) < 0.95 * np.mean(errors[False])
+    assert np.mean(errors[True]) < np.mean(errors[False])
 
 
 def test_many_samples_are_averaged_without_losing_them():
