@@ -1,5 +1,6 @@
 """Real turns with an independent truth; skipped where the recordings are not at hand."""
 
+import functools
 import math
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from magcal_ros.core.window import Window
 RECORDINGS = Path(__file__).resolve().parents[5] / "shared" / "recordings"
 
 
+@functools.cache
 def recording(name):
     folder = RECORDINGS / name
     if not folder.is_dir():
