@@ -14,7 +14,12 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.choice import Gain, is_steady
+from magcal_ros.core.methods.maximum_likelihood.choice import (
+    SOFT_IRON_PRICE,
+    Gain,
+    is_steady,
+    keeps_samples,
+)
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
@@ -52,6 +57,9 @@ accelerometer."""
 OFFSET_PRICE = 30.0
 """By how much, times kappa, the cost must fall for an offset of the accelerometer."""
 FIRST_DRIFT = 2e-3
+USUAL_DRIFT = 5e-4
+HONEST_DRIFT = 1e-3
+HONEST_SHARE = 0.95
 SMALLEST_DRIFT = 2e-4
 LARGEST_DRIFT = 0.05
 """Radians per root second."""
@@ -135,8 +143,7 @@ def fit_carried(start: Solution, carrier: Carrier, prior: Prior, rounds: int = 2
     """
     problem = replace(start.problem, prior=without_axes(prior), rigid=False, kappa=1.0)
     problem = problem.with_noise(Noise(0.03, 0.03, 0.1))
-    place = _begin(start, carrier)
-    drift = FIRST_DRIFT
+    place, drift = _begin(start, carrier), FIRST_DRIFT
     for turn in range(rounds):
         chi = chi_squares(place.state, place.prediction, problem.noise)
         soft = turn < SOFT_ROUNDS
@@ -149,9 +156,9 @@ def fit_carried(start: Solution, carrier: Carrier, prior: Prior, rounds: int = 2
         noise = _noise(equations, problem)
         new_drift = _drift(place, equations, problem, carrier, drift)
         place, size = _step(place, equations, problem, carrier, drift)
-        change = largest_change(noise, problem.noise) + abs(math.log(new_drift / drift)) / 5.0
+        change = largest_change(noise, problem.noise) + abs(math.log(new_drift / drift)) / 10.0
         problem, drift = problem.with_noise(noise), new_drift
-        if not soft and turn > SOFT_ROUNDS + 2 and change < 0.01 and size < 1e-5:
+        if turn > SOFT_ROUNDS + 2 and change < 0.015 and size < 1e-4:
             break
     return converge_carried(place, problem, carrier, drift)
 
@@ -200,11 +207,28 @@ def choose_carried(
     carrier = plain.carrier
     if not with_iron.has_soft_iron:
         return CarriedChoice(plain, 0.0)
-    iron = fit_carried(plain.solution, carrier, with_iron)
+    # Where soft iron was taken for drift or outliers, the plain fit no longer shows its slope.
+    honest = plain.drift < HONEST_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
+    little = honest and _expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE
+    if little and not always_iron:
+        return CarriedChoice(plain, 0.0)
+    iron = fit_carried(start, carrier, with_iron)
     without = _held_to(iron, carrier, start.problem.prior)
     gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
-    asked = gain.asks_for_it(iron.solution.problem.kappa)
+    asked = keeps_samples(plain.solution, iron.solution)
+    # A gyro that drifts more than gyros do hides errors that last, which kappa does not see.
+    kappa = iron.solution.problem.kappa * max(1.0, iron.drift / USUAL_DRIFT)
+    asked = asked and gain.asks_for_it(kappa)
     return CarriedChoice(iron if always_iron or asked else plain, gain.total)
+
+
+def _expected_gain(plain: Carried, with_iron: Prior) -> float:
+    """Return by how much the cost would fall with soft iron, from its slope at zero."""
+    problem = replace(plain.solution.problem, prior=without_axes(with_iron))
+    place = _at(plain.solution.state, plain.coefficients, problem, plain.carrier)
+    equations = _equations(place, problem, plain.carrier, plain.drift)
+    move = np.linalg.lstsq(equations.information, equations.gradient, rcond=1e-14)[0]
+    return float(equations.gradient @ move)
 
 
 def _with_or_without_offset(start: Solution, carrier: Carrier) -> Carried:

@@ -24,6 +24,7 @@ from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
 SOFT_IRON_PRICE = 25.0
+RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
 STRETCHES = 8
@@ -31,6 +32,7 @@ STEADINESS = 1.75
 """Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
 
 FEW_COMMON = 0.95
+FEW_KEPT = 0.965
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
@@ -115,8 +117,19 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
     iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
     gain = soft_iron_gain(plain, iron)
-    chosen = iron if always_iron or gain.asks_for_it(iron.problem.kappa) else plain
+    asked = keeps_samples(plain, iron) and gain.asks_for_it(
+        iron.problem.kappa, rigid=iron.problem.rigid
+    )
+    chosen = iron if always_iron or asked else plain
     return Choice(chosen, gain.total)
+
+
+def keeps_samples(simple: Solution, rich: Solution) -> bool:
+    """Return whether the rich model believes about as many samples as the simple one.
+
+    A model that has to throw samples away to fit the rest better explains nothing.
+    """
+    return bool(rich.believed.sum() > FEW_KEPT * simple.believed.sum())
 
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
@@ -152,8 +165,13 @@ class Gain:
     total: float
     steady: bool
 
-    def asks_for_it(self, kappa: float) -> bool:
-        """Return whether soft iron is worth its price."""
+    def asks_for_it(self, kappa: float, *, rigid: bool = False) -> bool:
+        """Return whether soft iron is worth its price.
+
+        A rigid axis leaves little else that could look like soft iron.
+        """
+        if rigid:
+            return self.total > RIGID_SOFT_IRON_PRICE * kappa
         return self.steady and self.total > SOFT_IRON_PRICE * kappa
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -15,13 +16,18 @@ from magcal_ros.core.methods.maximum_likelihood.circle import fit_circle
 from magcal_ros.core.methods.maximum_likelihood.covariance import (
     correction_from,
     correction_jacobian,
+    inverse_information,
 )
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
+from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution
 
 FIGURES: Mapping[str, str] = MappingProxyType(
     {
         "heading_sigma": "predicted standard deviation of the heading on the level, radians",
+        "heading_sigma_soft_iron": "the same if soft iron as large as believed were there unseen;"
+        " far larger than heading_sigma where the turn could not have shown it, absent where soft"
+        " iron was fitted or ruled out",
         "residual_ratio": "RMS of the believed samples' field residual over the level field",
         "inlier_fraction": "share of the samples that the fit believed",
         "radius_ratio": "radius of the turn's circle over the one that the known strength and"
@@ -89,8 +95,23 @@ def measure_figures(
         "field_scale": scale,
     }
     figures.update(_pulls(solution, knowledge, scale))
+    figures.update(_unseen_soft_iron(solution, knowledge, scale))
     figures.update(_circle_figures(solution, knowledge, scale, arc))
     return figures
+
+
+def _unseen_soft_iron(solution: Solution, knowledge: Knowledge, scale: float) -> dict[str, float]:
+    prior = prior_from(knowledge, scale, soft_iron=True)
+    if solution.problem.prior.has_soft_iron or not prior.has_soft_iron:
+        return {}
+    free = prior.free[prior.free >= solution.problem.prior.free[0]]
+    problem = replace(solution.problem, prior=replace(prior, free=free))
+    information = linearise(solution.state, problem).reduced_information
+    jacobian = correction_jacobian(solution.state.shared, problem.samples.mounting, scale)
+    by_global = _level_heading_jacobian(solution, scale) @ jacobian[:, free]
+    covariance = problem.kappa * inverse_information(information)
+    variance = np.einsum("ki,ij,kj->k", by_global, covariance, by_global)
+    return {"heading_sigma_soft_iron": math.sqrt(max(float(variance.mean()), 0.0))}
 
 
 def _level_heading_jacobian(solution: Solution, scale: float) -> FloatArray:

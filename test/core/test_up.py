@@ -1,0 +1,33 @@
+import numpy as np
+
+from magcal_ros.core.simulator import DEGREE, UP_ENU, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.up import carried_up, relative_attitudes
+from magcal_ros.core.window import Window
+
+
+def away_deg(found, motion):
+    true = motion.attitude @ UP_ENU
+    sine = np.linalg.norm(np.cross(found, true), axis=1)
+    return np.degrees(np.sqrt(np.mean(sine**2)))
+
+
+def test_relative_attitudes_follow_the_motion():
+    motion = turn(wobble=smooth_wobble(np.random.default_rng(1), 500, 15.0, 5 * DEGREE))
+    found = relative_attitudes(motion.time, motion.angular_rate) @ motion.attitude[0]
+    np.testing.assert_allclose(found, motion.attitude, atol=2e-2)
+
+
+def test_a_steady_sideways_pull_is_averaged_out():
+    robot = Robot(noise_rate=1e-3)
+    motion = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
+    window = measure(robot, motion, np.random.default_rng(2), gyro=True)
+    pulled = window.specific_force + np.array([0.0, 1.2, 0.0])
+    window = Window(window.time, window.field, pulled, window.angular_rate)
+    assert away_deg(pulled / np.linalg.norm(pulled, axis=1)[:, None], motion) > 6.0
+    assert away_deg(carried_up(window), motion) < 1.5
+
+
+def test_without_a_gyro_the_accelerometer_is_all_there_is():
+    motion = turn()
+    window = measure(Robot(), motion, np.random.default_rng(3))
+    assert away_deg(carried_up(window), motion) < 1.2
