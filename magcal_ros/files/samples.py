@@ -25,6 +25,8 @@ COLUMNS = {
 }
 """Name and unit of each column; a header cell reads `mx [T]`."""
 
+REMEDY = "Choose a writable folder, or mend its permissions."
+
 NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")
 GYRO = ("gx", "gy", "gz")
 
@@ -54,7 +56,7 @@ def write_samples(path: Path, window: Window, believed: BoolArray | None = None)
     lines += [
         ",".join([*map(repr, row), str(mark)]) for row, mark in zip(numbers, marks, strict=True)
     ]
-    write_atomically(path, "\n".join(lines) + "\n")
+    write_atomically(path, "\n".join(lines) + "\n", REMEDY)
 
 
 def read_samples(path: Path) -> Window:

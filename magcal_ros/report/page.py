@@ -37,18 +37,20 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     pictures : sequence of Picture
         Drawn or missing.
     """
-    parts = [_head(subject), _verdict(subject.outcome.verdict)]
-    estimate = subject.outcome.estimate
+    outcome = subject.outcome
+    estimate, calibration = outcome.estimate, outcome.calibration
+    by_hand = calibration is not None and calibration.evidence.accepted_by_user
+    parts = [_head(subject), _verdict(outcome.verdict, by_hand)]
     if estimate is not None:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
     parts.append(_pictures(pictures))
     parts.append('<div class="tables">')
-    parts.append(_not_shown(subject.outcome.verdict, estimate is not None))
-    parts.append(_checks(subject.outcome.verdict.checks))
+    parts.append(_not_shown(outcome.verdict, estimate is not None))
+    parts.append(_checks(outcome.verdict.checks))
     if estimate is not None:
         parts.append(_twelve(matrix_rows(estimate)))
-        parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate))}")
-    parts.append(f"<h2>Method, versions, input</h2>{_table(_input(subject, turn))}")
+        parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate), 'numbers')}")
+    parts.append(f"<h2>Method, versions, input</h2>{_table(_input(subject, turn), 'input')}")
     parts.append(_repeat(subject))
     parts.append("</div></body></html>\n")
     return "\n".join(parts)
@@ -75,12 +77,13 @@ def _chip(grade: Grade, words: str = "") -> str:
     return f'<span class="grade {grade.value}">{SIGNS[grade]} {words}{grade.value}</span>'
 
 
-def _verdict(verdict: Verdict) -> str:
+def _verdict(verdict: Verdict, by_hand: bool) -> str:
     worst = max((verdict.quality, verdict.confidence), key=lambda grade: grade.rank)
+    note = "<p>A person put it in force against this verdict.</p>" if by_hand else ""
     return (
         f'<section class="verdict {worst.value}"><div class="grades">'
         f"{_chip(verdict.quality, 'quality ')}{_chip(verdict.confidence, 'confidence ')}</div>"
-        f'<p id="summary">{escape(verdict.summary)}</p></section>'
+        f'<p id="summary">{escape(verdict.summary)}</p>{note}</section>'
     )
 
 
@@ -108,11 +111,11 @@ def _missing(why: str) -> str:
 
 
 def _not_shown(verdict: Verdict, found: bool) -> str:
-    items = verdict.not_shown
+    title = "<h2>What this turn could not show</h2>"
     if not found:
-        items = ("anything: no calibration came of these samples",)
-    lines = "".join(f"<li>{escape(item)}</li>" for item in items)
-    return f"<h2>What this turn could not show</h2><ul>{lines}</ul>"
+        return f"{title}<p>No calibration came of these samples; the reason stands above.</p>"
+    lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
+    return f"{title}<ul>{lines}</ul>"
 
 
 def _checks(checks: Sequence[Check]) -> str:
@@ -123,7 +126,8 @@ def _checks(checks: Sequence[Check]) -> str:
         for check in ordered
     )
     return (
-        "<h2>What was checked</h2><table><tr><th>grade</th><th>speaks for</th><th>what</th></tr>"
+        '<h2>What was checked</h2><table class="checks">'
+        "<tr><th>grade</th><th>speaks for</th><th>what</th></tr>"
         f"{rows}</table>"
     )
 
@@ -139,11 +143,11 @@ def _twelve(lines: Sequence[Sequence[str]]) -> str:
     )
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _table(rows: Sequence[Row], kind: str) -> str:
     """Return two tables side by side, where there is room."""
     half = (len(rows) + 1) // 2
     tables = (
-        "<table>"
+        f'<table class="{kind}">'
         + "".join(
             f'<tr><td>{escape(row.words)}</td><td class="value">{escape(row.value)}</td></tr>'
             for row in part

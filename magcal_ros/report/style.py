@@ -29,7 +29,7 @@ p { margin: 0 0 8px; }
   margin: 14px 0 0; }
 .key div { border: 1px solid var(--line); border-radius: 6px; padding: 6px 10px; }
 .key dt { color: var(--soft); font-size: .78rem; line-height: 1.3; }
-.key dd { margin: 0; font-size: 1.05rem; font-weight: 600; font-variant-numeric: tabular-nums; }
+.key dd { margin: 0; font-size: .95rem; font-weight: 600; font-variant-numeric: tabular-nums; }
 .pictures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 18px;
   margin-top: 20px; }
 figure { margin: 0; border: 1px solid var(--line); border-radius: 6px; padding: 12px; }
@@ -45,16 +45,24 @@ th, td { border-bottom: 1px solid var(--line); padding: 4px 10px 4px 0; text-ali
   vertical-align: top; }
 th { color: var(--soft); font-weight: 600; }
 td.value { text-align: right; padding-right: 0; font-variant-numeric: tabular-nums; }
+.checks td:nth-child(-n+2), .checks th { padding-right: 14px; white-space: nowrap; }
+.numbers, .input { table-layout: fixed; }
+.numbers td:first-child { width: 66%; } .input td:first-child { width: 38%; }
 .twelve td { white-space: nowrap; font-variant-numeric: tabular-nums; }
-.columns { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 32px; }
+.columns { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 32px;
+  align-items: start; }
 ul { margin: 0; padding-left: 20px; }
 code, pre { font: .82rem/1.45 ui-monospace, Menlo, Consolas, monospace; }
 pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); overflow-x: auto;
   overflow-wrap: normal; }
-@media (max-width: 760px) {
+@media screen and (max-width: 760px) {
   .pictures, .columns { grid-template-columns: minmax(0, 1fr); }
   .key { grid-template-columns: repeat(2, minmax(0, 1fr)); }
   .verdict p { font-size: 1rem; }
+  .checks tr { display: block; border-bottom: 1px solid var(--line); padding: 6px 0; }
+  .checks tr:first-child { display: none; }
+  .checks td { display: inline-block; border: 0; padding-bottom: 0; }
+  .checks td:last-child { display: block; }
 }
 @page { size: A4; margin: 10mm; }
 @media print {
@@ -62,21 +70,21 @@ pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); ove
   body { max-width: none; padding: 0; font-size: 8pt; line-height: 1.3; }
   h1 { font-size: 14pt; } h2 { margin: 7pt 0 3pt; font-size: 9.5pt; } h3 { font-size: 8.5pt; }
   .meta { margin: 1pt 0 4pt; font-size: 7.5pt; }
-  .verdict { padding: 4pt 8pt; } .verdict p { margin-top: 3pt; font-size: 8.5pt; }
+  .verdict { padding: 4pt 8pt; } .verdict p { margin-top: 3pt; font-size: 8pt; }
   .key { grid-template-columns: repeat(6, minmax(0, 1fr)); gap: 3pt; margin-top: 4pt; }
   .key div { padding: 1pt 4pt; } .key dt { font-size: 6pt; } .key dd { font-size: 8pt; }
   .pictures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4pt; margin-top: 5pt; }
   figure { padding: 4pt; break-inside: avoid; }
-  figure svg { width: auto; max-width: 100%; height: 84mm; margin: 0 auto; }
-  figcaption { margin-top: 1pt; font-size: 6.6pt; line-height: 1.22; }
+  figure svg { width: auto; max-width: 100%; height: 75mm; margin: 0 auto; }
+  figcaption { margin-top: 1pt; font-size: 6.8pt; line-height: 1.2; }
   .missing { padding: 10pt; }
-  .tables { break-before: page; }
-  .tables h2:first-child { margin-top: 0; }
+  h2 { break-after: avoid; }
   .columns { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 14pt; }
-  table { font-size: 7.2pt; } th, td { padding: 1pt 6pt 1pt 0; }
+  table { font-size: 6.8pt; line-height: 1.2; } th, td { padding: .6pt 6pt .6pt 0; }
+  .grade { padding: 0 4pt; } .checks .grade { font-size: 6.4pt; }
   tr { break-inside: avoid; }
-  code, pre { font-size: 6.2pt; line-height: 1.25; }
-  pre { padding: 4pt; white-space: pre-wrap; }
+  code, pre { font-size: 6pt; line-height: 1.15; }
+  pre { padding: 3pt; white-space: pre-wrap; }
   .scroll, pre { overflow: visible; }
 }
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.samples import write_samples
+from magcal_ros.files.samples import REMEDY, write_samples
 from magcal_ros.report.figures.gallery import pictures
 from magcal_ros.report.page import render
 from magcal_ros.report.subject import Subject
@@ -46,5 +46,5 @@ def write_report(folder: Path, subject: Subject) -> Path:
     believed = None if subject.outcome.estimate is None else turn.believed
     write_samples(folder / SAMPLES, subject.window, believed)
     # The page comes last: where there is one, the report is complete.
-    write_atomically(page, text)
+    write_atomically(page, text, REMEDY)
     return page

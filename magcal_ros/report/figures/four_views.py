@@ -39,9 +39,10 @@ def draw(figure: Figure, turn: Turn) -> None:
         strength, *(float(np.abs(points).max()) for points, _ in clouds if len(points))
     )
     grid = figure.add_gridspec(
-        2, 2, left=0.11, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.34
+        2, 2, left=0.11, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
     )
-    solid: Any = figure.add_subplot(grid[0, 0], projection="3d")
+    # The solid view needs no room for tick labels, only some for its slanting axes.
+    solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")
     _draw_solid(solid, turn, clouds, strength, limit)
     places = (grid[0, 1], grid[1, 0], grid[1, 1])
     for place, (i, j, words) in zip(places, VIEWS, strict=True):
@@ -60,7 +61,7 @@ def caption(turn: Turn) -> str:
     if turn.corrected is None:
         return (
             "Each orange mark is one raw field sample. On one turn they should draw a circle; "
-            "green is up as the accelerometer saw it, drawn as long as the sphere's radius."
+            "green is up as the accelerometer saw it, drawn as long as the field."
         )
     return (
         "Turning the robot once moves the field around a circle. Orange: as measured, pushed away "
@@ -72,8 +73,7 @@ def caption(turn: Turn) -> str:
 def _strength(turn: Turn) -> float:
     if turn.corrected is not None:
         return turn.corrected.estimate.strength * MICRO
-    centred = turn.field - turn.field.mean(axis=0)
-    return max(float(np.linalg.norm(centred, axis=1).mean()) * MICRO, 1e-3)
+    return max(float(np.linalg.norm(turn.field, axis=1).mean()) * MICRO, 1e-3)
 
 
 def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any]]]:
@@ -111,7 +111,7 @@ def _draw_projection(
     j: int,
 ) -> None:
     phase = np.linspace(0.0, 2.0 * np.pi, 91)
-    label = "reference sphere" if turn.corrected is not None else "size of the raw circle"
+    label = "reference sphere" if turn.corrected is not None else "the raw field's mean size"
     outline = (strength * np.cos(phase), strength * np.sin(phase))
     axes.plot(*outline, color=SPHERE, linewidth=0.9, label=label)
     axes.axhline(0.0, color=SPHERE, linewidth=0.5)
@@ -144,10 +144,10 @@ def _draw_solid(
         circle = MICRO * turn.corrected.circle
         axes.plot(circle[:, 0], circle[:, 1], circle[:, 2], color=IDEAL, linewidth=0.9)
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
-    axes.set_box_aspect((1, 1, 1))
+    axes.set_box_aspect((1, 1, 1), zoom=1.2)
     axes.view_init(elev=24, azim=-58)
     for number, name in enumerate("xyz"):
-        getattr(axes, f"set_{name}label")(NAMES[number], labelpad=-13, fontsize=8)
+        getattr(axes, f"set_{name}label")(NAMES[number], labelpad=-14, fontsize=8)
         axes.tick_params(axis=name, labelbottom=False, labelleft=False, pad=-4)
         getattr(axes, f"set_{name}ticklabels")([])
-    axes.set_title("3-D view")
+    axes.set_title("3-D view", pad=4)

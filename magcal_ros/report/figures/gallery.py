@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from magcal_ros.report.figures import four_views, gyro, heading, raw_field, residuals
+from magcal_ros.report.figures import four_views, gyro, heading, residuals
 from magcal_ros.report.figures.canvas import Draw, draw_svg
 from magcal_ros.report.turn import Turn
 
@@ -53,7 +53,6 @@ VIEWS = Plan("views", "The turn in space", four_views.draw, four_views.caption, 
 AROUND = Plan("around", "Around the turn", residuals.draw, residuals.caption, residuals.SIZE)
 HEADING = Plan("heading", "Heading before and after", heading.draw, heading.caption, heading.SIZE)
 GYRO = Plan("gyro", "Gyro against compass", gyro.draw, gyro.caption, gyro.SIZE)
-RAW_FIELD = Plan("raw", "Raw field over time", raw_field.draw, raw_field.caption, raw_field.SIZE)
 
 NO_GYRO = Picture(
     GYRO.name,
@@ -69,7 +68,7 @@ def pictures(turn: Turn) -> list[Picture]:
     if not len(turn.time):
         return []
     if turn.corrected is None:
-        return [_picture(turn, plan) for plan in (VIEWS, AROUND, RAW_FIELD)]
+        return [_picture(turn, plan) for plan in (VIEWS, AROUND)]
     found = [_picture(turn, plan) for plan in (VIEWS, AROUND, HEADING)]
     return [*found, _picture(turn, GYRO) if turn.has_gyro else NO_GYRO]
 

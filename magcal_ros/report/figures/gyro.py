@@ -30,8 +30,10 @@ def draw(figure: Figure, turn: Turn) -> None:
     figure.subplots_adjust(left=0.135, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
     before, after = deviations(turn, corrected)
     _draw_card(upper, before, RAW, "^", "before the correction")
-    _draw_card(lower, after, CORRECTED, "o", "after the correction")
-    _draw_bounds(lower, after)
+    bound = next(t.good for t in THRESHOLDS if t.figure == "gyro_compass_rms")
+    title = f"after the correction (grey: good, ±{bound:g}° rms)"
+    _draw_card(lower, after, CORRECTED, "o", title)
+    _draw_bound(lower, after, bound)
     lower.set_xticks(list(POINTS_OF_COMPASS))
     lower.set_xticklabels([f"{yaw}°\n{point}" for yaw, point in POINTS_OF_COMPASS.items()])
     lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
@@ -73,15 +75,16 @@ def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: s
     centre = -180.0 + (np.arange(BINS) + 0.5) * (360.0 / BINS)
     shown = np.degrees(values)
     axes.axhline(0.0, color=IDEAL, linewidth=0.9)
-    axes.plot(centre, shown, color=colour, marker=marker, markersize=4.5, linewidth=1.2)
+    axes.plot(centre, shown, color=colour, marker=marker, markersize=4.5, linewidth=0.0)
+    # From -180 to +180 it is one small step, not a line through the whole picture.
+    leaps = np.append(np.abs(np.diff(shown)) > 180.0, False)
+    axes.plot(centre, np.where(leaps, np.nan, shown), color=colour, linewidth=1.2)
     reach = 1.2 * max(float(np.nanmax(np.abs(shown))), 0.1)
     axes.set(ylim=(-reach, reach), ylabel="compass − gyro [°]", title=title)
 
 
-def _draw_bounds(axes: Any, values: FloatArray) -> None:
+def _draw_bound(axes: Any, values: FloatArray, bound: float) -> None:
     """Shade the range that the verdict calls good, and keep it in the picture."""
-    bound = next(t.good for t in THRESHOLDS if t.figure == "gyro_compass_rms")
     axes.axhspan(-bound, bound, color="#EAEAEA", zorder=0)
     reach = max(1.2 * math.degrees(float(np.nanmax(np.abs(values)))), 1.25 * bound)
     axes.set_ylim(-reach, reach)
-    axes.text(-180, bound, f" good: within ±{bound:g}° rms", va="bottom", fontsize=8.5)

@@ -71,9 +71,11 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
     band = 2.0 * sigma[rows]
     axes.fill_between(angle[rows], -band, band, color=CORRECTED, alpha=0.2, linewidth=0.0)
     axes.axhline(0.0, color=IDEAL, linewidth=0.9)
-    dots(axes, angle[rows], deviation[rows], color=CORRECTED)
     left_out = turn.rows(~turn.believed, most=100)
-    reach = 1.15 * max(float(np.max(np.abs(np.append(deviation[rows], band)))), 0.1)
+    # A few wild samples must not flatten all others; they are drawn at the rim.
+    usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
+    reach = 1.4 * max(float(usual), 0.1)
+    dots(axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=CORRECTED)
     if len(left_out):
         looks = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
         dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **looks)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.core.coverage import BINS
+from magcal_ros.report.figures import raw_field
 from magcal_ros.report.figures.canvas import (
     CORRECTED,
     IDEAL,
@@ -26,16 +27,15 @@ SIZE = (4.9, 5.5)
 
 
 def draw(figure: Figure, turn: Turn) -> None:
-    """Draw the ring of headings that were seen, and the residuals where there is a fit."""
+    """Draw the ring of headings that were seen, and the residuals, or without a fit the field."""
     corrected = turn.corrected
-    if corrected is None:
-        ring: Any = figure.add_axes((0.2, 0.12, 0.6, 0.72), projection="polar")
-        _draw_ring(ring, turn)
-        return
     _draw_ring(figure.add_axes((0.29, 0.625, 0.42, 0.3), projection="polar"), turn)
     axes = figure.add_axes((0.12, 0.175, 0.86, 0.345))
-    _draw_residuals(axes, turn, corrected)
-    legend_below(figure, axes)
+    if corrected is None:
+        raw_field.draw(axes, turn)
+    else:
+        _draw_residuals(axes, turn, corrected)
+    legend_below(figure, axes, columns=3 if corrected is None else 2)
 
 
 def caption(turn: Turn) -> str:
@@ -43,7 +43,7 @@ def caption(turn: Turn) -> str:
     hole = turn.coverage.hole_in_words or "nothing of the turn is missing"
     ring = f"The ring shows which headings were seen, counted from the start: {hole}."
     if turn.corrected is None:
-        return ring
+        return f"{ring} {raw_field.WORDS}"
     return (
         f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
         "grey band is sensor noise; waves tell of iron that turns with the robot, bumps of "
@@ -67,7 +67,11 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.set(ylim=(0.0, 1.6), yticks=[])
     axes.set_xticks(np.radians([0, 90, 180, 270]))
     axes.set_xticklabels(["start", "90° left", "180°", "90° right"])
-    axes.tick_params(axis="x", pad=1)
+    for label, side in zip(
+        axes.get_xticklabels(), ("center", "right", "center", "left"), strict=True
+    ):
+        label.set_horizontalalignment(side)
+    axes.tick_params(axis="x", pad=0)
     axes.grid(False)
     axes.spines["polar"].set_visible(False)
     seen = f"{math.degrees(turn.coverage.arc):.0f}°\nseen"
