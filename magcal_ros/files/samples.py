@@ -89,7 +89,10 @@ def read_samples(path: Path) -> Window:
                 )
             wanted = NEEDED + (GYRO if set(GYRO) <= set(names) else ())
             order = [names.index(name) for name in wanted]
-            table = np.loadtxt(handle, delimiter=",", usecols=order, ndmin=2, comments=None)
+            lines = handle.readlines()
+        table = np.empty((0, len(order)))
+        if lines:
+            table = np.loadtxt(lines, delimiter=",", usecols=order, ndmin=2, comments=None)
         rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
     except OSError as error:

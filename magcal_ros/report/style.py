@@ -69,13 +69,14 @@ pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); ove
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   body { max-width: none; padding: 0; font-size: 8pt; line-height: 1.3; }
   h1 { font-size: 14pt; } h2 { margin: 7pt 0 3pt; font-size: 9.5pt; } h3 { font-size: 8.5pt; }
-  .meta { margin: 1pt 0 4pt; font-size: 7.5pt; }
+  .meta { margin: 1pt 0 4pt; font-size: 7.5pt; display: -webkit-box; overflow: hidden;
+    -webkit-box-orient: vertical; -webkit-line-clamp: 2; }
   .verdict { padding: 4pt 8pt; } .verdict p { margin-top: 3pt; font-size: 8pt; }
   .key { grid-template-columns: repeat(6, minmax(0, 1fr)); gap: 3pt; margin-top: 4pt; }
   .key div { padding: 1pt 4pt; } .key dt { font-size: 6pt; } .key dd { font-size: 8pt; }
   .pictures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4pt; margin-top: 5pt; }
   figure { padding: 4pt; break-inside: avoid; }
-  figure svg { width: auto; max-width: 100%; height: 75mm; margin: 0 auto; }
+  figure svg { width: auto; max-width: 100%; height: 72mm; margin: 0 auto; }
   figcaption { margin-top: 1pt; font-size: 6.8pt; line-height: 1.2; }
   .missing { padding: 10pt; }
   h2 { break-after: avoid; }
