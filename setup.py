@@ -21,6 +21,8 @@ ROS_WHEELS = [
 
 LIVE_VIEW = ["rich>=12"]
 
+REPORT = ["matplotlib>=3.5"]
+
 TEST_TOOLS = [
     "colcon-common-extensions==0.3.0",
     "hypothesis>=6.100",
@@ -45,7 +47,12 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["setuptools", "numpy>=1.21", "scipy>=1.8", "PyYAML>=5.4"],
-    extras_require={"ros": ROS_WHEELS, "live": LIVE_VIEW, "test": LIVE_VIEW + TEST_TOOLS},
+    extras_require={
+        "live": LIVE_VIEW,
+        "report": REPORT,
+        "ros": ROS_WHEELS,
+        "test": LIVE_VIEW + REPORT + TEST_TOOLS,
+    },
     zip_safe=True,
     maintainer="magcal_ros maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-cbee3d67.example",

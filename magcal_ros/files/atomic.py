@@ -14,7 +14,10 @@ class FileTrouble(MagcalError):
     """A file cannot be read or written; the text says which, why, and what to do."""
 
 
-def write_atomically(path: Path, text: str) -> None:
+REMEDY = "Choose a writable place with the parameter calibration_file, or mend its permissions."
+
+
+def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
     """Replace the content of a file in one step.
 
     Parameters
@@ -23,6 +26,8 @@ def write_atomically(path: Path, text: str) -> None:
         The file; its folder is made if it is missing.
     text : str
         The whole new content.
+    remedy : str
+        What the user should do when it fails.
 
     Raises
     ------
@@ -33,7 +38,7 @@ def write_atomically(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
     except OSError as error:
-        raise _trouble(path, error) from error
+        raise _trouble(path, error, remedy) from error
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as handle:
             handle.write(text)
@@ -45,7 +50,7 @@ def write_atomically(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             os.unlink(name)
         if isinstance(error, OSError):
-            raise _trouble(path, error) from error
+            raise _trouble(path, error, remedy) from error
         raise
     _sync_folder(path.parent)
 
@@ -60,8 +65,5 @@ def _sync_folder(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _trouble(path: Path, error: OSError) -> FileTrouble:
-    return FileTrouble(
-        f"cannot write {path}: {error.strerror or error}. "
-        "Choose a writable place with the parameter calibration_file, or mend its permissions."
-    )
+def _trouble(path: Path, error: OSError, remedy: str) -> FileTrouble:
+    return FileTrouble(f"cannot write {path}: {error.strerror or error}. {remedy}")

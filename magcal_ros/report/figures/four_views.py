@@ -1,0 +1,153 @@
+"""The ST design tip's picture: a 3-D view and its three projections."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.report.figures.canvas import (
+    CORRECTED,
+    IDEAL,
+    MICRO,
+    ODD,
+    RAW,
+    SPHERE,
+    UP,
+    dots,
+    legend_below,
+)
+from magcal_ros.report.turn import Turn
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIZE = (4.9, 5.5)
+POINTS = 200
+"""Of each cloud in each of the four views."""
+
+VIEWS = ((0, 2, "from the right"), (1, 2, "from the front"), (0, 1, "from above"))
+NAMES = ("x forward", "y left", "z up")
+
+
+def draw(figure: Figure, turn: Turn) -> None:
+    """Draw accelerometer, raw and corrected field, ideal circle and reference sphere."""
+    strength = _strength(turn)
+    clouds = _clouds(turn, strength)
+    limit = 1.08 * max(
+        strength, *(float(np.abs(points).max()) for points, _ in clouds if len(points))
+    )
+    grid = figure.add_gridspec(
+        2, 2, left=0.11, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
+    )
+    # The solid view needs no room for tick labels, only some for its slanting axes.
+    solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")
+    _draw_solid(solid, turn, clouds, strength, limit)
+    places = (grid[0, 1], grid[1, 0], grid[1, 1])
+    for place, (i, j, words) in zip(places, VIEWS, strict=True):
+        axes = figure.add_subplot(place)
+        _draw_projection(axes, turn, clouds, strength, i, j)
+        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+        axes.set_xlabel(f"{NAMES[i]} [µT]", labelpad=1)
+        axes.set_ylabel(f"{NAMES[j]} [µT]", labelpad=0)
+        axes.set_title(words)
+        last = axes
+    legend_below(figure, last)
+
+
+def caption(turn: Turn) -> str:
+    """Explain the picture to someone who is no expert."""
+    if turn.corrected is None:
+        return (
+            "Each orange mark is one raw field sample. On one turn they should draw a circle; "
+            "green is up as the accelerometer saw it, drawn as long as the field."
+        )
+    return (
+        "Turning the robot once moves the field around a circle. Orange: as measured, pushed away "
+        "from the origin by the robot's own magnetism and tilted by the mounting. Blue: corrected; "
+        "it should lie on the black circle, where the reference field says it must be. Green: up."
+    )
+
+
+def _strength(turn: Turn) -> float:
+    if turn.corrected is not None:
+        return turn.corrected.estimate.strength * MICRO
+    return max(float(np.linalg.norm(turn.field, axis=1).mean()) * MICRO, 1e-3)
+
+
+def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any]]]:
+    """Return points (n, 3) in µT and their looks, the undermost first."""
+    rows = turn.rows(most=POINTS)
+    clouds: list[tuple[FloatArray, dict[str, Any]]] = [
+        (strength * turn.up[rows], {"color": UP, "marker": "s", "label": "up (accelerometer)"}),
+        (
+            MICRO * turn.field[rows],
+            {"color": RAW, "marker": "^", "markersize": 3.2, "label": "raw field"},
+        ),
+    ]
+    if turn.corrected is not None:
+        field = MICRO * turn.corrected.field
+        kept = turn.rows(turn.believed, most=POINTS)
+        clouds.append((field[kept], {"color": CORRECTED, "label": "corrected field"}))
+        left_out = turn.rows(~turn.believed, most=POINTS // 4)
+        if len(left_out):
+            looks: dict[str, Any] = {
+                "color": ODD,
+                "marker": "x",
+                "markersize": 4.0,
+                "markeredgewidth": 0.9,
+            }
+            clouds.append((field[left_out], looks | {"label": "not believed"}))
+    return clouds
+
+
+def _draw_projection(
+    axes: Any,
+    turn: Turn,
+    clouds: list[tuple[FloatArray, dict[str, Any]]],
+    strength: float,
+    i: int,
+    j: int,
+) -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 91)
+    label = "reference sphere" if turn.corrected is not None else "the raw field's mean size"
+    outline = (strength * np.cos(phase), strength * np.sin(phase))
+    axes.plot(*outline, color=SPHERE, linewidth=0.9, label=label)
+    axes.axhline(0.0, color=SPHERE, linewidth=0.5)
+    axes.axvline(0.0, color=SPHERE, linewidth=0.5)
+    for points, looks in clouds:
+        dots(axes, points[:, i], points[:, j], **looks)
+    if turn.corrected is not None:
+        circle = MICRO * turn.corrected.circle
+        axes.plot(circle[:, i], circle[:, j], color=IDEAL, linewidth=0.9, label="ideal circle")
+
+
+def _draw_solid(
+    axes: Any,
+    turn: Turn,
+    clouds: list[tuple[FloatArray, dict[str, Any]]],
+    strength: float,
+    limit: float,
+) -> None:
+    around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
+    axes.plot_wireframe(
+        strength * np.sin(down) * np.cos(around),
+        strength * np.sin(down) * np.sin(around),
+        strength * np.cos(down),
+        color="#DADADA",
+        linewidth=0.35,
+    )
+    for points, looks in clouds:
+        dots(axes, points[:, 0], points[:, 1], zs=points[:, 2], **looks)
+    if turn.corrected is not None:
+        circle = MICRO * turn.corrected.circle
+        axes.plot(circle[:, 0], circle[:, 1], circle[:, 2], color=IDEAL, linewidth=0.9)
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
+    axes.set_box_aspect((1, 1, 1), zoom=1.2)
+    axes.view_init(elev=24, azim=-58)
+    for number, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}label")(NAMES[number], labelpad=-14, fontsize=8)
+        axes.tick_params(axis=name, labelbottom=False, labelleft=False, pad=-4)
+        getattr(axes, f"set_{name}ticklabels")([])
+    axes.set_title("3-D view", pad=4)

@@ -1,0 +1,156 @@
+"""Every number of a report, named and in the unit that people see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.figures import common_figures
+from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.verdict import THRESHOLDS
+
+DEGREES = 180.0 / math.pi
+MICRO = 1e6
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: what it is, and its value with its unit."""
+
+    words: str
+    value: str
+
+
+@dataclass(frozen=True)
+class Unit:
+    """How a figure is shown: its words, the factor from SI, and the unit."""
+
+    words: str
+    scale: float = 1.0
+    unit: str = ""
+
+
+FIGURES: dict[str, Unit] = {
+    t.figure: Unit(t.words.removesuffix(" by"), t.scale, t.unit) for t in THRESHOLDS
+} | {
+    "heading_sigma_tilted": Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
+    "inlier_fraction": Unit("samples that were believed", 100.0, "%"),
+    "circle_radius": Unit("radius of the field's circle", MICRO, " µT"),
+    "radius_ratio": Unit("circle radius over the reference's"),
+    "ellipse_ratio": Unit("ellipse in the turn's plane, longer axis over shorter"),
+    "split_half": Unit("headings from the two halves of the turn differ by", DEGREES, "°"),
+    "axis_tilt": Unit("turn's axis off the vertical", DEGREES, "°"),
+    "axial_field": Unit("field along the turn's axis, positive downwards", MICRO, " µT"),
+    "axial_hard_iron": Unit("hard iron along the turn's axis, positive downwards", MICRO, " µT"),
+    "accelerometer_spread_over_noise": Unit("accelerometer's spread over six times its noise"),
+    "field_spread_over_noise": Unit("field's spread over six times its noise"),
+    "rival_roll": Unit("second solution, installation roll", DEGREES, "°"),
+    "rival_pitch": Unit("second solution, installation pitch", DEGREES, "°"),
+    "rival_angle": Unit("second solution, installation angle", DEGREES, "°"),
+    "rival_gap": Unit("heading between this and a rival solution", DEGREES, "°"),
+    "field_noise_ratio": Unit("noise of the field over its strength", 100.0, "%"),
+    "up_noise": Unit("noise of up", DEGREES, "°"),
+    "kappa": Unit("samples per independent sample"),
+    "wobble": Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
+    "soft_iron": Unit("soft iron was fitted (1 yes, 0 no)"),
+    "soft_iron_gain": Unit("fall of chi-square by soft iron"),
+    "gyro_carried": Unit("gyro carried the attitude (1 yes, 0 no)"),
+    "field_scale": Unit("field scale inside the fit", MICRO, " µT"),
+}
+for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
+    for _axis in "xyz":
+        FIGURES[f"{_sensor}_range_{_axis}"] = Unit(
+            f"{_sensor}'s range along {_axis}, de-rotated", _scale, _unit
+        )
+
+
+def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
+    """Return what a user wants to know first."""
+    figures = common_figures(estimate) | dict(estimate.figures)
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0)) * MICRO
+    iron = estimate.correction.hard_iron * MICRO
+    level, tilted = figures["heading_sigma"], figures["heading_sigma_tilted"]
+    rows = [
+        Row("heading error on the level (1σ)", f"±{level * DEGREES:.2f}°"),
+        Row("heading error at 10° of tilt (1σ)", f"±{tilted * DEGREES:.2f}°"),
+    ]
+    rows += [
+        Row(f"hard iron {name} (±1σ)", f"{value:.2f} ± {spread:.2f} µT")
+        for name, value, spread in zip("xyz", iron, sigma, strict=True)
+    ]
+    if estimate.installation is not None:
+        rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
+        rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
+    believed = int(np.count_nonzero(estimate.inliers))
+    return [
+        *rows,
+        Row("turn seen", f"{estimate.arc * DEGREES:.0f}°"),
+        Row("samples believed", f"{believed} of {samples}"),
+        Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
+        Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
+    ]
+
+
+def all_numbers(estimate: Estimate) -> list[Row]:
+    """Return everything else that was measured."""
+    axis = ", ".join(f"{value:.4f}" for value in estimate.axis)
+    rows = [
+        Row("turn's axis in body axes", f"({axis})"),
+        Row("noise of one field sample (1σ)", f"{estimate.noise_field * MICRO:.3g} µT"),
+        Row("noise of one tilt (1σ)", f"{estimate.noise_up * DEGREES:.3g}°"),
+    ]
+    figures = common_figures(estimate) | dict(estimate.figures)
+    return rows + [figure_row(name, value) for name, value in figures.items()]
+
+
+def figure_row(name: str, value: float) -> Row:
+    """Name one figure; a name that is not known is shown as it is, in SI."""
+    unit = FIGURES.get(name)
+    if unit is None:
+        return Row(name.replace("_", " "), f"{value:.6g} (SI)")
+    return Row(unit.words, f"{value * unit.scale:.4g}{unit.unit}")
+
+
+def matrix_rows(estimate: Estimate) -> list[list[str]]:
+    """Return the twelve numbers with their sigmas: three of A and one of h per line."""
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    a, h = estimate.correction.matrix, estimate.correction.hard_iron * MICRO
+    spread, iron = sigma[:9].reshape(3, 3), sigma[9:] * MICRO
+    return [
+        [
+            "xyz"[i],
+            *(f"{a[i, j]:.6f} ± {spread[i, j]:.6f}" for j in range(3)),
+            f"{h[i]:.4f} ± {iron[i]:.4f}",
+        ]
+        for i in range(3)
+    ]
+
+
+def known_before(knowledge: Knowledge) -> list[Row]:
+    """Return what the method was told."""
+    reference, mounting = knowledge.reference, knowledge.mounting
+    declination = reference.declination
+    iron = knowledge.soft_iron
+    pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
+    believed = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
+    return [
+        Row("reference strength", _belief(reference.strength, MICRO, " µT")),
+        Row("reference inclination", _belief(reference.inclination, DEGREES, "°")),
+        Row(
+            "declination, positive east",
+            "not known" if declination is None else f"{declination * DEGREES:.2f}°",
+        ),
+        Row("known soft-iron gains x, y, z", ", ".join(f"{gain:g}" for gain in mounting.gains)),
+        Row("nominal mounting, rows of the pose", pose),
+        Row("soft iron beyond the gains (1σ)", believed),
+    ]
+
+
+def _belief(belief: Belief, scale: float, unit: str) -> str:
+    if belief.is_unknown:
+        return "not known"
+    value = f"{belief.value * scale:.2f}"
+    return f"{value}{unit}" if belief.is_exact else f"{value} ± {belief.sigma * scale:.2f}{unit}"

@@ -1,0 +1,185 @@
+"""The one page of a report: HTML that needs nothing outside of itself."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+import scipy
+
+from magcal_ros import __version__
+from magcal_ros.core.verdict import Check, Grade, Verdict
+from magcal_ros.report.figures.gallery import Picture
+from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
+from magcal_ros.report.recipe import recipe
+from magcal_ros.report.style import CSS
+from magcal_ros.report.subject import Subject
+from magcal_ros.report.turn import Turn
+
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
+"""Even text that slipped through could load nothing and run nothing."""
+
+SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.REFUSED: "✗"}
+"""Grades differ in sign and word, not in colour alone."""
+
+
+def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    subject : Subject
+        What it is about.
+    turn : Turn
+        Its samples, worked out.
+    pictures : sequence of Picture
+        Drawn or missing.
+    """
+    outcome = subject.outcome
+    estimate, calibration = outcome.estimate, outcome.calibration
+    by_hand = calibration is not None and calibration.evidence.accepted_by_user
+    parts = [_head(subject), _verdict(outcome.verdict, by_hand)]
+    if estimate is not None:
+        parts.append(_key(key_numbers(estimate, len(subject.window))))
+    parts.append(_pictures(pictures))
+    parts.append('<div class="tables">')
+    parts.append(_not_shown(outcome.verdict, estimate is not None))
+    parts.append(_checks(outcome.verdict.checks))
+    if estimate is not None:
+        parts.append(_twelve(matrix_rows(estimate)))
+        parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate), 'numbers')}")
+    parts.append(f"<h2>Method, versions, input</h2>{_table(_input(subject, turn), 'input')}")
+    parts.append(_repeat(subject))
+    parts.append("</div></body></html>\n")
+    return "\n".join(parts)
+
+
+def _head(subject: Subject) -> str:
+    title = escape(subject.title)
+    created = escape(subject.created.isoformat(sep=" ", timespec="seconds"))
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{CSS}</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p class="meta">{created} · {escape(subject.source)}</p>"""
+
+
+def _chip(grade: Grade, words: str = "") -> str:
+    return f'<span class="grade {grade.value}">{SIGNS[grade]} {words}{grade.value}</span>'
+
+
+def _verdict(verdict: Verdict, by_hand: bool) -> str:
+    worst = max((verdict.quality, verdict.confidence), key=lambda grade: grade.rank)
+    note = "<p>A person put it in force against this verdict.</p>" if by_hand else ""
+    return (
+        f'<section class="verdict {worst.value}"><div class="grades">'
+        f"{_chip(verdict.quality, 'quality ')}{_chip(verdict.confidence, 'confidence ')}</div>"
+        f'<p id="summary">{escape(verdict.summary)}</p>{note}</section>'
+    )
+
+
+def _key(rows: Iterable[Row]) -> str:
+    cells = "".join(
+        f"<div><dt>{escape(row.words)}</dt><dd>{escape(row.value)}</dd></div>" for row in rows
+    )
+    return f'<dl class="key">{cells}</dl>'
+
+
+def _pictures(pictures: Sequence[Picture]) -> str:
+    figures = [
+        f'<figure id="{picture.name}"><h3>{escape(picture.title)}</h3>'
+        f"{picture.svg or _missing(picture.missing)}"
+        f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
+        for picture in pictures
+    ]
+    if not figures:
+        figures = [_missing("No picture: there are no samples.")]
+    return '<section class="pictures">' + "\n".join(figures) + "</section>"
+
+
+def _missing(why: str) -> str:
+    return f'<p class="missing">{escape(why)}</p>'
+
+
+def _not_shown(verdict: Verdict, found: bool) -> str:
+    title = "<h2>What this turn could not show</h2>"
+    if not found:
+        return f"{title}<p>No calibration came of these samples; the reason stands above.</p>"
+    lines = "".join(f"<li>{escape(item)}</li>" for item in verdict.not_shown)
+    return f"{title}<ul>{lines}</ul>"
+
+
+def _checks(checks: Sequence[Check]) -> str:
+    ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
+    rows = "".join(
+        f"<tr><td>{_chip(check.grade)}</td><td>{check.aspect.value}</td>"
+        f"<td>{escape(check.words)}</td></tr>"
+        for check in ordered
+    )
+    return (
+        '<h2>What was checked</h2><table class="checks">'
+        "<tr><th>grade</th><th>speaks for</th><th>what</th></tr>"
+        f"{rows}</table>"
+    )
+
+
+def _twelve(lines: Sequence[Sequence[str]]) -> str:
+    rows = "".join(
+        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in line) + "</tr>" for line in lines
+    )
+    return (
+        "<h2>The correction: field in body axes = A (raw field − h)</h2>"
+        '<div class="scroll"><table class="twelve"><tr><th></th><th colspan="3">A (±1σ), '
+        f"dimensionless</th><th>h (±1σ), µT</th></tr>{rows}</table></div>"
+    )
+
+
+def _table(rows: Sequence[Row], kind: str) -> str:
+    """Return two tables side by side, where there is room."""
+    half = (len(rows) + 1) // 2
+    tables = (
+        f'<table class="{kind}">'
+        + "".join(
+            f'<tr><td>{escape(row.words)}</td><td class="value">{escape(row.value)}</td></tr>'
+            for row in part
+        )
+        + "</table>"
+        for part in (rows[:half], rows[half:])
+    )
+    return f'<div class="columns">{"".join(tables)}</div>'
+
+
+def _input(subject: Subject, turn: Turn) -> list[Row]:
+    estimate = subject.outcome.estimate
+    seconds = float(turn.time[-1]) if len(turn.time) else 0.0
+    rows = [
+        Row("method", subject.method),
+        Row("why it stopped", estimate.message if estimate is not None else "refused"),
+        Row("source", subject.source),
+        Row("frame of the field", subject.magnetometer_frame or "not given"),
+        Row("frame of the IMU", subject.imu_frame or "not given"),
+        Row("samples", f"{len(subject.window)} over {seconds:.1f} s"),
+        Row("gyro", "yes" if subject.window.angular_rate is not None else "no"),
+    ]
+    versions = (
+        f"magcal_ros {__version__}, Python {platform.python_version()}, "
+        f"numpy {np.__version__}, scipy {scipy.__version__}"
+    )
+    return [*rows, *known_before(subject.knowledge), Row("versions", versions)]
+
+
+def _repeat(subject: Subject) -> str:
+    return (
+        "<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
+        "sample in SI units; these lines fit it again.</p>"
+        f"<pre><code>{escape(recipe(subject.knowledge, subject.method))}</code></pre>"
+    )

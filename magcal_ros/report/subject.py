@@ -1,0 +1,45 @@
+"""What a report is about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.window import Window
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One calibration, or one attempt, as a report tells it.
+
+    Parameters
+    ----------
+    window : Window
+        The samples.
+    knowledge : Knowledge
+        What was known beforehand.
+    outcome : Outcome
+        What came of it; a refusal is reported too.
+    source : str
+        Where the samples came from: topics, or a recording. Any text: it is escaped.
+    created : datetime
+        When the calibration was made.
+    method : str
+        Name of the method.
+    title : str
+        Headline of the report.
+    magnetometer_frame, imu_frame : str
+        `frame_id` of field and IMU where they are known. Any text: it is escaped.
+    """
+
+    window: Window
+    knowledge: Knowledge
+    outcome: Outcome
+    source: str
+    created: datetime
+    method: str
+    title: str = "Compass calibration"
+    magnetometer_frame: str = ""
+    imu_frame: str = ""

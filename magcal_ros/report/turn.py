@@ -1,0 +1,247 @@
+"""A subject's samples in the form that pictures and tables show: angles, headings, deviations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.attitude import (
+    body_from_enu,
+    field_in_enu,
+    unit,
+    wrap_angle,
+    yaw_from_up_and_field,
+)
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.coverage import Coverage, yaw_progress
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.heading import Compass
+from magcal_ros.core.window import Window
+from magcal_ros.report.subject import Subject
+
+MOST_POINTS = 400
+"""Points of one series in a picture: more cannot be told apart and weigh down the file."""
+
+GYRO_BIAS_SIGMA = math.radians(0.5)
+GYRO_SCALE_SIGMA = 0.02
+"""How far, rad/s and relative, a gyro may be off without the compass being blamed."""
+
+COMPASS_SIGMA = math.radians(2.0)
+INDEPENDENT_SAMPLES = 20
+"""Neighbours err together; so many of them are taken to count in a comparison with the gyro."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corrected:
+    """What the estimate makes of the samples, one row per sample.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What was found.
+    field : ndarray, shape (n, 3)
+        Corrected field in body axes, tesla.
+    circle : ndarray, shape (m, 3)
+        Where the reference field says that the corrected field should lie, body axes, tesla.
+    yaw : ndarray, shape (n,)
+        Magnetic ENU yaw, radians.
+    sigma : ndarray, shape (n,)
+        Its standard deviation as the node would publish it, radians.
+    reference : ndarray, shape (n,)
+        The yaw that the turn asks for, radians.
+    radial, axial : ndarray, shape (n,)
+        Residual away from the turn's axis and along it, tesla.
+    """
+
+    estimate: Estimate
+    field: FloatArray
+    circle: FloatArray
+    yaw: FloatArray
+    sigma: FloatArray
+    reference: FloatArray
+    radial: FloatArray
+    axial: FloatArray
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Heading after the correction minus what the turn asks for, radians, shape (n,)."""
+        return wrap_angle(self.yaw - self.reference)
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """The samples of a subject, one row per sample.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds since the first sample.
+    field : ndarray, shape (n, 3)
+        Raw field after the known gains and the nominal mounting, tesla.
+    up : ndarray, shape (n, 3)
+        Specific force over its length.
+    yaw : ndarray, shape (n,)
+        Yaw of the raw field, radians.
+    angle : ndarray, shape (n,), or None
+        Radians turned since the first sample, left positive; None if nothing shows it.
+    has_gyro : bool
+        Whether a gyro measured the angle.
+    believed : ndarray of bool, shape (n,)
+        Samples that the fit believed; all where there was none.
+    coverage : Coverage
+        Which part of the turn was seen.
+    corrected : Corrected or None
+        None if nothing could be found.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    up: FloatArray
+    yaw: FloatArray
+    angle: FloatArray | None
+    has_gyro: bool
+    believed: BoolArray
+    coverage: Coverage
+    corrected: Corrected | None
+
+    @classmethod
+    def of(cls, subject: Subject) -> Turn:
+        """Work out what there is to show of a subject."""
+        window, estimate = subject.window, subject.outcome.estimate
+        field = window.field @ np.linalg.inv(subject.knowledge.mounting.matrix).T
+        up = unit(window.specific_force)
+        progress = _progress(window, field)
+        gyro = _gyro_angle(window, up)
+        corrected = None
+        believed = np.ones(len(window), dtype=np.bool_)
+        if estimate is not None:
+            believed = np.asarray(estimate.inliers)
+            corrected = _correct(subject, estimate, up, gyro)
+        angle = gyro
+        if angle is None and corrected is not None:
+            angle = np.asarray(corrected.reference - corrected.reference[0])
+        return cls(
+            time=np.asarray(window.time - window.time[0]) if len(window) else window.time,
+            field=np.asarray(field),
+            up=up,
+            yaw=yaw_from_up_and_field(up, field),
+            angle=progress if angle is None else angle,
+            has_gyro=gyro is not None,
+            believed=believed,
+            coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
+            corrected=corrected,
+        )
+
+    def rows(self, mask: BoolArray | None = None, most: int = MOST_POINTS) -> IntArray:
+        """Return evenly spread row numbers, at most `most` of those in the mask."""
+        rows = np.arange(len(self.time)) if mask is None else np.flatnonzero(mask)
+        if len(rows) > most:
+            rows = rows[np.linspace(0, len(rows) - 1, most).astype(np.int64)]
+        return np.asarray(rows, dtype=np.int64)
+
+
+def _progress(window: Window, field: FloatArray) -> FloatArray | None:
+    if not window.field.any() or not window.specific_force.any():
+        return None
+    return yaw_progress(window.time, field, window.specific_force, window.angular_rate)
+
+
+def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
+    """Return the yaw that the gyro saw since the first sample, radians, left positive.
+
+    The rate of a yaw is (w_y sin roll + w_z cos roll) / cos pitch, on any slope.
+    """
+    if window.angular_rate is None or len(window) < 2:
+        return None
+    level = np.hypot(up[:, 1], up[:, 2])
+    across = np.einsum("ni,ni->n", window.angular_rate[:, 1:], up[:, 1:])
+    rate = across / np.maximum(level, 0.05) ** 2
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(window.time)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _correct(
+    subject: Subject, estimate: Estimate, up: FloatArray, gyro: FloatArray | None
+) -> Corrected:
+    window = subject.window
+    calibration = subject.outcome.calibration
+    if calibration is None:
+        calibration = Calibration.from_estimate(estimate, subject.outcome.verdict)
+    field = estimate.correction.apply(window.field)
+    yaw = yaw_from_up_and_field(up, field)
+    residual = estimate.residual @ estimate.correction.matrix.T
+    axial = residual @ estimate.axis
+    model = field - residual
+    outward = unit(model - np.outer(model @ estimate.axis, estimate.axis))
+    return Corrected(
+        estimate=estimate,
+        field=field,
+        circle=_ideal_circle(estimate, up, field),
+        yaw=yaw,
+        sigma=_published_sigma(calibration, window, field),
+        reference=_reference(window.time, yaw, gyro, np.asarray(estimate.inliers)),
+        radial=np.einsum("ni,ni->n", residual, outward),
+        axial=np.asarray(axial),
+    )
+
+
+def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> FloatArray:
+    """Return the reference field turned once about the axis, in body axes, shape (m, 3)."""
+    believed = estimate.inliers if estimate.inliers.any() else np.ones(len(up), dtype=np.bool_)
+    attitudes = body_from_enu(up[believed], field[believed])
+    axis_in_world = unit(np.einsum("nij,i->nj", attitudes, estimate.axis).mean(axis=0))
+    along = float(field_in_enu(estimate.strength, estimate.inclination) @ axis_in_world)
+    radius = math.sqrt(max(estimate.strength**2 - along**2, 0.0))
+    # Any vector that is not the axis gives a first direction across it.
+    other = np.eye(3)[int(np.argmin(np.abs(estimate.axis)))]
+    first = unit(np.cross(estimate.axis, other))
+    phase = np.linspace(0.0, math.tau, 121)[:, None]
+    second = np.cross(estimate.axis, first)
+    ring = radius * (np.cos(phase) * first + np.sin(phase) * second)
+    return np.asarray(ring + along * estimate.axis)
+
+
+def _published_sigma(calibration: Calibration, window: Window, field: FloatArray) -> FloatArray:
+    compass = Compass(calibration)
+    headings = [
+        compass.heading((m[0], m[1], m[2]), (f[0], f[1], f[2]))
+        for m, f in zip(field.tolist(), window.specific_force.tolist(), strict=True)
+    ]
+    return np.array([math.nan if h is None else math.sqrt(h.yaw_variance) for h in headings])
+
+
+def _reference(
+    time: FloatArray, yaw: FloatArray, gyro: FloatArray | None, believed: BoolArray
+) -> FloatArray:
+    """Return the yaw that the turn asks for: the gyro's, or the compass's own smoothed course."""
+    if not believed.any():
+        believed = np.ones(len(yaw), dtype=np.bool_)
+    if gyro is None:
+        return _smooth_course(time, yaw, believed)
+    start = float(np.angle(np.mean(np.exp(1j * (yaw - gyro)[believed]))))
+    error = wrap_angle(yaw - gyro - start)
+    columns = np.column_stack([np.ones_like(time), gyro - gyro.mean(), time - time.mean()])
+    weight = INDEPENDENT_SAMPLES / (max(int(believed.sum()), 1) * COMPASS_SIGMA**2)
+    weights = weight * believed
+    prior = np.diag([0.0, GYRO_SCALE_SIGMA**-2, GYRO_BIAS_SIGMA**-2])
+    normal = columns.T @ (weights[:, None] * columns) + prior
+    return np.asarray(
+        gyro + start + columns @ np.linalg.solve(normal, columns.T @ (weights * error))
+    )
+
+
+def _smooth_course(time: FloatArray, yaw: FloatArray, believed: BoolArray) -> FloatArray:
+    """Return the unwrapped yaw through a local straight line over a twentieth of the samples."""
+    course = np.interp(time, time[believed], np.unwrap(yaw[believed]))
+    half = max(2, len(time) // 40)
+    smooth = np.empty_like(course)
+    for row in range(len(time)):
+        near = slice(max(0, row - half), row + half + 1)
+        t = time[near] - time[row]
+        centred = t - t.mean()
+        slope = float(centred @ course[near]) / max(float(centred @ centred), 1e-12)
+        smooth[row] = float(course[near].mean()) - slope * float(t.mean())
+    return smooth

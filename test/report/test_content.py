@@ -1,0 +1,231 @@
+import html
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from subjects import ROBOT, good, refused, subject_of, troubled
+
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.core.verdict import NO_YAW, THRESHOLDS, judge
+from magcal_ros.core.window import Window
+from magcal_ros.report import write_report
+
+LARGEST_PAGE = 1_000_000
+
+
+def page_of(folder, subject):
+    return write_report(folder, subject).read_text(encoding="utf-8")
+
+
+def words_of(page):
+    """The text a reader sees, style and tags left out."""
+    body = page[page.index("<body>") :]
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
+
+
+def names_of(page):
+    return re.findall(r'<figure id="(\w+)">', page)
+
+
+def test_it_says_the_verdict_and_what_was_not_seen(tmp_path):
+    subject = good()
+    words = words_of(page_of(tmp_path, subject))
+    verdict = subject.outcome.verdict
+    assert verdict.summary in words
+    assert f"quality {verdict.quality.value}" in words
+    assert f"confidence {verdict.confidence.value}" in words
+    assert NO_YAW in words
+    for item in (*verdict.not_shown, *(check.words for check in verdict.checks)):
+        assert " ".join(item.split()) in words
+
+
+def test_numbers_have_units(tmp_path):
+    subject = good()
+    words = words_of(page_of(tmp_path, subject))
+    estimate = subject.outcome.estimate
+    iron = estimate.correction.hard_iron[0] * 1e6
+    assert re.search(rf"hard iron x \(±1σ\) {iron:.2f} ± \d+\.\d+ µT", words)
+    assert f"installation roll {math.degrees(estimate.installation.roll):.2f}°" in words
+    assert "field strength 50.00 µT" in words
+    assert "reference inclination 60.00 ± 1.00°" in words
+    assert "500 over 15.0 s" in words
+    assert "method design_tip" in words
+    assert "numpy" in words
+
+
+def test_every_figure_of_the_method_is_named(tmp_path):
+    assert "(SI)" not in words_of(page_of(tmp_path, good()))
+
+
+def test_an_unknown_figure_is_shown_in_si(tmp_path):
+    subject = good()
+    estimate = replace(subject.outcome.estimate, figures={"odd_thing": 0.25})
+    outcome = replace(subject.outcome, estimate=estimate)
+    words = words_of(page_of(tmp_path, replace(subject, outcome=outcome)))
+    assert "odd thing 0.25 (SI)" in words
+
+
+def test_four_pictures_with_captions(tmp_path):
+    page = page_of(tmp_path, good())
+    assert names_of(page) == ["views", "around", "heading", "gyro"]
+    assert page.count("<svg") == page.count("<figcaption>") == 4
+    for label in ("raw field", "corrected field", "ideal circle", "reference sphere"):
+        assert f">{label}<" in page
+    for unit in ("[µT]", "[°]"):
+        assert unit in page
+
+
+def test_ids_are_unique(tmp_path):
+    found = re.findall(r'\bid="([^"]*)"', page_of(tmp_path, good()))
+    assert len(found) == len(set(found))
+
+
+def test_without_a_gyro_it_says_so(tmp_path):
+    page = page_of(tmp_path, good(gyro=False))
+    assert page.count("<svg") == 3
+    assert "there was no gyro in these samples" in page
+
+
+@pytest.mark.parametrize("make", [good, troubled, refused])
+def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
+    path = write_report(tmp_path, make())
+    page = path.read_text(encoding="utf-8")
+    assert path.stat().st_size < LARGEST_PAGE
+    assert "://" not in page
+    assert not re.search(r"\b(src|srcset|action|data|poster)\s*=", page)
+    assert not re.findall(r'href="(?!#)', page)
+    assert "@import" not in page
+    assert "<script" not in page
+    assert re.search(r"""http-equiv="Content-Security-Policy" content="default-src 'none';""", page)
+    assert not re.findall(r"url\((?!#)", page)
+
+
+@pytest.mark.parametrize("place", ["source", "title", "magnetometer_frame", "imu_frame", "method"])
+def test_foreign_text_stays_text(tmp_path, place):
+    evil = "<script>alert('x')</script>\"&<img src=x>"
+    page = page_of(tmp_path, replace(good(), **{place: evil}))
+    assert "<script" not in page
+    assert "<img" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
+    subject = refused()
+    assert subject.outcome.estimate is None
+    page = page_of(tmp_path, subject)
+    words = words_of(page)
+    assert subject.outcome.verdict.summary in words
+    assert "quality refused" in words
+    assert names_of(page) == ["views", "around"]
+    assert page.count("<svg") == 2
+    assert ">corrected field<" not in page
+    assert (tmp_path / "samples.csv").read_text().count("\n") == 501
+
+
+@pytest.mark.parametrize("samples", [0, 1, 2])
+def test_hardly_any_samples_are_reported_too(tmp_path, samples):
+    nothing = np.zeros((samples, 3))
+    window = Window(np.arange(samples), nothing, nothing)
+    words = words_of(page_of(tmp_path, subject_of(window, ROBOT.knowledge())))
+    assert f"Only {samples} samples" in words
+
+
+def test_pictures_are_drawn_even_of_zeros(tmp_path):
+    nothing = np.zeros((30, 3))
+    window = Window(np.arange(30), nothing, nothing, nothing)
+    page = page_of(tmp_path, subject_of(window, ROBOT.knowledge()))
+    assert page.count("<svg") == 2
+
+
+def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
+    subject = good()
+    calibration = subject.outcome.calibration.on_users_word()
+    outcome = replace(subject.outcome, calibration=calibration)
+    words = words_of(page_of(tmp_path, replace(subject, outcome=outcome)))
+    assert "A person put it in force against this verdict." in words
+
+
+def test_an_estimate_without_calibration_is_enough(tmp_path):
+    subject = good()
+    outcome = Outcome(subject.outcome.verdict, None, subject.outcome.estimate)
+    assert page_of(tmp_path, replace(subject, outcome=outcome)).count("<svg") == 4
+
+
+def test_samples_that_were_not_believed_are_marked(tmp_path):
+    subject = good()
+    inliers = np.arange(500) % 10 > 0
+    estimate = replace(subject.outcome.estimate, inliers=inliers)
+    outcome = replace(subject.outcome, estimate=estimate)
+    page = page_of(tmp_path, replace(subject, outcome=outcome))
+    assert ">not believed<" in page
+    assert "450 of 500" in page
+    lines = (tmp_path / "samples.csv").read_text().splitlines()[1:]
+    assert [line[-1] == "1" for line in lines] == list(inliers)
+
+
+def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
+    robot = Robot(mounting=replace(ROBOT.mounting, pose=np.diag([1.0, -1.0, -1.0])))
+    window = measure(robot, turn(), np.random.default_rng(5), gyro=True)
+    assert page_of(tmp_path, subject_of(window, robot.knowledge())).count("<svg") == 4
+
+
+def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
+    from magcal_ros.report.figures import four_views
+
+    def fail(*_):
+        raise ZeroDivisionError("a <bug>")
+
+    monkeypatch.setattr(four_views, "_draw_solid", fail)
+    page = page_of(tmp_path, good())
+    assert page.count("<svg") == 3
+    assert "could not be drawn (ZeroDivisionError: a &lt;bug&gt;)" in page
+
+
+WITHOUT_MATPLOTLIB = """
+import sys
+sys.modules["matplotlib"] = None
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from subjects import good
+from magcal_ros.report import write_report
+print(write_report(Path({folder!r}), good()))
+"""
+
+
+def test_without_matplotlib_the_report_is_still_written(tmp_path, request):
+    tests = str(request.path.parent)
+    code = WITHOUT_MATPLOTLIB.format(tests=tests, folder=str(tmp_path))
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    words = words_of(page)
+    assert "<svg" not in page
+    assert "pip install 'magcal_ros[report]'" in words
+    assert good().outcome.verdict.summary in words
+    assert (tmp_path / "samples.csv").exists()
+
+
+def test_matplotlib_is_imported_only_when_a_picture_is_drawn():
+    code = (
+        "import sys, magcal_ros.report, magcal_ros.files.samples\n"
+        "assert not {'matplotlib', 'rclpy'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_pyplot_is_never_loaded(tmp_path):
+    write_report(tmp_path, good())
+    assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_all_thresholds_at_once_still_make_a_page(tmp_path):
+    subject = good()
+    figures = {t.figure: 3.0 * t.good / t.scale for t in THRESHOLDS}
+    estimate = replace(subject.outcome.estimate, figures=figures)
+    verdict = judge(estimate, subject.knowledge)
+    page = page_of(tmp_path, replace(subject, outcome=Outcome(verdict, None, estimate)))
+    assert page.count('class="grade refused"') > 3
