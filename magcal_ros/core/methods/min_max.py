@@ -33,8 +33,11 @@ SMALLEST_RANGE = 0.5
 """Smallest over largest range of an axis; below it one axis never met the field."""
 
 LEAST_EXTENT = 1.6
-CELLS = 4.0
+DIRECTION_CELLS = 4.0
 """Half the number of cells along an edge of the cube on which directions are sorted."""
+
+SPACE_CELLS = 12.0
+"""Number of cells along the range of an axis."""
 
 STARTING_QUANTILE = 0.05
 MOST_ROUNDS = 10
@@ -139,7 +142,7 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
     -------
     ndarray of bool, shape (n,)
     """
-    low, high = np.quantile(nominal, [STARTING_QUANTILE, 1.0 - STARTING_QUANTILE], axis=0)
+    low, high = _starting_range(nominal)
     kept = np.ones(len(nominal), dtype=np.bool_)
     for _ in range(MOST_ROUNDS):
         points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
@@ -152,21 +155,35 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
     return kept
 
 
+def _starting_range(nominal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / SPACE_CELLS
+    weights = _one_vote_each(nominal / size)
+    ends = [
+        [_weighted_quantile(axis, weights, share) for axis in nominal.T]
+        for share in (STARTING_QUANTILE, 1.0 - STARTING_QUANTILE)
+    ]
+    return np.array(ends[0]), np.array(ends[1])
+
+
 def _cell_weights(points: FloatArray) -> FloatArray:
     """Return weights (n,) that give each cell of direction one vote, however full it is."""
     on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
-    cells = np.unique(np.round(CELLS * on_cube), axis=0, return_inverse=True)[1].ravel()
+    return _one_vote_each(DIRECTION_CELLS * on_cube)
+
+
+def _one_vote_each(coordinates: FloatArray) -> FloatArray:
+    cells = np.unique(np.round(coordinates), axis=0, return_inverse=True)[1].ravel()
     return np.asarray(1.0 / np.bincount(cells)[cells])
 
 
 def _near_the_usual(distance: FloatArray, weights: FloatArray) -> BoolArray:
-    usual = _weighted_median(distance, weights)
+    usual = _weighted_quantile(distance, weights, 0.5)
     off = np.abs(distance - usual)
-    gate = OUTLIER_DEVIATIONS * 1.4826 * _weighted_median(off, weights)
+    gate = OUTLIER_DEVIATIONS * 1.4826 * _weighted_quantile(off, weights, 0.5)
     return np.asarray(off <= max(gate, LEAST_GATE * usual))
 
 
-def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
+def _weighted_quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
     order = np.argsort(values)
     reached = np.cumsum(weights[order])
-    return float(values[order][int(np.searchsorted(reached, 0.5 * reached[-1]))])
+    return float(values[order][int(np.searchsorted(reached, share * reached[-1]))])
