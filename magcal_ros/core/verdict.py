@@ -265,7 +265,7 @@ class Verdict:
 NO_YAW = "the yaw of the installation: mount the sensor square, or compare with a known heading"
 NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method took their axes for aligned and "
-    "looked at the field alone"
+    "corrects nothing of it"
 )
 NO_GYRO = "a distorted field: gyro against compass was not checked"
 NO_REFERENCE = "the size of the field was not checked: the reference field is not known"

@@ -42,6 +42,11 @@ class Mounting:
     covariance: FloatArray
     scatter: float
 
+    @property
+    def angle(self) -> float:
+        """Radians of the whole rotation."""
+        return float(np.linalg.norm(self.rotation))
+
     def covariance_of(self, matrix: FloatArray) -> FloatArray:
         """Return what an ignored rotation adds to a correction's covariance, shape (12, 12).
 

@@ -198,15 +198,15 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
         knowledge,
         blocks=settings.jackknife_blocks,
     )
-    directions, up = unit(points[inliers]), unit(window.specific_force[inliers])
-    mounting = look_at_mounting(directions, up, settings.installation_sigma)
+    up = unit(window.specific_force[inliers])
+    mounting = look_at_mounting(unit(points[inliers]), up, settings.installation_sigma)
     strength = believed_strength(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
     noise = math.sqrt(float((residual[inliers] ** 2).sum()) / max(int(inliers.sum()) - 9, 1))
     figures = {**shape.figures, "sphere_extent": 0.5 * extent}
     if settings.installation_sigma > 0.0:
-        figures["misalignment"] = float(np.linalg.norm(mounting.rotation))
+        figures["misalignment"] = mounting.angle
     if not knowledge.reference.strength.is_unknown:
         figures["radius_ratio"] = shape.radius / strength
     return Estimate(
@@ -219,13 +219,17 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
         strength=strength,
         inclination=inclination,
         noise_field=noise,
-        # The field's own noise is in the scatter, too: rather too large than too small.
-        noise_up=mounting.scatter / max(math.cos(inclination), LEAST_LEVEL_SHARE),
+        noise_up=_noise_up(mounting.scatter, inclination),
         inliers=inliers,
         residual=residual,
         figures=figures,
         message="closed form; the magnetometer's axes were taken for the IMU's",
     )
+
+
+def _noise_up(scatter: float, inclination: float) -> float:
+    # The field's own noise is in the scatter, too: rather too large than too small.
+    return scatter / max(math.cos(inclination), LEAST_LEVEL_SHARE)
 
 
 def _extent(points: FloatArray) -> float:
