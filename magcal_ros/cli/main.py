@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 
 from magcal_ros import __version__
-from magcal_ros.cli import calibrate, demo, replay
+from magcal_ros.cli import calibrate, demo, export, replay
 from magcal_ros.cli.exits import Exit
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.atomic import FileTrouble
 
-COMMANDS = (calibrate, replay, demo)
+COMMANDS = (calibrate, export, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import FRD_FROM_FLU, STANDARD_GRAVITY
+from magcal_ros.core.attitude import FRD_FROM_FLU
 from magcal_ros.core.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimate import Estimate, Installation
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.design_tip.axis import TurnAxis, find_axis
 from magcal_ros.core.methods.design_tip.circle import FieldCircle, fit_field_circle
 from magcal_ros.core.methods.design_tip.door import TipSamples, enter, leave, passive_rotation
@@ -77,7 +78,7 @@ def fit(
     Refusal
         If the samples cannot carry an answer; its text says why and what to do.
     """
-    _refuse_empty(window, options)
+    refuse_empty(window, options.min_samples)
     solution = solve(window, knowledge, options)
     _refuse_unusable(solution, knowledge.reference)
     covariance = jackknife_covariance(
@@ -195,25 +196,6 @@ def _axial_unknown(solution: Solution, options: Options) -> FloatArray:
         along = solution.samples.mounting @ solution.chosen.circle.normal
         unknown[9:] = options.axial_sigma * along
     return unknown
-
-
-def _refuse_empty(window: Window, options: Options) -> None:
-    if len(window) < options.min_samples:
-        raise Refusal(
-            Reason.TOO_FEW_SAMPLES,
-            f"Only {len(window)} samples; at least {options.min_samples} are needed. Turn more "
-            "slowly or check the rate of the topics.",
-        )
-    if float(np.median(np.linalg.norm(window.specific_force, axis=1))) < 0.5 * STANDARD_GRAVITY:
-        raise Refusal(
-            Reason.GRAVITY_ABSENT,
-            "The accelerometer shows less than half of gravity. It must publish specific force "
-            "in m/s², +9.81 upwards at rest, with gravity not taken off.",
-        )
-    if not window.field.any():
-        raise Refusal(
-            Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
-        )
 
 
 def _refuse_unusable(solution: Solution, reference: ReferenceField) -> None:

@@ -1,0 +1,39 @@
+"""`magcal export`: a stored calibration in the words of another program."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from magcal_ros.cli.exits import Exit
+from magcal_ros.files.atomic import write_atomically
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.exporters import EXPORTERS
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "export",
+        help="write a calibration for another program",
+        description="Write a calibration in the form another program reads. What that program "
+        "cannot hold is said in a comment; what would make its heading wrong is refused.",
+    )
+    parser.add_argument("calibration", type=Path, help="a calibration file of this package")
+    parser.add_argument(
+        "--to", required=True, choices=sorted(EXPORTERS), metavar="NAME", help=", ".join(EXPORTERS)
+    )
+    parser.add_argument("--output", type=Path, help="the file to write (default: print it)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, translate, write."""
+    calibration, _ = read_calibration(options.calibration)
+    text = EXPORTERS[options.to](calibration)
+    if options.output is None:
+        print(text, end="")
+    else:
+        write_atomically(options.output, text)
+    return Exit.GOOD

@@ -1,0 +1,150 @@
+"""The ellipsoid through a tumbled sensor's samples, by least squares.
+
+Centre v, radii and axes of the ellipsoid give the correction S (x - v) that makes it a sphere: S
+scales along the ellipsoid's axes and turns nothing. Of all matrices that do so it is the symmetric
+one; whether the magnetometer sits turned in the IMU's frame it cannot say.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.methods.tumbling import (
+    Settings,
+    Shape,
+    believed_samples,
+    finish,
+    nominal_field,
+    refuse_flat,
+)
+from magcal_ros.core.quadrics import Ellipsoid, QuadricFit, fit_quadric
+from magcal_ros.core.window import Window
+
+LEAST_EXTENT = 0.9
+LARGEST_RATIO = 3.0
+"""Longest over shortest radius; no soft iron that leaves a compass usable does more."""
+
+ROUNDS = 4
+LEAST_SHARE = 0.5
+"""Of the samples that the ellipsoid must explain."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the ellipsoid method.
+
+    Parameters
+    ----------
+    shape : QuadricFit
+        "rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron.
+    min_samples : int
+        Fewer are refused.
+    jackknife_blocks : int
+        Pieces of time that the covariance leaves out one by one.
+    installation_sigma : float
+        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
+        asked. Zero: it is known to be square.
+
+    Raises
+    ------
+    ValueError
+        For a shape that is none of the choices.
+    """
+
+    shape: QuadricFit = QuadricFit.ROTATED
+    min_samples: int = 40
+    jackknife_blocks: int = 16
+    installation_sigma: float = math.radians(3.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", QuadricFit(self.shape))
+
+
+def fit(
+    window: Window, knowledge: Knowledge = Knowledge(), *, options: Options = Options()
+) -> Estimate:
+    """Calibrate by an ellipsoid.
+
+    Parameters
+    ----------
+    window : Window
+        Samples of a sensor tumbled through most orientations.
+    knowledge : Knowledge
+        Strength of the field, if known, and mounting. Without the strength the correction keeps
+        the geometric mean of the radii.
+    options : Options
+        The shape.
+
+    Returns
+    -------
+    Estimate
+        With the figures of `tumbling.finish` and `centre_x`, `_y`, `_z`, `radius_1`, `_2`, `_3`
+        (tesla, nominal axes), the directions `axis_1_x` ... `axis_3_z` of the radii, and
+        `radii_ratio`, longest over shortest. Its covariance comes from leaving out pieces of time
+        and from the mounting as far as gravity shows it.
+
+    Raises
+    ------
+    Refusal
+        If the samples cannot carry an answer; its text says why and what to do.
+    """
+    refuse_empty(window, options.min_samples)
+    refuse_flat(nominal_field(window, knowledge))
+    settings = Settings(
+        "ellipsoid",
+        LEAST_EXTENT,
+        options.jackknife_blocks,
+        options.installation_sigma,
+        "Tumble again away from iron and moving loads.",
+    )
+    return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
+
+
+def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
+    """Fit the ellipsoid on whatever samples there are, leaving out those that lie off it.
+
+    Raises
+    ------
+    Refusal
+        If there is no ellipsoid, or none that soft iron could make.
+    """
+    nominal = nominal_field(window, knowledge)
+    ellipsoid = fit_quadric(nominal, options.shape)
+    kept = np.ones(len(nominal), dtype=np.bool_)
+    for _ in range(ROUNDS):
+        points = (nominal - ellipsoid.centre) @ ellipsoid.to_unit_sphere
+        believed = believed_samples(np.linalg.norm(points, axis=1))
+        if (believed == kept).all() or believed.mean() < LEAST_SHARE:
+            break
+        kept = believed
+        ellipsoid = fit_quadric(nominal[kept], options.shape)
+    _refuse_flattened(ellipsoid)
+    return Shape(ellipsoid.centre, ellipsoid.to_unit_sphere, ellipsoid.radius, _figures(ellipsoid))
+
+
+def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
+    ratio = float(ellipsoid.radii.max() / ellipsoid.radii.min())
+    if ratio > LARGEST_RATIO:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            f"The longest radius of the ellipsoid is {ratio:.1f} times the shortest: too little "
+            "of it was seen, or iron touches the sensor. Tumble the sensor through all "
+            "orientations, and move it away from iron.",
+        )
+
+
+def _figures(ellipsoid: Ellipsoid) -> dict[str, float]:
+    figures = {f"centre_{name}": float(v) for name, v in zip("xyz", ellipsoid.centre, strict=True)}
+    for k in range(3):
+        figures[f"radius_{k + 1}"] = float(ellipsoid.radii[k])
+        for j, name in enumerate("xyz"):
+            figures[f"axis_{k + 1}_{name}"] = float(ellipsoid.axes[j, k])
+    figures["radii_ratio"] = float(ellipsoid.radii.max() / ellipsoid.radii.min())
+    return figures

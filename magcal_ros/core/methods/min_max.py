@@ -1,0 +1,189 @@
+"""Offset and scale of each axis from its smallest and largest reading.
+
+The offset is the middle of an axis' range; the scale brings half the range of every axis to the
+mean of the three, or to the field's strength where that is known. It needs a sensor that was
+tumbled until each axis pointed along the field and against it, and axes that neither lean on each
+other nor on the IMU's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import BoolArray, FloatArray
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.methods.tumbling import (
+    LEAST_GATE,
+    OUTLIER_DEVIATIONS,
+    Settings,
+    Shape,
+    finish,
+    nominal_field,
+    refuse_flat,
+)
+from magcal_ros.core.window import Window
+
+SMALLEST_RANGE = 0.5
+"""Smallest over largest range of an axis; below it one axis never met the field."""
+
+LEAST_EXTENT = 1.6
+DIRECTION_CELLS = 4.0
+"""Half the number of cells along an edge of the cube on which directions are sorted."""
+
+SPACE_CELLS = 12.0
+"""Number of cells along the range of an axis."""
+
+STARTING_QUANTILE = 0.05
+MOST_ROUNDS = 10
+
+
+@dataclass(frozen=True)
+class Options:
+    """Choices of the min/max method.
+
+    Parameters
+    ----------
+    robust : bool
+        Whether to leave out samples that lie on no common sphere before taking the extremes. Plain
+        quantiles would do this, too, but they move towards wherever the sensor rested longest; so
+        samples are first sorted into cells of direction, each of which counts once.
+    min_samples : int
+        Fewer are refused.
+    jackknife_blocks : int
+        Pieces of time that the covariance leaves out one by one.
+    installation_sigma : float
+        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
+        asked. Zero: it is known to be square.
+    """
+
+    robust: bool = False
+    min_samples: int = 40
+    jackknife_blocks: int = 16
+    installation_sigma: float = math.radians(3.0)
+
+
+def fit(
+    window: Window, knowledge: Knowledge = Knowledge(), *, options: Options = Options()
+) -> Estimate:
+    """Calibrate by the extremes of each axis.
+
+    Parameters
+    ----------
+    window : Window
+        Samples of a sensor tumbled through all orientations.
+    knowledge : Knowledge
+        Strength of the field, if known, and mounting. Axes are the nominal body axes.
+    options : Options
+        Plain or robust.
+
+    Returns
+    -------
+    Estimate
+        With the figures of `tumbling.finish` and `offset_x`, `_y`, `_z`, `half_range_x`, `_y`,
+        `_z` (tesla, nominal axes). Its covariance comes from leaving out pieces of time and from
+        the mounting as far as gravity shows it.
+
+    Raises
+    ------
+    Refusal
+        If the samples cannot carry an answer; its text says why and what to do.
+    """
+    refuse_empty(window, options.min_samples)
+    refuse_flat(nominal_field(window, knowledge))
+    remedy = "Tumble again away from iron, or fit a rotated ellipsoid."
+    if not options.robust:
+        remedy = "Use the robust variant if single samples are off, or fit a rotated ellipsoid."
+    settings = Settings(
+        "min_max", LEAST_EXTENT, options.jackknife_blocks, options.installation_sigma, remedy
+    )
+    return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
+
+
+def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
+    """Take offset and scale of each axis on whatever samples there are.
+
+    Raises
+    ------
+    Refusal
+        If the range of an axis is too small against the others'.
+    """
+    nominal = nominal_field(window, knowledge)
+    kept = believed_on_sphere(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
+    low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
+    offset, half_range = 0.5 * (low + high), 0.5 * (high - low)
+    if half_range.min() < SMALLEST_RANGE * half_range.max():
+        axis = "xyz"[int(half_range.argmin())]
+        raise Refusal(
+            Reason.PLANAR,
+            f"The {axis} axis saw only {half_range.min() / half_range.max():.0%} of the range of "
+            "another: its offset cannot be told. Tumble the sensor until every axis has pointed "
+            "along the field and against it, or use a method for turns about one axis.",
+        )
+    figures = {f"offset_{name}": float(v) for name, v in zip("xyz", offset, strict=True)}
+    figures |= {f"half_range_{name}": float(v) for name, v in zip("xyz", half_range, strict=True)}
+    return Shape(offset, np.diag(1.0 / half_range), float(half_range.mean()), figures)
+
+
+def believed_on_sphere(nominal: FloatArray) -> BoolArray:
+    """Return which samples lie on one common, axis-aligned ellipsoid, however they crowd.
+
+    Parameters
+    ----------
+    nominal : ndarray, shape (n, 3)
+        Field in nominal axes, tesla.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
+    low, high = _starting_range(nominal)
+    kept = np.ones(len(nominal), dtype=np.bool_)
+    for _ in range(MOST_ROUNDS):
+        points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
+        distance = np.linalg.norm(points, axis=1)
+        believed = _near_the_usual(distance, _cell_weights(points))
+        if not believed.any() or (believed == kept).all():
+            break
+        kept = believed
+        low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
+    return kept
+
+
+def _starting_range(nominal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / SPACE_CELLS
+    weights = _one_vote_each(nominal / size)
+    ends = [
+        [_weighted_quantile(axis, weights, share) for axis in nominal.T]
+        for share in (STARTING_QUANTILE, 1.0 - STARTING_QUANTILE)
+    ]
+    return np.array(ends[0]), np.array(ends[1])
+
+
+def _cell_weights(points: FloatArray) -> FloatArray:
+    """Return weights (n,) that give each cell of direction one vote, however full it is."""
+    on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
+    return _one_vote_each(DIRECTION_CELLS * on_cube)
+
+
+def _one_vote_each(coordinates: FloatArray) -> FloatArray:
+    cells = np.unique(np.round(coordinates), axis=0, return_inverse=True)[1].ravel()
+    return np.asarray(1.0 / np.bincount(cells)[cells])
+
+
+def _near_the_usual(distance: FloatArray, weights: FloatArray) -> BoolArray:
+    usual = _weighted_quantile(distance, weights, 0.5)
+    off = np.abs(distance - usual)
+    gate = OUTLIER_DEVIATIONS * 1.4826 * _weighted_quantile(off, weights, 0.5)
+    return np.asarray(off <= max(gate, LEAST_GATE * usual))
+
+
+def _weighted_quantile(values: FloatArray, weights: FloatArray, share: float) -> float:
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    return float(values[order][int(np.searchsorted(reached, share * reached[-1]))])

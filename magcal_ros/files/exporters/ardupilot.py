@@ -1,0 +1,56 @@
+"""ArduPilot: offsets that are added, and a symmetric matrix.
+
+`corrected = D (mag + OFS)` with D = [[DIA_X, ODI_X, ODI_Y], [ODI_X, DIA_Y, ODI_Z],
+[ODI_Y, ODI_Z, DIA_Z]], milligauss, forward-right-down body axes after COMPASS_ORIENT. The full
+parameter list says of COMPASS_OFS_X "Offset to be added to the compass x-axis values": the sign is
+the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 for these numbers.
+"""
+
+from __future__ import annotations
+
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.files.exporters.common import (
+    MILLIGAUSS,
+    commented,
+    number,
+    provenance,
+    without_rotation,
+)
+
+
+def export(calibration: Calibration) -> str:
+    """Return a parameter file for a ground station.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export; made from fields in the vehicle's forward-left-up axes.
+
+    Returns
+    -------
+    str
+        `NAME,value` lines.
+
+    Raises
+    ------
+    NotExportable
+        If the calibration turns the field by more than 5°.
+    """
+    held = without_rotation(calibration.correction, "ArduPilot")
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
+        "a larger COMPASS_OFFS_MAX.",
+        *held.comments,
+    )
+    offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
+    values = {f"COMPASS_OFS_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
+    values |= {f"COMPASS_DIA_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
+    values |= {
+        "COMPASS_ODI_X": matrix[0, 1],
+        "COMPASS_ODI_Y": matrix[0, 2],
+        "COMPASS_ODI_Z": matrix[1, 2],
+        "COMPASS_SCALE": 1.0,
+    }
+    return header + "".join(f"{name},{number(value)}\n" for name, value in values.items())

@@ -1,0 +1,120 @@
+"""What exporters share: units, frames, numbers, and what a symmetric matrix loses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.attitude import FRD_FROM_FLU
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.correction import Correction
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.rotations import rotation_angle, rpy_from_rotation
+
+GAUSS = 1e4
+"""Gauss in a tesla."""
+
+MILLIGAUSS = 1e7
+"""Milligauss in a tesla."""
+
+LARGEST_LOST_ROTATION = math.radians(5.0)
+"""A rotation beyond this belongs into the consumer's mounting, not into a comment."""
+
+MENTIONED_ROTATION = math.radians(0.5)
+
+
+class NotExportable(MagcalError):
+    """The consumer cannot hold this calibration; the text says what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetric:
+    """A correction without its rotation, in forward-right-down axes.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (3, 3)
+        Symmetric.
+    hard_iron : ndarray, shape (3,)
+        Tesla.
+    comments : tuple of str
+        What was lost.
+    """
+
+    matrix: FloatArray
+    hard_iron: FloatArray
+    comments: tuple[str, ...]
+
+
+def in_forward_right_down(correction: Correction) -> Correction:
+    """Return a correction of forward-left-up fields for fields given forward-right-down."""
+    return Correction(
+        FRD_FROM_FLU @ correction.matrix @ FRD_FROM_FLU, FRD_FROM_FLU @ correction.hard_iron
+    )
+
+
+def without_rotation(correction: Correction, consumer: str) -> Symmetric:
+    """Split off the rotation R of A = R S and keep the symmetric S.
+
+    Parameters
+    ----------
+    correction : Correction
+        In forward-left-up axes.
+    consumer : str
+        Its name, for the comments.
+
+    Raises
+    ------
+    NotExportable
+        If the rotation is more than 5°: the consumer's heading would be wrong.
+    """
+    left, sizes, right = np.linalg.svd(correction.matrix)
+    rotation, symmetric = left @ right, (right.T * sizes) @ right
+    angle = rotation_angle(rotation)
+    roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_rotation(rotation))
+    turned = f"roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} degrees (forward-left-up)"
+    if angle > LARGEST_LOST_ROTATION:
+        raise NotExportable(
+            f"{consumer} holds a symmetric matrix only, and this calibration turns the field by "
+            f"{math.degrees(angle):.1f}° ({turned}). Tell the nominal mounting to {consumer} as "
+            "its sensor rotation, let the driver publish in the mounted axes, and calibrate again."
+        )
+    comments: tuple[str, ...] = ()
+    if angle > MENTIONED_ROTATION:
+        comments = (
+            f"LOST: a rotation of {math.degrees(angle):.2f} degrees, {turned}.",
+            f"{consumer} holds a symmetric matrix only; the heading errs by up to that rotation,",
+            "times the tangent of the field's inclination where it is about a level axis.",
+        )
+    framed = in_forward_right_down(Correction(symmetric, correction.hard_iron))
+    return Symmetric(framed.matrix, framed.hard_iron, comments)
+
+
+def number(value: float) -> str:
+    """Write a number so that it reads back as the same one, and as a float everywhere."""
+    text = repr(float(value) + 0.0)
+    # YAML 1.1 takes 1e-05 for text: it wants a point in the mantissa.
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
+
+
+def numbers(values: FloatArray) -> str:
+    """Write numbers separated by a comma and a blank."""
+    return ", ".join(number(value) for value in np.ravel(values))
+
+
+def commented(mark: str, *lines: str) -> str:
+    """Return lines as comments."""
+    return "".join(f"{mark} {line}\n" for line in lines)
+
+
+def provenance(calibration: Calibration) -> str:
+    """Return where the numbers come from, in one line."""
+    evidence = calibration.evidence
+    return (
+        f"Magnetometer calibration by magcal_ros, method {evidence.method}, "
+        f"quality {evidence.quality}, confidence {evidence.confidence}"
+    )

@@ -1,0 +1,203 @@
+"""Every export, applied as its consumer applies it, against the correction itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import consumers
+import numpy as np
+import pytest
+import yaml
+from consumers import FLIP
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sample_results import calibration
+
+from magcal_ros.core.correction import Correction
+from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.files.exporters import EXPORTERS, NotExportable
+from magcal_ros.files.exporters.common import number
+from magcal_ros.files.exporters.vectornav import checksum
+
+seeds = st.integers(0, 2**32 - 1)
+FIELDS = 60e-6 * np.random.default_rng(0).standard_normal((50, 3))
+SMALLEST = 1e-12
+"""Tesla: far below what any sensor resolves."""
+
+FULL = {
+    "ctu-vras": consumers.ctu_vras,
+    "fusioncore": consumers.fusioncore,
+}
+SYMMETRIC = {"ardupilot": consumers.ardupilot, "px4": consumers.px4}
+DEGREE = np.pi / 180.0
+
+
+def any_correction(seed, degrees=180.0):
+    rng = np.random.default_rng(seed)
+    lean = rng.uniform(-0.1, 0.1, (3, 3))
+    symmetric = np.diag(rng.uniform(0.6, 1.6, 3)) + lean + lean.T
+    limit = degrees * DEGREE / np.sqrt(3.0)
+    turned = rotation_from_rpy(*rng.uniform(-limit, limit, 3)) @ symmetric
+    return Correction(turned, rng.uniform(-150e-6, 150e-6, 3))
+
+
+def symmetric_correction(seed):
+    return any_correction(seed, degrees=0.0)
+
+
+def in_frd(correct):
+    """What a consumer with forward-right-down axes makes of fields in forward-left-up."""
+    return lambda field: correct(field * FLIP) * FLIP
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from(sorted(FULL)))
+def test_consumers_of_the_full_matrix_get_all_of_it(seed, name):
+    correction = any_correction(seed)
+    text = EXPORTERS[name](calibration(correction))
+    found = FULL[name](text)(FIELDS)
+    np.testing.assert_allclose(found, correction.apply(FIELDS), rtol=1e-12, atol=1e-18)
+    assert "LOST" not in text
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds)
+def test_vectornav_gets_gauss_in_its_own_axes_and_a_checksum(seed):
+    correction = any_correction(seed)
+    correct = in_frd(consumers.vectornav(EXPORTERS["vectornav"](calibration(correction))))
+    np.testing.assert_allclose(correct(FIELDS), correction.apply(FIELDS), atol=SMALLEST)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from(sorted(SYMMETRIC)))
+def test_autopilots_get_a_symmetric_correction_whole(seed, name):
+    correction = symmetric_correction(seed)
+    text = EXPORTERS[name](calibration(correction))
+    correct = in_frd(SYMMETRIC[name](text))
+    np.testing.assert_allclose(correct(FIELDS), correction.apply(FIELDS), rtol=1e-9, atol=1e-16)
+    assert "LOST" not in text
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from(sorted(SYMMETRIC)))
+def test_autopilots_lose_a_rotation_and_nothing_else(seed, name):
+    correction = any_correction(seed, degrees=4.5)
+    correct = in_frd(SYMMETRIC[name](EXPORTERS[name](calibration(correction))))
+    origin = correct(np.zeros((1, 3)))
+    found = (correct(np.eye(3)) - origin).T
+    rotation = correction.matrix @ np.linalg.inv(found)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+    assert np.degrees(np.arccos(0.5 * (np.trace(rotation) - 1.0))) < 5.0
+    np.testing.assert_allclose(correct(correction.hard_iron[None]), 0.0, atol=1e-18)
+
+
+@pytest.mark.parametrize("name", sorted(SYMMETRIC))
+def test_the_lost_rotation_is_said_or_refused(name):
+    def turned_by(degrees):
+        pose = rotation_from_rpy(degrees * DEGREE, 0.0, 0.0)
+        return calibration(Correction(pose @ np.diag([1.0, 1.1, 0.9]), np.zeros(3)))
+
+    assert "LOST" not in EXPORTERS[name](turned_by(0.4))
+    text = EXPORTERS[name](turned_by(3.0))
+    lost = next(line for line in text.splitlines() if "LOST" in line)
+    assert lost.startswith("# LOST: a rotation of 3.00 degrees, roll 3.00, pitch 0.00, yaw 0.00")
+    EXPORTERS[name](turned_by(4.9))
+    with pytest.raises(NotExportable, match="sensor rotation"):
+        EXPORTERS[name](turned_by(5.1))
+
+
+def test_ardupilot_adds_milligauss_and_turns_left_to_right():
+    correction = Correction(np.eye(3), [10e-6, -20e-6, 30e-6])
+    lines = EXPORTERS["ardupilot"](calibration(correction)).splitlines()
+    values = dict(line.split(",") for line in lines if not line.startswith("#"))
+    assert float(values["COMPASS_OFS_X"]) == pytest.approx(-100.0)
+    assert float(values["COMPASS_OFS_Y"]) == pytest.approx(-200.0)
+    assert float(values["COMPASS_OFS_Z"]) == pytest.approx(300.0)
+    assert float(values["COMPASS_DIA_X"]) == 1.0
+
+
+def test_px4_subtracts_gauss_and_turns_left_to_right():
+    lean = np.array([[1.0, 0.02, 0.03], [0.02, 1.1, 0.04], [0.03, 0.04, 0.9]])
+    text = EXPORTERS["px4"](calibration(Correction(lean, [10e-6, -20e-6, 30e-6])))
+    words = [line.split(" ") for line in text.splitlines() if not line.startswith("#")]
+    values = {name: float(value) for _, _, name, value in words}
+    offsets = [values[f"CAL_MAG0_{axis}OFF"] for axis in "XYZ"]
+    assert offsets == pytest.approx([0.1, 0.2, -0.3])
+    assert values["CAL_MAG0_YSCALE"] == pytest.approx(1.1)
+    off = [values[f"CAL_MAG0_{axis}ODIAG"] for axis in "XYZ"]
+    assert off == pytest.approx([-0.02, -0.03, 0.04])
+
+
+def test_px4_refuses_scales_that_it_would_not_take():
+    with pytest.raises(NotExportable, match=r"0\.1 to 3"):
+        EXPORTERS["px4"](calibration(Correction(np.diag([1.0, 1.0, 3.1]), np.zeros(3))))
+
+
+def test_the_checksum_is_that_of_the_manufacturer():
+    # Examples of the user manual and of commands in the field.
+    assert checksum("VNRRG,23,1,0,0,0,1,0,0,0,1,0,0,0") == 0x73
+    assert checksum("VNWRG,23,1,0,0,0,1,0,0,0,1,0,0,0") == 0x76
+
+
+def test_vectornav_takes_no_exponents_and_nothing_absurd():
+    tiny = Correction(np.eye(3) + 1e-8, [1e-12, 0.0, -1e-12])
+    line = EXPORTERS["vectornav"](calibration(tiny))
+    assert "e" not in line
+    assert line.count(",") == 13
+    with pytest.raises(NotExportable, match="tesla"):
+        EXPORTERS["vectornav"](calibration(Correction(np.eye(3), [0.2, 0.0, 0.0])))
+
+
+def test_madgwick_gets_the_hard_iron_and_is_told_what_it_loses():
+    correction = any_correction(3)
+    text = EXPORTERS["imu_filter_madgwick"](calibration(correction))
+    found = consumers.madgwick(text)(FIELDS)
+    np.testing.assert_array_equal(found, FIELDS - correction.hard_iron)
+    assert "LOST: installation of" in text
+    assert "imu/mag_unbiased" in text
+    plain = Correction(np.eye(3), correction.hard_iron)
+    assert "LOST" not in EXPORTERS["imu_filter_madgwick"](calibration(plain))
+
+
+def test_ctu_vras_gets_every_name_it_reads():
+    correction = any_correction(5)
+    text = EXPORTERS["ctu-vras"](calibration(correction))
+    documented = consumers.ctu_vras(text, "initial_scaling_matrix")(FIELDS)
+    np.testing.assert_array_equal(documented, consumers.ctu_vras(text)(FIELDS))
+    observed = consumers.ros_parameters(text)
+    assert [observed[f"magnetometer_bias_{axis}"] for axis in "xyz"] == list(correction.hard_iron)
+
+
+def test_fusioncore_learns_the_strength_of_the_corrected_field():
+    given = consumers.ros_parameters(EXPORTERS["fusioncore"](calibration()))
+    assert given["magnetometer.field_strength"] == 50e-6
+
+
+def test_a_compiler_reads_the_same_twelve_numbers(tmp_path):
+    correction = any_correction(7)
+    text = EXPORTERS["c-header"](calibration(correction))
+    found = consumers.c_header(text, tmp_path)(FIELDS)
+    np.testing.assert_allclose(found, correction.apply(FIELDS), rtol=1e-12, atol=1e-18)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_survive_yaml_and_stay_floats(value):
+    read = yaml.safe_load(number(value))
+    assert isinstance(read, float)
+    assert read == value
+
+
+@pytest.mark.parametrize("name", sorted(set(EXPORTERS) - {"vectornav"}))
+def test_every_text_says_where_it_comes_from(name):
+    text = EXPORTERS[name](calibration(symmetric_correction(1)))
+    assert "by magcal_ros, method design_tip, quality good" in text
+    assert text.endswith("\n")
+
+
+def test_exporters_need_no_ros():
+    code = (
+        "import sys, magcal_ros.files.exporters; "
+        "assert not {'rclpy', 'matplotlib'} & set(sys.modules), sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
