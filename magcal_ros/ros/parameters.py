@@ -102,6 +102,12 @@ PARAMETERS: tuple[Spec, ...] = (
         "Where the calibration is stored and loaded from. Empty: "
         "$ROS_HOME/magcal/<namespace>/<frame of the magnetometer>.yaml",
     ),
+    Spec(
+        "report_folder",
+        "",
+        "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
+        "$ROS_HOME/magcal/reports; none: no reports",
+    ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
         "reference.strength_ut",
@@ -198,6 +204,7 @@ class Settings:
     """The parameters' values in SI units and in the core's own types."""
 
     calibration_file: str
+    report_folder: str
     method: str
     knowledge: Knowledge
     limits: Limits
@@ -210,6 +217,7 @@ class Settings:
         mounting = Mounting(values["soft_iron_gains"], rotation_from_rpy(roll, pitch, yaw))
         return cls(
             values["calibration_file"],
+            values["report_folder"],
             values["method"],
             Knowledge(_reference(values), mounting),
             Limits(
