@@ -29,6 +29,26 @@ def exp_rotation(vector: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + s * k + c * k @ k)
 
 
+def skews(vectors: FloatArray) -> FloatArray:
+    """Return the cross-product matrices of vectors (n, 3), shape (n, 3, 3)."""
+    out = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
+    return out
+
+
+def exp_rotations(vectors: FloatArray) -> FloatArray:
+    """Return Rodrigues' rotation for each vector (n, 3) of radians, shape (n, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    safe = np.maximum(angle, 1e-8)
+    sine = np.where(angle < 1e-8, 1.0, np.sin(safe) / safe)
+    # 1 - cos by the half angle: no cancellation for small steps.
+    versine = np.where(angle < 1e-8, 0.5, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
+    k = skews(vectors)
+    return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
+
+
 def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
     k = skew(axis)
@@ -86,9 +106,7 @@ def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
         across /= np.linalg.norm(across)
         return np.asarray(2.0 * np.outer(across, across) - np.eye(3))
     k = skew(np.cross(start, end))
-    # 1 + cosine, without its cancellation where the vectors are nearly opposite.
-    between = start + end
-    return np.asarray(np.eye(3) + k + k @ k / (0.5 * float(between @ between)))
+    return np.asarray(np.eye(3) + k + k @ k / (1.0 + cosine))
 
 
 def rotation_angle(rotation: FloatArray) -> float:
