@@ -61,5 +61,6 @@ def _sync_folder(folder: Path) -> None:
 def _trouble(path: Path, error: OSError) -> FileTrouble:
     return FileTrouble(
         f"cannot write {path}: {error.strerror or error}. "
-        "Choose a writable place with the parameter calibration_file, or mend its permissions."
+        "Choose a writable place (parameter calibration_file, option --output), or mend its "
+        "permissions."
     )
