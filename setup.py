@@ -21,9 +21,9 @@ ROS_WHEELS = [
 
 # Reads bags without ROS.
 BAG_READER = ["rosbags>=0.10"]
+LIVE_VIEW = ["rich>=12"]
 
 TEST_TOOLS = [
-    *BAG_READER,
     "colcon-common-extensions==0.3.0",
     "hypothesis>=6.100",
     "mypy>=1.11",
@@ -47,7 +47,12 @@ setup(
     ],
     python_requires=">=3.10",
     install_requires=["setuptools", "numpy>=1.21", "scipy>=1.8", "PyYAML>=5.4"],
-    extras_require={"ros": ROS_WHEELS, "bags": BAG_READER, "test": TEST_TOOLS},
+    extras_require={
+        "ros": ROS_WHEELS,
+        "bags": BAG_READER,
+        "live": LIVE_VIEW,
+        "test": [*BAG_READER, *LIVE_VIEW, *TEST_TOOLS],
+    },
     zip_safe=True,
     maintainer="magcal_ros maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-cbee3d67.example",

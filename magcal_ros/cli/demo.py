@@ -15,6 +15,7 @@ import numpy as np
 
 from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.graph import joined, keep_traffic_here
+from magcal_ros.cli.live_view import Lines, line
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.rotations import rpy_from_rotation
 from magcal_ros.core.simulator import DEGREE, Robot
@@ -86,7 +87,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     rehearsal.reset()
     before = _both(rehearsal.uncalibrated_errors)
     print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger     (the robot turns)")
-    answer = rehearsal.calibrate(_ProgressLine())
+    answer = rehearsal.calibrate(_Progress().show)
     print(f"\n\n{answer.message}\n")
     if not answer.success:
         return Exit.REFUSED
@@ -100,6 +101,16 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
 
 
+class _Progress(Lines):
+    """One line, drawn again on a terminal; a line a second through a pipe."""
+
+    def show(self, progress: dict[str, Any]) -> None:
+        if sys.stdout.isatty():
+            print(f"\r{line(progress)}\x1b[K", end="", flush=True)
+        else:
+            super().show(progress)
+
+
 def _both(errors: Any) -> tuple[float, float]:
     slopes = [(8.0, 0.0), (0.0, 8.0), (-8.0, 0.0), (0.0, -8.0)]
     level = _rms(errors([(0.0, 0.0)]))
@@ -108,22 +119,6 @@ def _both(errors: Any) -> tuple[float, float]:
 
 def _rms(errors: list[float]) -> float:
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
-
-
-class _ProgressLine:
-    """One line that is drawn again on a terminal, and a line a second through a pipe."""
-
-    def __init__(self) -> None:
-        self._last_second = -1
-
-    def __call__(self, progress: dict[str, Any]) -> None:
-        arc, samples, second = progress["arc_deg"], progress["samples"], int(progress["elapsed_s"])
-        line = f"[{progress['filled']}] {arc:4.0f}° seen, {samples} samples"
-        if sys.stdout.isatty():
-            print(f"\r{line}", end="", flush=True)
-        elif second != self._last_second:
-            print(line, flush=True)
-        self._last_second = second
 
 
 def _comparison(calibration: Calibration) -> str:

@@ -30,12 +30,14 @@ def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Joined
     """
     try:
         import rclpy
+        from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         raise NoRos(
             "this command needs ROS: source your ROS installation, "
             f"or install the extra: pip install 'magcal_ros[ros]' ({error})"
         ) from error
-    rclpy.init(args=ros_arguments)
+    # With rclpy's own handler the context is gone before Ctrl-C can cancel anything.
+    rclpy.init(args=ros_arguments, signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node(name)
     try:
         yield node

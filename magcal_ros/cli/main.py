@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 
 from magcal_ros import __version__
-from magcal_ros.cli import check, demo, fit, replay
+from magcal_ros.cli import calibrate, check, demo, fit, replay
 from magcal_ros.cli.exits import Exit
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.atomic import FileTrouble
 
-COMMANDS = (fit, check, replay, demo)
+COMMANDS = (calibrate, fit, check, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -18,7 +18,7 @@ from magcal_ros.core.window import Window
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("design_tip",)
+METHODS = ("maximum_likelihood", "design_tip")
 """Names that `find_method` knows, the recommended one first."""
 
 

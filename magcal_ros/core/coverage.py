@@ -99,6 +99,15 @@ class Coverage:
             return f"missing: {size:.0f}° opposite the start"
         return f"missing: {size:.0f}°, centred {abs(away):.0f}° to the {side} of the start"
 
+    @property
+    def advice(self) -> str:
+        """Which way to turn from here to close the largest gap; empty when nothing is missing."""
+        if self.is_complete:
+            return ""
+        away = float(wrap_angle(self.gap_centre - self.turned))
+        side = "left" if away >= 0.0 else "right"
+        return f"turn {side}, {math.degrees(self.gap):.0f}° missing"
+
 
 def yaw_progress(
     time: FloatArray, field: FloatArray, force: FloatArray, rate: FloatArray | None

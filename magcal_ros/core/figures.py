@@ -26,7 +26,9 @@ def common_figures(estimate: Estimate) -> dict[str, float]:
         residual_ratio : rms residual of the believed samples over the level field;
         outlier_share : share of the samples that was not believed;
         installation_angle : rad, where the method knows one;
-        radius_misfit : relative, where the method compared radii.
+        radius_misfit : relative, where the method compared radii;
+        ellipse_excess : longer axis of the turn's ellipse over the shorter less one, where the
+        method measured it and did not take it as soft iron.
     """
     residual = estimate.residual[estimate.inliers]
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
@@ -40,7 +42,7 @@ def common_figures(estimate: Estimate) -> dict[str, float]:
         figures["installation_angle"] = estimate.installation.angle
     if "radius_ratio" in estimate.figures:
         figures["radius_misfit"] = abs(estimate.figures["radius_ratio"] - 1.0)
-    if "ellipse_ratio" in estimate.figures:
+    if "ellipse_ratio" in estimate.figures and not estimate.figures.get("soft_iron"):
         figures["ellipse_excess"] = estimate.figures["ellipse_ratio"] - 1.0
     return figures
 

@@ -155,7 +155,7 @@ THRESHOLDS: tuple[Threshold, ...] = (
         "give soft_iron_gains, or move the magnetometer away from iron parts",
     ),
     Threshold(
-        "split_half_heading",
+        "split_half",
         Aspect.CONFIDENCE,
         0.3,
         0.7,
@@ -282,7 +282,7 @@ def refuse(refusal: Refusal) -> Verdict:
     """Turn a method's refusal into a verdict."""
     words = str(refusal)
     checks = tuple(Check(refusal.reason.value, aspect, Grade.REFUSED, words) for aspect in Aspect)
-    return Verdict(checks, (), f"Refused: {words}.".replace("..", "."))
+    return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
 
 
 def _check_strength(strength: float) -> Check:

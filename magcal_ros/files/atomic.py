@@ -41,10 +41,12 @@ def write_atomically(path: Path, text: str) -> None:
             os.fsync(handle.fileno())
         os.chmod(name, 0o644)
         os.replace(name, path)
-    except OSError as error:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(name)
-        raise _trouble(path, error) from error
+        if isinstance(error, OSError):
+            raise _trouble(path, error) from error
+        raise
     _sync_folder(path.parent)
 
 

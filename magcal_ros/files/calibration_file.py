@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from magcal_ros import __version__
@@ -21,6 +21,9 @@ FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1
 LARGEST_FILE = 1_000_000
 """Bytes. A calibration has a few thousand; anything larger is something else."""
+
+_NONSENSE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""What the YAML loader and the reading of its document raise where a file holds nonsense."""
 
 HEADER = """\
 # Magnetometer calibration by magcal_ros.
@@ -61,6 +64,18 @@ class _PlainLoader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
+class _PlainDumper(yaml.SafeDumper):
+    """Safe YAML that quotes texts with unprintable characters: some breaks would come back else."""
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = None if text.isprintable() else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style)
+
+
+_PlainDumper.add_representer(str, _represent_text)
+
+
 def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> None:
     """Write a calibration in one step.
 
@@ -79,7 +94,13 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
         If the file cannot be written; what was there before still is.
     """
     document = _document(calibration, origin)
-    body = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    body = yaml.dump(
+        document,
+        Dumper=_PlainDumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+    )
     write_atomically(path, HEADER + body)
 
 
@@ -104,19 +125,22 @@ def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     document = _parse(path)
     try:
         return _calibration(document), _origin(document)
-    except (KeyError, TypeError, ValueError, np.linalg.LinAlgError) as error:
+    except _NONSENSE as error:
         detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise _damaged(path, detail) from error
 
 
 def _parse(path: Path) -> Mapping[str, Any]:
     try:
-        if path.stat().st_size > LARGEST_FILE:
+        about = path.stat()
+        if about.st_size > LARGEST_FILE:
             raise _damaged(path, "it is too large to be a calibration")
+        if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+            raise _damaged(path, "it is not a regular file")
         document = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
     except OSError as error:
         raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError) as error:
+    except (yaml.YAMLError, RecursionError, *_NONSENSE) as error:
         reason = " ".join(str(error).split())[:200]
         raise _damaged(path, f"it is not readable YAML ({reason})") from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -189,7 +213,7 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         _positive(document["noise_field"], "noise_field"),
         _positive(document["noise_up"], "noise_up"),
         _positive(reference["strength"], "strength"),
-        _number(reference["inclination"]),
+        _finite(reference["inclination"], "inclination"),
         _evidence(document),
     )
 
@@ -226,8 +250,15 @@ def _numbers(values: Any) -> Any:
     return _number(values)
 
 
-def _positive(value: Any, name: str) -> float:
+def _finite(value: Any, name: str) -> float:
     number = _number(value)
-    if not (math.isfinite(number) and number >= 0.0):
-        raise ValueError(f"{name} must be a finite number, zero or more")
+    if not math.isfinite(number):
+        raise ValueError(f"{name} must be a finite number")
+    return number
+
+
+def _positive(value: Any, name: str) -> float:
+    number = _finite(value, name)
+    if number < 0.0:
+        raise ValueError(f"{name} must be zero or more")
     return number

@@ -18,13 +18,13 @@ def ros_home() -> Path:
 def safe_name(text: str) -> str:
     """Turn a name from the network into one that can stand in a path.
 
-    Letters, digits, `_` and `-` stay. Where anything else was, the name gets a digest, so that
-    two different names never meet.
+    Letters, digits, `_` and `-` stay. Where anything else was, or where the name itself looks as
+    if it had one, it gets a digest, so that two different names do not meet.
     """
     plain = re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME] or "unnamed"
-    if plain == text:
+    if plain == text and not re.search(r"-[0-9a-f]{8}\Z", text):
         return plain
-    digest = hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()[:8]
+    digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
     return f"{plain}-{digest}"
 
 
@@ -40,5 +40,5 @@ def default_calibration_path(magnetometer_frame: str, namespace: str = "/") -> P
     """
     folder = ros_home() / "magcal"
     if namespace.strip("/"):
-        folder /= safe_name(namespace.strip("/").replace("/", "_"))
+        folder /= safe_name(namespace.strip("/"))
     return folder / f"{safe_name(magnetometer_frame)}.yaml"

@@ -54,6 +54,7 @@ def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
         "turned_deg": round(math.degrees(coverage.turned), 1),
         "filled": "".join("#" if bin_filled else "." for bin_filled in coverage.filled),
         "hole": coverage.hole_in_words,
+        "advice": coverage.advice,
         "samples": progress.samples,
         "elapsed_s": round(progress.elapsed, 1),
         "turn_rate_deg_s": round(math.degrees(progress.turn_rate), 1),

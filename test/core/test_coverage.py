@@ -246,3 +246,13 @@ class TestThinToEqualAngles:
         progress = np.cumsum(rng.exponential(0.02, 3000))
         once = progress[thin_to_equal_angles(progress)]
         assert len(once) == len(once[thin_to_equal_angles(once)])
+
+
+@pytest.mark.parametrize(("sense", "side"), [(1.0, "left"), (-1.0, "right")])
+def test_the_advice_is_to_go_on_in_the_sense_of_the_turn(sense, side):
+    coverage = Coverage.of(sense * np.linspace(0.0, math.radians(250.0), 300))
+    assert coverage.advice == f"turn {side}, 110° missing"
+
+
+def test_a_complete_turn_needs_no_advice():
+    assert Coverage.of(np.linspace(0.0, math.radians(355.0), 300)).advice == ""

@@ -239,6 +239,15 @@ class TestInterpolation:
         assert streams.imu_at(1.0) is None
         assert streams.imu_at(1.0015) is not None
 
+    def test_after_time_was_set_back_nothing_of_the_old_run_is_met(self):
+        streams = Streams(MAX_GAP)
+        for k in range(200):
+            streams.add_imu(imu(1.0 + 0.01 * k, force=(9.81, 0.0, 0.0)))
+        for k in range(50):
+            streams.add_imu(imu(2.0 + 0.01 * k))
+        assert streams.imu_at(2.05) is None
+        assert streams.imu_at(2.255).force == pytest.approx(UP)
+
 
 class TestForceAt:
     def test_between_samples_it_is_interpolated(self):

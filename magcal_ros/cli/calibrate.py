@@ -1,0 +1,90 @@
+"""`magcal calibrate`: drive a running node through one turn, from the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.graph import joined
+from magcal_ros.cli.live_view import View, best_view
+from magcal_ros.core.errors import MagcalError
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "calibrate",
+        help="calibrate a running node, with a live view",
+        description="Look at the sensors, call ~/calibrate of a running calibrator node and show "
+        "the turn as it is seen. Ctrl-C cancels.",
+    )
+    parser.add_argument("--node", default="/calibrator", help="the node (default: /calibrator)")
+    parser.add_argument(
+        "--skip-preflight", action="store_true", help="do not look at the sensors first"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate; the exit status says whether the calibration is in force."""
+    calibrator = "/" + options.node.strip("/")
+    with joined("magcal_calibrate", []) as node:
+        from magcal_ros.ros.preflight import inspect
+
+        if not options.skip_preflight:
+            findings = inspect(node, calibrator)
+            print("\n".join(findings.lines), flush=True)
+            if not findings.ready:
+                return Exit.TOO_LITTLE_DATA
+        answer = _Turn(node, calibrator).run(best_view())
+    print(f"\n{answer.message}")
+    return Exit.GOOD if answer.success else Exit.REFUSED
+
+
+class _Turn:
+    """Calls the service and follows the status until it answers."""
+
+    def __init__(self, node: Any, calibrator: str) -> None:
+        import rclpy
+        from std_msgs.msg import String
+        from std_srvs.srv import Trigger
+
+        from magcal_ros.ros.outputs import LATCHED
+
+        self._node = node
+        self._calibrator = calibrator
+        self._trigger = Trigger
+        self._progress: dict[str, Any] | None = None
+        self._executor = rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(node)
+        node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
+
+    def run(self, view: View) -> Any:
+        future = self._call("calibrate")
+        try:
+            with view:
+                while not future.done():
+                    self._executor.spin_once(timeout_sec=0.1)
+                    if self._progress is not None:
+                        view.show(self._progress)
+        except KeyboardInterrupt:
+            print("\ncancelling", flush=True)
+            self._executor.spin_until_future_complete(self._call("cancel"), timeout_sec=3.0)
+            raise
+        return future.result()
+
+    def _on_status(self, message: Any) -> None:
+        status = json.loads(message.data)
+        busy = status["state"] in ("collecting", "fitting")
+        self._progress = status["progress"] if busy else None
+
+    def _call(self, service: str) -> Any:
+        client = self._node.create_client(self._trigger, f"{self._calibrator}/{service}")
+        if not client.wait_for_service(timeout_sec=5.0):
+            raise MagcalError(
+                f"{self._calibrator}/{service} does not answer: is the node running? "
+                "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
+            )
+        return client.call_async(self._trigger.Request())

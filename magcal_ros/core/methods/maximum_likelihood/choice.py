@@ -1,0 +1,207 @@
+"""Which model the samples ask for, by marginal likelihood."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.arrays import BoolArray, FloatArray
+from magcal_ros.core.methods.maximum_likelihood.linearise import (
+    Linearisation,
+    Noise,
+    Problem,
+    Weights,
+    chi_squares,
+    cost,
+    linearise,
+)
+from magcal_ros.core.methods.maximum_likelihood.logdet import log_determinants
+from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, settle
+from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
+
+WOBBLE_PRICE = 10.0
+SOFT_IRON_PRICE = 25.0
+"""By how much, times kappa, minus twice the log evidence must fall for a richer model."""
+
+STRETCHES = 8
+STEADINESS = 1.75
+"""Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
+
+FEW_COMMON = 0.95
+LARGEST_RIGID_WOBBLE = 0.05
+"""Radians of wobble beyond which a rigid axis is not tried."""
+
+
+def soft_evidence(solution: Solution) -> float:
+    """Return minus twice the log marginal likelihood with Student-t residuals, up to a constant."""
+    problem = solution.problem.with_weights(Weights.ones(len(solution.problem.samples)))
+    lin = linearise(solution.state, problem)
+    chi = chi_squares(solution.state, lin.prediction, problem.noise)
+    count = len(problem.samples)
+    return (
+        student_cost(chi, problem.rigid)
+        + _noise_cost(problem.noise, count)
+        + problem.kappa * problem.prior.cost(solution.state.shared)
+        + float(log_determinants(lin).sum())
+        + (0.0 if problem.rigid else 4.0 * count * math.log(problem.noise.wobble))
+    )
+
+
+def evidence(solution: Solution, believed: BoolArray, kappa: float) -> float:
+    """Return minus twice the log marginal likelihood of the believed samples, up to a constant.
+
+    Parameters
+    ----------
+    solution : Solution
+    believed : ndarray of bool, shape (n,)
+        The same for all models that are compared.
+    kappa : float
+        The same for all models that are compared.
+    """
+    problem = solution.problem.with_weights(Weights.ones(len(believed)))
+    lin = linearise(solution.state, problem)
+    chi = chi_squares(solution.state, lin.prediction, problem.noise)
+    count = int(believed.sum())
+    total = float(np.sum(chi.data[believed])) + _noise_cost(problem.noise, count)
+    total += kappa * problem.prior.cost(solution.state.shared)
+    if problem.rigid:
+        return total
+    # Two lean angles a sample, each with a Gaussian belief and integrated over.
+    lean = np.sum((chi.wobble + log_determinants(lin))[believed])
+    return total + float(lean) + 4.0 * count * math.log(problem.noise.wobble)
+
+
+def _noise_cost(noise: Noise, count: int) -> float:
+    """Return the normalisation of the Gaussians: two numbers of up, three of field."""
+    return count * (4.0 * math.log(noise.up) + 6.0 * math.log(noise.field))
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The model that the samples ask for.
+
+    Parameters
+    ----------
+    solution : Solution
+    soft_iron_gain : float
+        Fall of chi-square by soft iron; zero where it was not tried.
+    """
+
+    solution: Solution
+    soft_iron_gain: float
+
+
+def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Choice:
+    """Fit rigid and wobbling axis, with soft iron and without, and take what is asked for.
+
+    Parameters
+    ----------
+    start : Solution
+        A wobbling fit without soft iron.
+    with_iron : Prior
+        The prior that frees soft iron.
+    always_iron : bool
+        Whether soft iron is fitted whatever the samples say.
+    """
+    wobbling = gated(start)
+    plain = rigid_or_wobbling(wobbling)
+    if not with_iron.has_soft_iron:
+        return Choice(plain, 0.0)
+    if not always_iron and expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE:
+        return Choice(plain, 0.0)
+    freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
+    iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
+    gain = soft_iron_gain(plain, iron)
+    chosen = iron if always_iron or gain.asks_for_it(iron.problem.kappa) else plain
+    return Choice(chosen, gain.total)
+
+
+def rigid_or_wobbling(wobbling: Solution) -> Solution:
+    """Return the rigid solution where it explains the samples nearly as well."""
+    noise = wobbling.problem.noise
+    if noise.wobble > LARGEST_RIGID_WOBBLE:
+        return wobbling
+    first = replace(noise, up=math.hypot(noise.up, noise.wobble))
+    problem = replace(wobbling.problem, rigid=True, noise=first)
+    rigid = gated(Solution(wobbling.state.upright(), problem))
+    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
+        return wobbling
+    common = rigid.believed & wobbling.believed
+    kappa = wobbling.problem.kappa
+    gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
+    if gain > WOBBLE_PRICE * kappa:
+        return wobbling
+    return rigid
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What soft iron brings.
+
+    Parameters
+    ----------
+    total : float
+        Fall of the cost, log-determinants included.
+    steady : bool
+        Whether the samples fit better all along the turn.
+    """
+
+    total: float
+    steady: bool
+
+    def asks_for_it(self, kappa: float) -> bool:
+        """Return whether soft iron is worth its price."""
+        return self.steady and self.total > SOFT_IRON_PRICE * kappa
+
+
+def soft_iron_gain(plain: Solution, iron: Solution) -> Gain:
+    """Return what soft iron brings, under the noise and gate found with it.
+
+    Only then are the two nested: noise found by each for itself moves the comparison by more than
+    what is to be decided.
+    """
+    problem = replace(iron.problem, prior=plain.problem.prior)
+    start = plain.state.upright() if problem.rigid else plain.state
+    without = settle(start, problem, steps=6, tolerance=1e-3)
+    with_it = settle(iron.state, iron.problem, steps=6, tolerance=1e-3)
+    falls = _sample_costs(without, problem) - _sample_costs(with_it, iron.problem)
+    total = cost(without.state, problem, without.prediction) - cost(
+        with_it.state, iron.problem, with_it.prediction
+    )
+    lean = log_determinants(without) - log_determinants(with_it)
+    total += float(problem.weights.sample @ lean)
+    return Gain(total, is_steady(falls))
+
+
+def _sample_costs(lin: Linearisation, problem: Problem) -> FloatArray:
+    chi = chi_squares(lin.state, lin.prediction, problem.noise)
+    each = chi.data if problem.rigid else chi.data + chi.wobble
+    return np.asarray(problem.weights.sample * each)
+
+
+def is_steady(falls: FloatArray) -> bool:
+    """Return whether a better fit is better all along the turn.
+
+    Soft iron helps everywhere; what fits one stretch of the turn at the expense of others is
+    something else.
+
+    Parameters
+    ----------
+    falls : ndarray, shape (n,)
+        Each sample's fall of chi-square.
+    """
+    parts = np.array([part.sum() for part in np.array_split(falls, STRETCHES)])
+    spread = math.sqrt(STRETCHES) * float(parts.std(ddof=1))
+    return bool(parts.sum() > STEADINESS * spread)
+
+
+def expected_gain(solution: Solution, with_iron: Prior) -> float:
+    """Return by how much chi-square would fall with soft iron, from the slope at zero."""
+    problem = replace(solution.problem, prior=with_iron)
+    lin = linearise(solution.state, problem)
+    pulled = (lin.local_covariance @ lin.local_gradient[:, :, None])[:, :, 0]
+    slope = lin.gradient - lin.through_attitudes(pulled)
+    return float(slope @ np.linalg.lstsq(lin.reduced_information, slope, rcond=1e-14)[0])

@@ -1,0 +1,95 @@
+"""What is believed before the turn, as a Gaussian over the globals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.arrays import FloatArray, IntArray
+from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.methods.maximum_likelihood import parameters as p
+from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
+
+RUNAWAY_HARD_IRON = 2.0
+"""Sigma of the hard iron in field scales where neither strength nor dip is known: one turn about
+an upright axis then shows only their sum, and something has to hold it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """A Gaussian over the globals, and which of them the fit may move.
+
+    Parameters
+    ----------
+    free : ndarray of int
+        Indices of the parameters that are estimated.
+    information : ndarray, shape (17,)
+        Inverse variances; zero where nothing is known.
+    strength, inclination : float
+        Their expectations (field scales, radians).
+    """
+
+    free: IntArray
+    information: FloatArray
+    strength: float
+    inclination: float
+
+    def deviation(self, shared: Globals) -> FloatArray:
+        """Return expectation minus value of each parameter, shape (17,)."""
+        out = np.zeros(p.COUNT)
+        out[p.HARD_IRON] = -shared.hard_iron
+        out[p.STRENGTH] = self.strength - shared.strength
+        out[p.INCLINATION] = self.inclination - shared.inclination
+        out[p.SOFT_IRON] = -shared.soft_iron
+        return out
+
+    def cost(self, shared: Globals) -> float:
+        """Return chi-square of the deviations."""
+        return float(self.information @ self.deviation(shared) ** 2)
+
+    @property
+    def has_soft_iron(self) -> bool:
+        """Whether the fit may find soft iron."""
+        return bool(self.free[-1] >= p.SOFT_IRON.start)
+
+
+def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool) -> Prior:
+    """Translate knowledge into a prior.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        Beliefs in SI units.
+    scale : float
+        Tesla of one field scale.
+    soft_iron : bool
+        Whether E is estimated.
+    """
+    information = np.zeros(p.COUNT)
+    fixed = np.zeros(p.COUNT, dtype=bool)
+    reference = knowledge.reference
+    for index, belief, unit in (
+        (p.STRENGTH, reference.strength, scale),
+        (p.INCLINATION, reference.inclination, 1.0),
+    ):
+        fixed[index] = belief.is_exact
+        if not (belief.is_exact or belief.is_unknown):
+            information[index] = (unit / belief.sigma) ** 2
+    if reference.strength.is_unknown and reference.inclination.is_unknown:
+        information[p.HARD_IRON] = RUNAWAY_HARD_IRON**-2
+    iron = knowledge.soft_iron
+    sigmas = np.array([iron.sigma_diagonal] * 3 + [iron.sigma_cross] * 3)
+    movable = (sigmas > 0.0) & soft_iron
+    fixed[p.SOFT_IRON] = ~movable
+    information[p.SOFT_IRON] = np.where(movable, np.where(sigmas > 0.0, sigmas, 1.0) ** -2, 0.0)
+    return Prior(
+        np.flatnonzero(~fixed),
+        information,
+        _expectation(reference.strength) / scale,
+        _expectation(reference.inclination),
+    )
+
+
+def _expectation(belief: Belief) -> float:
+    return 0.0 if belief.is_unknown else belief.value

@@ -1,0 +1,185 @@
+"""What a calibration needs from the graph, looked at before the robot turns."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, MagneticField
+
+from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.messages import seconds
+from magcal_ros.core.units import likely_field_unit
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+FIELD_TYPE = "sensor_msgs/msg/MagneticField"
+SLOWEST_FIELD = 5.0
+"""Hertz, below which a turn of 12 s gives too few samples."""
+
+
+@dataclass
+class Heard:
+    """What came on one topic while it was listened to."""
+
+    topic: str
+    kind: str
+    frames: set[str] = field(default_factory=set)
+    stamps: list[float] = field(default_factory=list)
+    sizes: list[float] = field(default_factory=list)
+    publishers: int = 0
+    elsewhere: list[str] = field(default_factory=list)
+
+    def rate(self, seconds_listened: float) -> float:
+        """Messages per second."""
+        return len(self.stamps) / seconds_listened
+
+    @property
+    def size(self) -> float:
+        """Median length of the vector, in the unit of the topic; NaN if nothing came."""
+        ordered = sorted(self.sizes)
+        return ordered[len(ordered) // 2] if ordered else math.nan
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """The findings, each a line for people, and whether a turn makes sense."""
+
+    lines: tuple[str, ...]
+    ready: bool
+
+
+def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
+    """Listen to the sensors of a running calibrator.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Listens.
+    calibrator : str
+        Full name of the calibrator node.
+    duration : float
+        Seconds to listen.
+
+    Returns
+    -------
+    Preflight
+    """
+    topics = _sensor_topics(node, calibrator)
+    if topics is None:
+        return Preflight(
+            (
+                f"the node {calibrator} is not there: start it with "
+                "`ros2 run magcal_ros calibrator`, or name it with --node",
+            ),
+            False,
+        )
+    imu, magnetometer = (Heard(name, kind) for name, kind in topics)
+    _listen(node, (imu, magnetometer), duration)
+    lines = []
+    ready = True
+    for heard, judge in ((imu, _judge_imu), (magnetometer, _judge_field)):
+        if heard.stamps:
+            lines.append(_describe(heard, duration))
+            lines += judge(heard, duration)
+        else:
+            lines += _explain_silence(heard)
+            ready = False
+    return Preflight(tuple(lines), ready)
+
+
+def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
+    namespace, _, name = calibrator.rpartition("/")
+    deadline = time.monotonic() + 5.0
+    while time.monotonic() < deadline:
+        try:
+            found = node.get_subscriber_names_and_types_by_node(name, namespace or "/")
+        except Exception:  # rclpy raises its own kinds while the node is not discovered yet
+            found = []
+        by_type = {kinds[0]: topic for topic, kinds in found}
+        if IMU_TYPE in by_type and FIELD_TYPE in by_type:
+            return [(by_type[IMU_TYPE], IMU_TYPE), (by_type[FIELD_TYPE], FIELD_TYPE)]
+        time.sleep(0.1)
+    return None
+
+
+def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
+    best_effort = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
+    subscriptions = [
+        node.create_subscription(
+            Imu if heard.kind == IMU_TYPE else MagneticField,
+            heard.topic,
+            lambda message, heard=heard: _note(heard, message),
+            best_effort,
+        )
+        for heard in sensors
+    ]
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    deadline = time.monotonic() + duration
+    while time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.05)
+    executor.remove_node(node)
+    for heard, subscription in zip(sensors, subscriptions, strict=True):
+        heard.publishers = node.count_publishers(heard.topic)
+        every = node.get_topic_names_and_types()
+        heard.elsewhere = [t for t, kinds in every if heard.kind in kinds and t != heard.topic]
+        node.destroy_subscription(subscription)
+
+
+def _note(heard: Heard, message: Any) -> None:
+    vector = message.linear_acceleration if heard.kind == IMU_TYPE else message.magnetic_field
+    heard.frames.add(message.header.frame_id)
+    heard.stamps.append(seconds(message.header.stamp))
+    heard.sizes.append(math.hypot(vector.x, vector.y, vector.z))
+
+
+def _describe(heard: Heard, duration: float) -> str:
+    frames = ", ".join(sorted(frame or "(empty)" for frame in heard.frames))
+    size = heard.size
+    measured = f"{size:.2f} m/s²" if heard.kind == IMU_TYPE else f"{size * 1e6:.1f} µT"
+    return f"{heard.topic}: {heard.rate(duration):.0f} Hz, frame {frames}, {measured}"
+
+
+def _judge_imu(heard: Heard, _: float) -> list[str]:
+    found = _judge_stamps(heard)
+    if not 0.8 < heard.size / STANDARD_GRAVITY < 1.2:
+        in_g = " (published in g?)" if 0.8 < heard.size < 1.2 else ""
+        found.append(f"  gravity should read 9.81 m/s² at rest{in_g}")
+    return found
+
+
+def _judge_field(heard: Heard, duration: float) -> list[str]:
+    found = _judge_stamps(heard)
+    unit = likely_field_unit(heard.size)
+    if unit:
+        found.append(f"  {unit}")
+    if heard.rate(duration) < SLOWEST_FIELD:
+        found.append("  slower than 5 Hz: turn slowly, a full circle in 30 s or more")
+    return found
+
+
+def _judge_stamps(heard: Heard) -> list[str]:
+    found = []
+    if not any(heard.stamps):
+        found.append("  stamps are zero: the driver must stamp its messages")
+    if heard.publishers > 1:
+        found.append(f"  {heard.publishers} publishers on one topic: only one can be the sensor")
+    return found
+
+
+def _explain_silence(heard: Heard) -> list[str]:
+    lines = [f"{heard.topic}: nothing arrives ({heard.publishers} publishers)"]
+    if heard.publishers:
+        lines.append("  it is advertised: is the driver running, is the clock paused?")
+    if heard.elsewhere:
+        names = ", ".join(sorted(heard.elsewhere))
+        lines.append(f"  the same type is published on {names}: remap to it with -r")
+    elif not heard.publishers:
+        lines.append("  no topic of this type exists: is the driver running, on this domain?")
+    return lines

@@ -1,0 +1,57 @@
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.attitude import unit
+from magcal_ros.core.methods.maximum_likelihood.linearise import Noise, Problem, Weights
+from magcal_ros.core.methods.maximum_likelihood.model import (
+    Samples,
+    State,
+    about_z,
+    predict,
+)
+from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
+from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+from magcal_ros.core.rotations import exp_rotation, exp_rotations, rotation_from_rpy
+
+COUNT = 40
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+@pytest.fixture
+def state(rng):
+    shared = Globals(
+        exp_rotation(np.array([0.3, -0.2, 0.1])),
+        exp_rotation(np.array([-0.1, 0.25, 0.4])),
+        0.2,
+        -0.3,
+        np.array([0.6, -0.4, 0.5]),
+        1.1,
+        math.radians(55.0),
+        0.02 * rng.standard_normal(6),
+    )
+    lean = np.column_stack([0.1 * rng.standard_normal((COUNT, 2)), np.zeros(COUNT)])
+    return State(shared, exp_rotations(lean) @ about_z(np.linspace(0.0, 5.0, COUNT)))
+
+
+@pytest.fixture
+def samples(rng, state):
+    mounting = np.array([0.8, 1.2, 0.9])[:, None] * rotation_from_rpy(0.1, 0.2, 0.7).T
+    empty = Samples(np.zeros((COUNT, 3)), np.zeros((COUNT, 3)), mounting)
+    truth = predict(state, empty)
+    up = unit(truth.up @ state.shared.body_axis.T + 0.01 * rng.standard_normal((COUNT, 3)))
+    field = -truth.field_residual + 0.01 * rng.standard_normal((COUNT, 3))
+    return Samples(up, field, mounting)
+
+
+@pytest.fixture
+def problem(rng, samples):
+    prior = Prior(np.arange(17), np.linspace(1.0, 50.0, 17), 1.0, math.radians(60.0))
+    counted = (rng.random(COUNT) > 0.2).astype(float)
+    weights = Weights(rng.uniform(0.3, 1.5, COUNT), rng.uniform(0.3, 1.5, COUNT), counted)
+    return Problem(samples, prior, Noise(0.01, 0.012, 0.08), weights)

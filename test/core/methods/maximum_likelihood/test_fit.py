@@ -1,0 +1,210 @@
+"""Physical truth: simulate a robot with a bad compass, turn it once, recover its errors."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magcal_ros.core.correction import Correction
+from magcal_ros.core.estimate import yaw_jacobian
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
+from magcal_ros.core.methods.maximum_likelihood import METHOD, fit
+from magcal_ros.core.methods.maximum_likelihood.figures import FIGURES
+from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    UP_ENU,
+    Robot,
+    Trouble,
+    heading_errors,
+    measure,
+    smooth_wobble,
+    trial_attitudes,
+    turn,
+)
+from magcal_ros.core.window import Window
+
+STILL = {"noise_field": 0.0, "noise_force": 0.0, "noise_rate": 0.0}
+TILTED = np.array([0.0, 0.9, 0.9])
+
+
+def rms_deg(estimate, robot, *, level=True):
+    errors = heading_errors(estimate.correction, robot)
+    return math.degrees(math.sqrt(np.mean((errors[:, LEVEL_TILT] if level else errors) ** 2)))
+
+
+@pytest.mark.parametrize("gyro", [False, True])
+@pytest.mark.parametrize("arc", [90.0, 200.0, 360.0])
+@pytest.mark.parametrize("axis", [UP_ENU, TILTED, np.array([0.5, -0.3, 0.8])])
+def test_without_noise_the_truth_is_found(axis, arc, gyro):
+    robot = Robot(roll=20 * DEGREE, pitch=-30 * DEGREE, **STILL)
+    motion = turn(arc=arc * DEGREE, samples=200, axis=axis, start_rpy=(0.0, 0.0, 0.7))
+    window = measure(robot, motion, np.random.default_rng(1), gyro=gyro)
+    estimate = fit(window, robot.knowledge())
+    assert rms_deg(estimate, robot, level=False) < (1e-3 if gyro else 1e-6)
+    assert estimate.arc == pytest.approx(arc * DEGREE, abs=2.5 * DEGREE)
+
+
+def test_known_gains_and_pose_are_taken_off_first():
+    mounting = Mounting(np.array([0.5, 1.2, 0.9]), rotation_from_rpy(math.pi, 0.1, 1.0))
+    robot = Robot(mounting=mounting, **STILL)
+    window = measure(robot, turn(start_rpy=(0.1, 0.0, 2.0)), np.random.default_rng(1))
+    estimate = fit(window, robot.knowledge())
+    assert rms_deg(estimate, robot, level=False) < 1e-6
+    assert estimate.installation.roll == pytest.approx(robot.roll, abs=1e-7)
+    assert estimate.installation.pitch == pytest.approx(robot.pitch, abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("arc", "wobble", "limit"),
+    [(360.0, 0.0, 0.086), (180.0, 0.0, 0.097), (360.0, 5.0, 0.096), (180.0, 5.0, 0.098)],
+)
+def test_the_error_is_near_the_limit_and_predicted(arc, wobble, limit):
+    robot, errors, ratios = Robot(), [], []
+    for seed in range(20):
+        rng = np.random.default_rng([5, seed])
+        lean = smooth_wobble(rng, 500, 15.0, wobble * DEGREE) if wobble else None
+        start = (0.0, 0.0, rng.uniform(-3.0, 3.0))
+        motion = turn(arc=arc * DEGREE, start_rpy=start, wobble=lean)
+        estimate = fit(measure(robot, motion, rng), robot.knowledge())
+        errors.append(rms_deg(estimate, robot))
+        ratios.append(heading_ratio(estimate, robot))
+    assert math.sqrt(np.mean(np.square(errors))) < 1.5 * limit
+    assert 0.5 < np.mean(ratios) < 1.7
+
+
+def heading_ratio(estimate, robot):
+    """Squared level heading error over its predicted variance."""
+    poses = trial_attitudes()[:, LEVEL_TILT]
+    jacobian = yaw_jacobian(estimate.correction, poses @ UP_ENU, poses @ robot.field_enu)
+    variance = np.einsum("ki,ij,kj->k", jacobian, estimate.covariance, jacobian)
+    return float(np.mean(heading_errors(estimate.correction, robot, poses) ** 2 / variance))
+
+
+def test_what_the_turn_cannot_show_has_a_large_variance():
+    robot = Robot()
+    window = measure(robot, turn(start_rpy=(0.0, 0.0, 1.0)), np.random.default_rng(3))
+    known = fit(window, robot.knowledge())
+    unknown = fit(window, Knowledge())
+    assert math.sqrt(known.covariance[11, 11]) < 0.5e-6
+    assert math.sqrt(unknown.covariance[11, 11]) > 5e-6
+    assert rms_deg(unknown, robot) < 0.4
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25])
+def test_outliers_are_left_out(share):
+    robot = Robot()
+    trouble = Trouble(outliers=share, outlier_size=0.3 * robot.strength)
+    window = measure(robot, turn(), np.random.default_rng(4), trouble=trouble)
+    estimate = fit(window, robot.knowledge())
+    assert rms_deg(estimate, robot) < 0.3
+    assert estimate.inliers.mean() == pytest.approx(1.0 - share, abs=0.05)
+
+
+@pytest.mark.parametrize("size", [0.03, 0.1, 0.3])
+def test_a_passing_disturbance_is_left_out(size):
+    robot = Robot()
+    trouble = Trouble(disturbance=size * robot.strength)
+    window = measure(robot, turn(), np.random.default_rng(5), trouble=trouble)
+    assert rms_deg(fit(window, robot.knowledge()), robot) < 0.3
+
+
+def test_soft_iron_is_found_where_it_is_and_only_there():
+    iron = Robot(soft_iron=np.diag([0.05, -0.03, 0.0]))
+    plain = Robot()
+    for robot, expected in ((iron, 1.0), (plain, 0.0)):
+        window = measure(robot, turn(), np.random.default_rng(6))
+        estimate = fit(window, robot.knowledge())
+        assert estimate.figures["soft_iron"] == expected
+        assert rms_deg(estimate, robot) < 0.3
+
+
+def test_soft_iron_can_be_ruled_out_or_always_fitted():
+    robot = Robot()
+    window = measure(robot, turn(), np.random.default_rng(6))
+    believed = dataclasses.replace(robot.knowledge(), soft_iron=SoftIron(always=True))
+    ruled_out = dataclasses.replace(robot.knowledge(), soft_iron=SoftIron.none())
+    assert fit(window, believed).figures["soft_iron"] == 1.0
+    assert fit(window, ruled_out).figures["soft_iron"] == 0.0
+
+
+def test_a_gyro_shows_a_magnetometer_that_is_upside_down():
+    robot = Robot(roll=175 * DEGREE, pitch=5 * DEGREE)
+    window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
+    estimate = fit(window, robot.knowledge())
+    assert rms_deg(estimate, robot) < 0.3
+    assert estimate.figures["gyro_compass_rms"] < 2.0 * DEGREE
+
+
+def test_a_gyro_steadies_a_short_arc():
+    robot = Robot()
+    knowledge = robot.knowledge(0.03 * robot.strength, 2.0 * DEGREE)
+    errors = {False: [], True: []}
+    for seed in range(8):
+        for gyro in (False, True):
+            rng = np.random.default_rng([8, seed])
+            window = measure(robot, turn(arc=60 * DEGREE), rng, gyro=gyro)
+            errors[gyro].append(fit(window, knowledge).figures["heading_sigma"])
+    assert np.mean(errors[True]) < 0.95 * np.mean(errors[False])
+
+
+def test_many_samples_are_averaged_without_losing_them():
+    robot = Robot()
+    window = measure(robot, turn(samples=20_000), np.random.default_rng(9))
+    estimate = fit(window, robot.knowledge())
+    assert rms_deg(estimate, robot) < 0.05
+    assert estimate.inliers.shape == (20_000,)
+    assert estimate.residual.shape == (20_000, 3)
+    assert estimate.noise_field == pytest.approx(robot.noise_field, rel=0.15)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-math.pi, math.pi))
+def test_where_north_is_does_not_matter(heading):
+    robot = Robot(**STILL)
+    window = measure(
+        robot, turn(samples=60, start_rpy=(0.2, 0.1, heading)), np.random.default_rng(1)
+    )
+    assert rms_deg(fit(window, robot.knowledge()), robot, level=False) < 1e-6
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-math.pi, math.pi))
+def test_turning_both_sensors_about_the_upright_turns_the_answer(angle):
+    robot = Robot(**STILL)
+    window = measure(robot, turn(samples=60, start_rpy=(0.0, 0.0, 0.4)), np.random.default_rng(1))
+    about = rotation_from_rpy(0.0, 0.0, angle)
+    turned = Window(window.time, window.field @ about.T, window.specific_force @ about.T)
+    plain, other = fit(window, robot.knowledge()), fit(turned, robot.knowledge())
+    np.testing.assert_allclose(
+        other.correction.hard_iron, about @ plain.correction.hard_iron, atol=1e-12
+    )
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.sampled_from([1e-3, 0.5, 1e4]), st.sampled_from([0.1, 3.0]))
+def test_units_do_not_matter(field_unit, force_unit):
+    robot = Robot(**STILL)
+    window = measure(robot, turn(samples=60), np.random.default_rng(1))
+    knowledge = Knowledge(
+        ReferenceField(Belief(field_unit * robot.strength), Belief(robot.inclination))
+    )
+    scaled = Window(
+        window.time, field_unit * window.field, 9.8 * force_unit * window.specific_force
+    )
+    estimate = fit(scaled, knowledge)
+    plain = Correction(estimate.correction.matrix, estimate.correction.hard_iron / field_unit)
+    assert np.abs(heading_errors(plain, robot)).max() < 1e-8
+
+
+def test_every_figure_is_explained():
+    robot = Robot()
+    window = measure(robot, turn(), np.random.default_rng(2), gyro=True)
+    estimate = fit(window, robot.knowledge(1e-6, 0.02))
+    assert estimate.method == METHOD
+    assert set(estimate.figures) <= set(FIGURES)
+    assert all(math.isfinite(value) for value in estimate.figures.values())

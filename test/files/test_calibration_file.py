@@ -1,0 +1,371 @@
+import math
+import os
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.correction import Correction
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.calibration_file import (
+    LARGEST_FILE,
+    Origin,
+    read_calibration,
+    write_calibration,
+)
+
+ORIGIN = Origin("mag_link", "imu_link", "2024-05-01T12:00:00+00:00")
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(0.0, 1e300)
+small = st.floats(-0.3, 0.3)
+words = st.text(max_size=40)
+
+
+def random_covariance(seed):
+    mix = np.random.default_rng(seed).standard_normal((12, 12))
+    return mix @ mix.T * 1e-14
+
+
+calibrations = st.builds(
+    Calibration,
+    st.builds(
+        lambda matrix, iron: Correction(np.eye(3) + np.reshape(matrix, (3, 3)), np.array(iron)),
+        st.tuples(*[small] * 9),
+        st.tuples(*[finite] * 3),
+    ).filter(lambda correction: np.isfinite(correction.matrix).all()),
+    st.integers(0, 2**31).map(random_covariance),
+    positive,
+    positive,
+    positive,
+    finite,
+    st.builds(
+        Evidence,
+        words,
+        words,
+        words,
+        words,
+        st.lists(words, max_size=3).map(tuple),
+        st.lists(words, max_size=3).map(tuple),
+        st.booleans(),
+        st.dictionaries(words, st.floats(allow_nan=False), max_size=4),
+    ),
+)
+
+
+def example():
+    return Calibration(
+        Correction(np.eye(3) + 0.01, np.array([3.1e-5, -2e-5, 1e-7])),
+        random_covariance(1),
+        0.3e-6,
+        0.01,
+        48e-6,
+        1.1,
+        Evidence("design_tip", "good", "excellent", "Fine.", ("a", "b"), ("c",), False, {"x": 0.1}),
+    )
+
+
+@pytest.fixture
+def written(tmp_path):
+    path = tmp_path / "mag.yaml"
+    write_calibration(path, example(), ORIGIN)
+    return path
+
+
+def everything(calibration):
+    """All of a calibration, to be compared with ==."""
+    return (
+        calibration.correction.parameters.tobytes(),
+        calibration.covariance.tobytes(),
+        calibration.noise_field,
+        calibration.noise_up,
+        calibration.strength,
+        calibration.inclination,
+        calibration.evidence,
+    )
+
+
+def with_change(path, change):
+    document = yaml.safe_load(path.read_text())
+    change(document)
+    path.write_text(yaml.safe_dump(document))
+
+
+class TestRoundTrip:
+    @settings(
+        max_examples=50,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    )
+    @given(calibration=calibrations, frames=st.tuples(words, words))
+    def test_every_number_and_word_comes_back_to_the_last_bit(self, tmp_path, calibration, frames):
+        path, origin = tmp_path / "mag.yaml", Origin(*frames, ORIGIN.created)
+        write_calibration(path, calibration, origin)
+        found, found_origin = read_calibration(path)
+        assert everything(found) == everything(calibration)
+        assert found_origin == origin
+
+    @pytest.mark.parametrize(
+        "odd", ["a\x85b", "\x85", "a\u2028 b", "\ufeff", "a\n\n b\r", "\0", "1e5"]
+    )
+    def test_breaks_and_controls_in_a_text_come_back(self, tmp_path, odd):
+        write_calibration(tmp_path / "a", example(), Origin(odd, "imu", odd))
+        assert read_calibration(tmp_path / "a")[1] == Origin(odd, "imu", odd)
+
+    def test_a_printable_text_stays_readable(self, tmp_path):
+        write_calibration(tmp_path / "a", example(), Origin("größe 5 µT", "imu", "now"))
+        assert "field_raw: größe 5 µT" in (tmp_path / "a").read_text()
+
+    def test_a_figure_that_is_nan_comes_back(self, tmp_path):
+        one = example()
+        one.evidence.figures["y"] = math.nan
+        write_calibration(tmp_path / "a", one, ORIGIN)
+        assert math.isnan(read_calibration(tmp_path / "a")[0].evidence.figures["y"])
+
+    def test_a_missing_folder_is_made(self, tmp_path):
+        path = tmp_path / "a" / "b" / "mag.yaml"
+        write_calibration(path, example(), ORIGIN)
+        assert everything(read_calibration(path)[0]) == everything(example())
+
+    def test_the_bias_stands_at_top_level_and_is_the_hard_iron(self, written):
+        document = yaml.safe_load(written.read_text())
+        bias = [document[f"magnetometer_bias_{axis}"] for axis in "xyz"]
+        assert bias == document["hard_iron"] == example().correction.hard_iron.tolist()
+
+    def test_the_file_says_what_it_is(self, written):
+        text = written.read_text()
+        assert text.startswith("# Magnetometer calibration by magcal_ros.")
+        document = yaml.safe_load(text)
+        assert document["format"] == "magcal_ros/calibration"
+        assert document["frames"] == {"field_raw": "mag_link", "field_body": "imu_link"}
+
+    def test_now_is_utc_in_iso_8601(self):
+        created = Origin.now("a", "b").created
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", created)
+
+
+class TestDamage:
+    @pytest.mark.parametrize(("figures", "step"), [({}, 23), ({"x": 0.125}, 1)])
+    def test_cut_anywhere_it_is_trouble_and_never_another_calibration(
+        self, tmp_path, figures, step
+    ):
+        one = replace(example(), covariance=np.zeros((12, 12)))
+        one.evidence.figures.clear()
+        one.evidence.figures.update(figures)
+        path = tmp_path / "mag.yaml"
+        write_calibration(path, one, ORIGIN)
+        whole = path.read_bytes()
+        outside = len(whole) - len(b"\n")
+        cuts = [*range(0, outside, step), *range(outside - 60, outside)]
+        for length in cuts:
+            path.write_bytes(whole[:length])
+            with pytest.raises(FileTrouble):
+                read_calibration(path)
+        path.write_bytes(whole[:outside])
+        assert everything(read_calibration(path)[0]) == everything(one)
+
+    @settings(
+        max_examples=100,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
+    )
+    @given(where=st.floats(0.0, 1.0), junk=st.binary(min_size=1, max_size=6))
+    def test_junk_written_over_it_raises_nothing_but_trouble(self, written, where, junk):
+        whole = written.read_bytes()
+        at = int(where * (len(whole) - len(junk)))
+        damaged = written.parent / "damaged.yaml"
+        damaged.write_bytes(whole[:at] + junk + whole[at + len(junk) :])
+        try:
+            found, _ = read_calibration(damaged)
+        except FileTrouble:
+            return
+        assert np.isfinite(found.correction.parameters).all()
+
+    @settings(
+        max_examples=100,
+        deadline=None,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
+    )
+    @given(
+        value=st.one_of(
+            st.none(), st.booleans(), st.text(max_size=5), st.lists(st.integers(), max_size=3),
+            st.just(10**400), st.just({}), st.just({"a": 1}),
+        ),
+        data=st.data(),
+    )  # fmt: skip
+    def test_any_entry_may_hold_anything_and_only_trouble_comes(self, written, value, data):
+        document = yaml.safe_load(written.read_text())
+        place = data.draw(st.sampled_from([document, document["evidence"], document["reference"]]))
+        place[data.draw(st.sampled_from(sorted(place)))] = value
+        changed = written.parent / "changed.yaml"
+        changed.write_text(yaml.safe_dump(document))
+        try:
+            found, _ = read_calibration(changed)
+        except FileTrouble:
+            return
+        assert np.isfinite(found.correction.parameters).all()
+
+    @pytest.mark.parametrize(
+        "key",
+        [
+            "format", "created", "frames", "hard_iron", "correction_matrix",
+            "covariance", "noise_field", "noise_up", "reference", "method", "evidence",
+            "magnetometer_bias_x", "magnetometer_bias_y", "magnetometer_bias_z",
+        ],
+    )  # fmt: skip
+    def test_an_entry_that_is_missing_is_trouble(self, written, key):
+        with_change(written, lambda document: document.pop(key))
+        with pytest.raises(FileTrouble, match=key):
+            read_calibration(written)
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "", "\n", "---\n", "[1, 2]", "hello", "a: 1", "\0", "{", "- &a [*a]", "%YAML 9.9",
+            "mag: {hard_iron: [1, 2, 3]}", "!!timestamp foo", "!!bool maybe", '!!int ""',
+            "[" * 5000, "? [1]\n: 2",
+        ],
+    )  # fmt: skip
+    def test_something_else_is_not_taken_for_a_calibration(self, tmp_path, text):
+        path = tmp_path / "mag.yaml"
+        path.write_text(text)
+        with pytest.raises(FileTrouble, match="is not a usable calibration"):
+            read_calibration(path)
+
+    def test_bytes_that_are_no_text_are_trouble(self, tmp_path):
+        path = tmp_path / "mag.yaml"
+        path.write_bytes(bytes(range(256)))
+        with pytest.raises(FileTrouble):
+            read_calibration(path)
+
+    @pytest.mark.parametrize("version", [0, 2, "1", None, "one"])
+    def test_another_version_is_named(self, written, version):
+        with_change(written, lambda document: document.update(format_version=version))
+        with pytest.raises(FileTrouble, match=re.escape(f"its format version is {version!r}")):
+            read_calibration(written)
+
+    def test_the_trouble_names_the_file_and_the_remedy(self, tmp_path):
+        path = tmp_path / "mag.yaml"
+        path.write_text("a: 1")
+        with pytest.raises(FileTrouble, match="Calibrate again to replace it") as caught:
+            read_calibration(path)
+        assert str(path) in str(caught.value)
+
+
+class TestHostileYaml:
+    def test_an_alias_bomb_does_not_go_off(self, written):
+        rows = ["bomb0: &b0 [1, 1]"]
+        rows += [f"bomb{k}: &b{k} [{', '.join([f'*b{k - 1}'] * 9)}]" for k in range(1, 12)]
+        written.write_text(written.read_text() + "\n".join(rows))
+        with pytest.raises(FileTrouble, match="aliases do not belong"):
+            read_calibration(written)
+
+    @pytest.mark.parametrize(
+        "tag",
+        [
+            "!!python/object/apply:os.mkdir ['{folder}/made']",
+            "!!python/object/new:os.mkdir ['{folder}/made']",
+            "!!python/name:os.system ''",
+        ],
+    )
+    def test_python_tags_do_nothing(self, written, tag):
+        with written.open("a") as handle:
+            handle.write("extra: " + tag.format(folder=written.parent) + "\n")
+        with pytest.raises(FileTrouble, match="could not determine a constructor"):
+            read_calibration(written)
+        assert not (written.parent / "made").exists()
+
+    def test_a_huge_file_is_not_read(self, written):
+        with written.open("a") as handle:
+            handle.write("#" * LARGEST_FILE)
+        with pytest.raises(FileTrouble, match="too large"):
+            read_calibration(written)
+
+
+class TestInTheWay:
+    def test_a_missing_file_is_trouble(self, tmp_path):
+        with pytest.raises(FileTrouble, match="No such file"):
+            read_calibration(tmp_path / "none.yaml")
+
+    def test_a_directory_in_its_place_is_trouble_and_stays(self, tmp_path):
+        folder = tmp_path / "mag.yaml"
+        (folder / "inside").mkdir(parents=True)
+        with pytest.raises(FileTrouble, match="Is a directory"):
+            read_calibration(folder)
+        with pytest.raises(FileTrouble, match="cannot write"):
+            write_calibration(folder, example(), ORIGIN)
+        assert os.listdir(tmp_path) == ["mag.yaml"]
+        assert (folder / "inside").is_dir()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="needs /dev/zero")
+    def test_a_device_or_a_pipe_is_trouble_at_once(self, tmp_path):
+        pipe = tmp_path / "pipe"
+        os.mkfifo(pipe)
+        for path in (pipe, Path("/dev/zero")):
+            with pytest.raises(FileTrouble, match="not a regular file"):
+                read_calibration(path)
+
+
+class TestHandEdited:
+    def test_numbers_without_a_dot_are_numbers(self, written):
+        """YAML 1.1 takes 1e-5 for a text."""
+        text = written.read_text().replace("3.1e-05", "3e-5").replace("0.01\n", "1e-2\n")
+        assert "hard_iron: [3e-5," in text
+        assert "noise_up: 1e-2" in text
+        written.write_text(text)
+        found, _ = read_calibration(written)
+        assert found.correction.hard_iron[0] == 3e-5
+        assert found.noise_up == 0.01
+
+    def test_comments_and_integers_do_no_harm(self, written):
+        written.write_text(
+            "# mine\n" + written.read_text().replace("noise_up: 0.01", "noise_up: 1")
+        )
+        assert read_calibration(written)[0].noise_up == 1.0
+
+    @pytest.mark.parametrize("bad", [".nan", ".inf", "-.inf", "nan", "inf", "yes", "~", "1,5", "x"])
+    @pytest.mark.parametrize(
+        "entry", ["noise_field", "noise_up", "strength", "inclination", "hard_iron"]
+    )
+    def test_what_is_no_finite_number_is_trouble(self, written, entry, bad):
+        pattern = rf"({entry}: \[?)[^,\n}}\]]+"
+        text, count = re.subn(pattern, rf"\g<1>'{bad}'" if bad == "1,5" else rf"\g<1>{bad}",
+                              written.read_text())  # fmt: skip
+        assert count >= 1
+        written.write_text(text)
+        with pytest.raises(FileTrouble):
+            read_calibration(written)
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf, "x", None])
+    @pytest.mark.parametrize("entry", ["correction_matrix", "covariance"])
+    def test_a_matrix_with_a_hole_is_trouble(self, written, entry, bad):
+        with_change(written, lambda document: document[entry][1].__setitem__(2, bad))
+        with pytest.raises(FileTrouble):
+            read_calibration(written)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda d: d["covariance"][4].__setitem__(4, -1e-9), "negative variance"),
+            (lambda d: d["covariance"].pop(), "covariance"),
+            (lambda d: d["hard_iron"].append(0.0), "hard iron"),
+            (lambda d: d.update(correction_matrix=[[0.0] * 3] * 3), "aliases|singular"),
+            (lambda d: d["correction_matrix"].reverse(), "mirrors"),
+            (lambda d: d["correction_matrix"][0].pop(), "inhomogeneous"),
+            (lambda d: d.update(magnetometer_bias_y=1e-6), "contradict"),
+            (lambda d: d["hard_iron"].__setitem__(0, 3.2e-5), "contradict"),
+            (lambda d: d.update(noise_up=-0.1), "noise_up must be zero or more"),
+            (lambda d: d["reference"].update(strength=-4e-5), "strength must be zero or more"),
+        ],
+    )
+    def test_numbers_that_make_no_calibration_are_trouble(self, written, change, words):
+        with_change(written, change)
+        with pytest.raises(FileTrouble, match=words):
+            read_calibration(written)

@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+
+from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.recording import Recording, read_csv_folder
+
+IMU = "t,ax,ay,az,gx,gy,gz\n1.0,0.1,0.2,9.8,0.01,0.02,0.03\n1.1,0.4,0.5,9.7,nan,nan,nan\n"
+MAG = "t,mx,my,mz\n1.05,1e-5,2e-5,-3e-5\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "imu.csv").write_text(IMU)
+    (tmp_path / "mag.csv").write_text(MAG)
+    return tmp_path
+
+
+def test_both_tables_are_read(folder):
+    recording = read_csv_folder(folder)
+    assert recording.imu[0].tolist() == [1.0, 0.1, 0.2, 9.8, 0.01, 0.02, 0.03]
+    assert np.isnan(recording.imu[1, 4:]).all()
+    assert recording.field.tolist() == [[1.05, 1e-5, 2e-5, -3e-5]]
+
+
+def test_columns_are_found_by_name_in_any_order(folder):
+    (folder / "mag.csv").write_text("temperature, mz ,my,t,mx\n20,-3e-5,2e-5,1.05,1e-5\n")
+    assert read_csv_folder(folder).field.tolist() == [[1.05, 1e-5, 2e-5, -3e-5]]
+
+
+def test_samples_come_in_the_order_of_their_stamps_the_imu_first():
+    imu = np.column_stack([[1.0, 2.0, 3.0], np.ones((3, 6))])
+    field = np.column_stack([[0.5, 2.0, 2.5], np.ones((3, 3))])
+    samples = list(Recording(imu, field).samples())
+    assert [(type(s), s.stamp) for s in samples] == [
+        (FieldSample, 0.5),
+        (ImuSample, 1.0),
+        (ImuSample, 2.0),
+        (FieldSample, 2.0),
+        (FieldSample, 2.5),
+        (ImuSample, 3.0),
+    ]
+
+
+def test_samples_carry_force_rate_and_field(folder):
+    first, field, _ = read_csv_folder(folder).samples()
+    assert first == ImuSample(1.0, (0.1, 0.2, 9.8), (0.01, 0.02, 0.03))
+    assert field == FieldSample(1.05, (1e-5, 2e-5, -3e-5))
+
+
+@pytest.mark.parametrize("name", ["imu.csv", "mag.csv"])
+def test_a_missing_file_is_trouble(folder, name):
+    (folder / name).unlink()
+    with pytest.raises(FileTrouble, match=f"cannot read .*{name}: No such file"):
+        read_csv_folder(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "has no column t, mx, my, mz; its first line should be t,mx,my,mz"),
+        ("t,mx,mz\n1,2,3\n", "has no column my"),
+        ("t,mx,my,mz\n1,2,x,4\n", "is damaged"),
+        ("t,mx,my,mz\n1,2,3,4\n1,2\n", "is damaged"),
+    ],
+)
+def test_a_damaged_table_is_trouble(folder, text, words):
+    (folder / "mag.csv").write_text(text)
+    with pytest.raises(FileTrouble, match=words):
+        read_csv_folder(folder)
+
+
+@pytest.mark.filterwarnings("ignore:loadtxt")
+def test_a_table_without_samples_is_trouble(folder):
+    (folder / "mag.csv").write_text("t,mx,my,mz\n")
+    with pytest.raises(FileTrouble, match="holds no samples"):
+        read_csv_folder(folder)
+
+
+def test_bytes_that_are_no_text_are_trouble(folder):
+    (folder / "mag.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileTrouble, match="is damaged"):
+        read_csv_folder(folder)

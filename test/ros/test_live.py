@@ -1,0 +1,106 @@
+"""`magcal calibrate` as a person at a terminal, or a log file, sees it."""
+
+import contextlib
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate"]
+
+
+@pytest.fixture
+def run_beside():
+    """Return a function that runs the command while the robot lives."""
+    processes = []
+
+    def run(actor, *arguments, yaw_rate=0.5, after=lambda _: None, stdout=subprocess.PIPE):
+        process = subprocess.Popen(
+            [*COMMAND, *arguments], stdout=stdout, stderr=subprocess.PIPE, text=True
+        )
+        processes.append(process)
+        actor.run(60.0, yaw_rate, lambda: after(process) or process.poll() is not None)
+        return process
+
+    yield run
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+
+
+def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
+    actor = stage()
+    process = run_beside(actor)
+    output, errors = process.communicate()
+    assert process.returncode == 0, output + errors
+    lines = output.splitlines()
+    assert any(line.startswith("/imu/data_raw: ") and "imu_link" in line for line in lines)
+    assert any(line.startswith("/imu/mag: ") and "µT" in line for line in lines)
+    progress = [line for line in lines if line.startswith("[")]
+    assert progress
+    assert "turn left" in progress[0]
+    assert "Calibrated, quality" in lines[-1]
+    assert "\x1b" not in output
+
+
+def test_on_a_terminal_it_draws_a_ring(stage, run_beside):
+    actor = stage()
+    leader, follower = pty.openpty()
+    os.set_blocking(leader, False)
+    screen = bytearray()
+
+    def drain(_):
+        with contextlib.suppress(BlockingIOError):
+            screen.extend(os.read(leader, 65536))
+
+    process = run_beside(actor, after=drain, stdout=follower)
+    drain(None)
+    os.close(follower)
+    os.close(leader)
+    assert process.returncode == 0
+    text = screen.decode(errors="replace")
+    assert "one turn" in text
+    assert "missing" in text
+    assert "Calibrated, quality" in text
+
+
+def test_ctrl_c_cancels_the_turn(stage, run_beside):
+    actor = stage()
+
+    def interrupt(process):
+        progress = actor.status.get("progress") or {}
+        if progress.get("samples", 0) > 50 and not hasattr(process, "told"):
+            process.told = True
+            process.send_signal(signal.SIGINT)
+
+    process = run_beside(actor, after=interrupt)
+    _, errors = process.communicate()
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    actor.run(1.2)
+    assert actor.status["state"] == "uncalibrated"
+    assert "cancelled" in actor.status["answer"]["message"]
+
+
+def test_a_sensor_that_does_not_arrive_is_explained(stage, run_beside):
+    actor = stage()
+    actor.mangle = lambda sample: [sample] if hasattr(sample, "force") else []
+    process = run_beside(actor)
+    output, _ = process.communicate()
+    assert process.returncode == 3
+    assert "/imu/mag: nothing arrives (1 publishers)" in output
+
+
+def test_a_node_that_is_not_there_is_said(graph):
+    started = time.monotonic()
+    done = subprocess.run(
+        [*COMMAND, "--node", "nobody"], capture_output=True, text=True, check=False, timeout=60
+    )
+    assert done.returncode == 3
+    assert "the node /nobody is not there" in done.stdout
+    assert time.monotonic() - started < 30.0

@@ -1,0 +1,93 @@
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import magcal_ros
+
+ROOT = Path(magcal_ros.__file__).resolve().parent
+FILES = sorted(ROOT.rglob("*.py"))
+LONGEST_FILE, LONGEST_FUNCTION = 400, 60
+every_file = pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+
+MAY_IMPORT = {
+    "core": {"core", "numpy", "scipy"},
+    "files": {"core", "files", "magcal_ros", "numpy", "yaml"},
+}
+"""Beyond the standard library; a room of the package by its own name."""
+
+FORBIDDEN_ROOMS = {"core": {"ros", "cli", "report", "files"}, "files": {"ros", "cli", "report"},
+                   "report": {"ros", "cli"}, "ros": {"cli"}}  # fmt: skip
+
+LOAD_ALL = """
+import importlib, pkgutil, sys
+for room in ("core", "files"):
+    package = importlib.import_module(f"magcal_ros.{room}")
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        importlib.import_module(module.name)
+print("\\n".join(sys.modules))
+"""
+
+
+def room_of(path):
+    parts = path.relative_to(ROOT).parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+def imported_modules(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            yield node.module
+            if node.module == "magcal_ros":
+                yield from (f"magcal_ros.{n.name}" for n in node.names if n.name[0] != "_")
+
+
+def source_of(module):
+    """A room of the package, or a foreign top-level package."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "magcal_ros" and len(parts) > 1 else parts[0]
+
+
+def test_core_and_files_load_neither_ros_nor_matplotlib():
+    done = subprocess.run(
+        [sys.executable, "-c", LOAD_ALL], capture_output=True, text=True, check=True
+    )
+    loaded = set(done.stdout.split())
+    assert {"magcal_ros.core.heading", "magcal_ros.files.recording"} <= loaded
+    tops = {name.split(".")[0] for name in loaded}
+    assert not tops & {"rclpy", "matplotlib", "sensor_msgs", "std_msgs", "rcl_interfaces"}
+    assert not {"magcal_ros.ros", "magcal_ros.cli", "magcal_ros.report"} & loaded
+
+
+@every_file
+def test_rooms_import_only_what_lies_below_them(path):
+    room = room_of(path)
+    sources = {source_of(module) for module in imported_modules(path)}
+    assert not sources & FORBIDDEN_ROOMS.get(room, set())
+    if room in MAY_IMPORT:
+        assert sources - MAY_IMPORT[room] <= set(sys.stdlib_module_names)
+
+
+@pytest.mark.parametrize("path", [p for p in FILES if room_of(p) == "core"], ids=lambda p: p.stem)
+def test_the_core_reads_no_clock_and_prints_nothing(path):
+    assert not {"time", "datetime", "logging"} & set(imported_modules(path))
+    names = {n.id for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Name)}
+    assert not names & {"print", "open", "input"}
+
+
+@every_file
+def test_files_and_functions_are_short(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= LONGEST_FILE
+    functions = [
+        node
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+    ]
+    long = {f.name: f.end_lineno - f.lineno + 1 for f in functions}
+    assert not {name: size for name, size in long.items() if size > LONGEST_FUNCTION}
