@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeAlias
 
 from magcal_ros.core.streams import FieldSample, ImuSample
 
-NO_RATE = (math.nan, math.nan, math.nan)
+Triple: TypeAlias = tuple[float, float, float]
+NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
 
@@ -19,15 +20,33 @@ def seconds(stamp: Any) -> float:
 
 def imu_sample(message: Any) -> ImuSample | None:
     """Return the numbers of a sensor_msgs/Imu; None if it says that it has no acceleration."""
-    if message.linear_acceleration_covariance[0] == ABSENT:
-        return None
     force, rate = message.linear_acceleration, message.angular_velocity
-    has_rate = message.angular_velocity_covariance[0] != ABSENT
-    return ImuSample(
+    return imu_of(
         seconds(message.header.stamp),
         (force.x, force.y, force.z),
-        (rate.x, rate.y, rate.z) if has_rate else NO_RATE,
+        message.linear_acceleration_covariance[0],
+        (rate.x, rate.y, rate.z),
+        message.angular_velocity_covariance[0],
     )
+
+
+def imu_of(
+    stamp: float, force: Triple, force_mark: float, rate: Triple, rate_mark: float
+) -> ImuSample | None:
+    """Return the sample of an Imu's numbers; None if it says that it has no acceleration.
+
+    Parameters
+    ----------
+    stamp : float
+        Seconds.
+    force, rate : tuple of float
+        m/s² and rad/s.
+    force_mark, rate_mark : float
+        First element of the covariance of each, which tells whether it is absent.
+    """
+    if force_mark == ABSENT:
+        return None
+    return ImuSample(stamp, force, NO_RATE if rate_mark == ABSENT else rate)
 
 
 def field_sample(message: Any) -> FieldSample:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.offline import Reading
+from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 
@@ -72,18 +73,35 @@ class Bag:
         FileTrouble
             Where the bag is damaged.
         """
+        layout = wire.CDR if self._reader.is2 else wire.ROS1
+        of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
         fields = {connection.id for connection in self._field}
         messages = self._reader.messages([*self._imu, *self._field], self._first, self._end)
-        deserialize = self._reader.deserialize
+        imu_frame = field_frame = b""
         with _damage_in_words(self._path):
             for connection, self._reached, data in messages:
-                message: Any = deserialize(data, connection.msgtype)
-                if connection.id in fields:
-                    self.field_frame = message.header.frame_id
-                    yield field_sample(message)
+                is_field = connection.id in fields
+                if self._reader.is2 and not wire.is_plain_cdr(data):
+                    yield self._slowly(connection, data, is_field)
+                elif is_field:
+                    frame, sample = of_field(data)
+                    if frame != field_frame:
+                        field_frame, self.field_frame = frame, _text(frame)
+                    yield sample
                 else:
-                    self.imu_frame = message.header.frame_id
-                    yield imu_sample(message)
+                    frame, reading = of_imu(data)
+                    if frame != imu_frame:
+                        imu_frame, self.imu_frame = frame, _text(frame)
+                    yield reading
+
+    def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
+        """Let the library take apart what is not in the usual byte order."""
+        message: Any = self._reader.deserialize(data, connection.msgtype)
+        if is_field:
+            self.field_frame = message.header.frame_id
+            return field_sample(message)
+        self.imu_frame = message.header.frame_id
+        return imu_sample(message)
 
 
 @contextlib.contextmanager
@@ -191,6 +209,10 @@ def _named(path: Path, reader: AnyReader, msgtype: str, wanted: str) -> list[Con
 def _listed(reader: AnyReader) -> str:
     names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
     return ", ".join(names) or "nothing"
+
+
+def _text(frame: bytes) -> str:
+    return bytes(frame).decode("utf-8", "replace")
 
 
 def _nanoseconds(seconds: float) -> int:
