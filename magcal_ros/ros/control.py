@@ -19,7 +19,6 @@ from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pairer, Streams
-from magcal_ros.core.verdict import refuse
 from magcal_ros.core.window import Window
 from magcal_ros.ros.parameters import Settings
 
@@ -208,21 +207,12 @@ class Control:
         self._session = None
         try:
             window = self.last_window = session.window()
-            self._require_arc(session, self.progress)
+            self.progress.require_arc(session.limits.smallest_arc)
         except Refusal as refusal:
             self._refuse(refusal)
             return
         settings = self._settings
         self._job = self._worker.submit(calibrate, window, settings.knowledge, settings.method)
-
-    def _require_arc(self, session: Session, progress: Progress) -> None:
-        if progress.coverage.arc >= session.limits.smallest_arc:
-            return
-        seen = progress.in_words
-        raise Refusal(
-            Reason.NO_MOTION if progress.coverage.arc < 0.1 else Reason.ARC_TOO_SHORT,
-            f"too little of a turn: {seen}. Call again and turn the robot a full circle",
-        )
 
     def _use(self, job: Job[Outcome]) -> None:
         try:
@@ -249,7 +239,7 @@ class Control:
             self._conclude(Conclusion(False, f"{self._words} {unchanged}; {remedy}."))
 
     def _refuse(self, refusal: Refusal) -> None:
-        self._judge(Outcome(refuse(refusal)))
+        self._judge(Outcome.refused(refusal))
 
     def _conclude(self, conclusion: Conclusion) -> None:
         if self._words_of_report:

@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
@@ -25,7 +26,6 @@ from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
 from magcal_ros.ros.markers import turn_markers
-from magcal_ros.ros.messages import field_sample, imu_sample
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
 from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.reporter import Reporter, now
