@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from magcal_ros.cli.compare import compare_methods
 from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.printing import bullets, document, table
 from magcal_ros.cli.recorded import (
@@ -27,6 +28,7 @@ from magcal_ros.core.session import Progress
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.report import Subject, write_report
 
 CALIBRATION = "calibration.yaml"
 
@@ -65,6 +67,9 @@ def add_to(commands: Any) -> None:
         help="folder for what is found (default: a new magcal_fit_DATE_TIME here)",
     )
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="way of fitting")
+    parser.add_argument(
+        "--compare", action="store_true", help="print every method side by side; write no files"
+    )
     add_knowledge_options(parser)
     parser.set_defaults(run=run)
 
@@ -76,7 +81,10 @@ def run(options: argparse.Namespace) -> int:
     gathered = gather(options, knowledge)
     outcome, window = fit_gathered(gathered.gathering, knowledge, options.method)
     fitted = Fitted(gathered, knowledge, outcome, window, gathered.gathering.progress())
-    files = _write_files(folder, fitted)
+    if options.compare:
+        print(compare_methods(window, knowledge))
+        return fitted.status
+    files = _write_files(folder, fitted, options)
     print(document(_facts(fitted, files)) if options.json else _words(fitted, files))
     return fitted.status
 
@@ -94,7 +102,7 @@ def _folder(chosen: Path | None) -> Path:
     return chosen
 
 
-def _write_files(folder: Path, fitted: Fitted) -> list[Path]:
+def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
     """Leave what was found in the folder; returns the files."""
     files = []
     outcome, gathered = fitted.outcome, fitted.gathered
@@ -102,7 +110,23 @@ def _write_files(folder: Path, fitted: Fitted) -> list[Path]:
         origin = Origin.now(gathered.field_frame, gathered.imu_frame)
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
+    if fitted.window is not None:
+        files.append(write_report(folder, _subject(fitted, fitted.window, options)))
     return files
+
+
+def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Subject:
+    gathered = fitted.gathered
+    return Subject(
+        window,
+        fitted.knowledge,
+        fitted.outcome,
+        source=f"{options.recording} ({gathered.field_topic} and {gathered.imu_topic})",
+        created=datetime.now().astimezone(),
+        method=options.method,
+        magnetometer_frame=gathered.field_frame,
+        imu_frame=gathered.imu_frame,
+    )
 
 
 def _words(fitted: Fitted, files: list[Path]) -> str:
