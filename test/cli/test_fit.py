@@ -81,8 +81,18 @@ def test_json_is_one_document_with_every_number(fit, bag, tmp_path):
     assert document["accepted"] is True
     assert document["numbers"]["hard_iron_x_ut"] == pytest.approx(30.0, abs=1.0)
     assert document["numbers"]["installation_roll_deg"] == pytest.approx(3.0, abs=0.5)
-    assert document["files"] == [str(tmp_path / "found" / "calibration.yaml")]
+    folder = tmp_path / "found"
+    assert document["files"] == [str(folder / "calibration.yaml"), str(folder / "report.html")]
     assert {check["aspect"] for check in document["checks"]} == {"quality", "confidence"}
+
+
+def test_compare_shows_every_method_and_writes_nothing(fit, bag, tmp_path):
+    status, out, _ = fit(bag, "--compare")
+    assert status == 0
+    rows = {line.split()[0]: line.split()[1] for line in out.splitlines()[1:5]}
+    assert rows["maximum_likelihood"] == rows["design_tip"] == "accepted"
+    assert rows["ellipsoid"] == rows["min_max"] == "refused"
+    assert not (tmp_path / "found").exists()
 
 
 class TestExits:
@@ -97,12 +107,13 @@ class TestExits:
     def test_a_span_outside_the_recording_is_3(self, fit, bag):
         assert fit(bag, "--from", "5000")[0] == 3
 
-    def test_a_refusal_is_4_and_leaves_nothing(self, fit, bag, tmp_path):
+    def test_a_refusal_is_4_and_leaves_a_report_but_no_calibration(self, fit, bag, tmp_path):
         """The reference contradicts the turn."""
         status, out, _ = fit(bag, "--reference-strength-ut", "90")
         assert status == 4
         assert out.startswith("Refused")
-        assert not (tmp_path / "found").exists()
+        left = sorted(path.name for path in (tmp_path / "found").iterdir())
+        assert left == ["report.html", "samples.csv"]
 
     @pytest.mark.parametrize(
         "arguments",

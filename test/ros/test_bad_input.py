@@ -116,7 +116,7 @@ def test_half_a_turn_of_silence_is_waited_out(stage):
 def test_a_sensor_that_dies_in_the_turn_ends_it_with_its_name(stage):
     actor = stage(parameters={**IMPATIENT, "window.silence_s": 2.5, "window.timeout_s": 60.0})
     future = actor.call("calibrate")
-    actor.run(0.5, 0.5)
+    actor.run(0.25, 0.5)
     actor.mangle = lambda sample: [] if isinstance(sample, ImuSample) else [sample]
     answer = actor.answer(future)
     assert not answer.success
