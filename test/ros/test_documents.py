@@ -1,6 +1,9 @@
 """What the code says and what the documents say is the same."""
 
+import json
 from pathlib import Path
+
+import yaml
 
 from magcal_ros.ros.generated import readme_with_parameters
 from magcal_ros.ros.parameters import as_yaml
@@ -28,3 +31,17 @@ def test_no_path_of_a_machine_is_in_the_documents():
         text = (CHECKOUT / name).read_text()
         assert "/home/" not in text
         assert "/tmp/" not in text
+
+
+def test_the_layouts_show_the_topics_that_the_node_publishes():
+    rviz = yaml.safe_load((CHECKOUT / "config" / "calibrator.rviz").read_text())
+    displays = rviz["Visualization Manager"]["Displays"]
+    (turn,) = [d for d in displays if d["Class"] == "rviz_default_plugins/MarkerArray"]
+    assert turn["Topic"]["Value"] == "/calibrator/markers"
+    assert turn["Topic"]["Durability Policy"] == "Transient Local"
+    layout = json.loads((CHECKOUT / "config" / "foxglove.json").read_text())
+    panels = layout["configById"]
+    assert "/calibrator/markers" in panels["3D!turn"]["topics"]
+    assert panels["Plot!yaw"]["paths"][0]["value"] == "/compass/yaw.data"
+    used = json.dumps(layout["layout"])
+    assert all(name in used for name in panels)

@@ -39,7 +39,7 @@ def draw(figure: Figure, turn: Turn) -> None:
         strength, *(float(np.abs(points).max()) for points, _ in clouds if len(points))
     )
     grid = figure.add_gridspec(
-        2, 2, left=0.11, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
+        2, 2, left=0.125, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
     )
     # The solid view needs no room for tick labels, only some for its slanting axes.
     solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")

@@ -27,7 +27,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     if corrected is None:
         return
     upper, lower = figure.subplots(2, 1, sharex=True)
-    figure.subplots_adjust(left=0.135, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
+    figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
     before, after = deviations(turn, corrected)
     _draw_card(upper, before, RAW, "^", "before the correction")
     bound = next(t.good for t in THRESHOLDS if t.figure == "gyro_compass_rms")

@@ -21,7 +21,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     if corrected is None or angle is None:
         return
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.25, 1.0)})
-    figure.subplots_adjust(left=0.135, right=0.98, top=0.97, bottom=0.205, hspace=0.1)
+    figure.subplots_adjust(left=0.155, right=0.98, top=0.97, bottom=0.205, hspace=0.1)
     _draw_headings(upper, turn, corrected, np.degrees(angle))
     _draw_deviation(lower, turn, corrected, np.degrees(angle))
     legend_below(figure, upper)

@@ -30,7 +30,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     """Draw the ring of headings that were seen, and the residuals, or without a fit the field."""
     corrected = turn.corrected
     _draw_ring(figure.add_axes((0.29, 0.625, 0.42, 0.3), projection="polar"), turn)
-    axes = figure.add_axes((0.12, 0.175, 0.86, 0.345))
+    axes = figure.add_axes((0.155, 0.175, 0.825, 0.345))
     if corrected is None:
         raw_field.draw(axes, turn)
     else:
