@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import argparse
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.folders import new_or_named
 from magcal_ros.cli.printing import bullets, document, table
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
+from magcal_ros.core.applied import applied
+from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.holds import Check, State, check
+from magcal_ros.core.holds import Check, State, check, up_of
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.plain import plain
+from magcal_ros.report import Subject, write_report
 
 
 def add_to(commands: Any) -> None:
@@ -29,6 +35,12 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder for the report (default: a new magcal_check_DATE_TIME here)",
+    )
     parser.set_defaults(run=run)
 
 
@@ -36,16 +48,39 @@ def run(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
     gathered = gather(options, Knowledge())
+    folder = new_or_named(options.output, "magcal_check")
     notes = [*_other_sensor(origin, gathered), *gathered.gathering.complaints()]
     try:
-        result = check(gathered.gathering.window(), calibration)
+        window = gathered.gathering.window()
+        result = check(window, calibration)
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
         print(document(content) if options.json else words.rstrip("\n"))
         return Exit.TOO_LITTLE_DATA
-    print(document(_facts(result, notes)) if options.json else _words(result, notes))
+    arc = gathered.gathering.progress().coverage.arc
+    outcome = applied(window, up_of(window), arc, calibration, result)
+    report = write_report(folder, _subject(window, outcome, options, gathered))
+    facts = {**_facts(result, notes), "report": str(report)}
+    print(document(facts) if options.json else f"{_words(result, notes)}\n\nReport: {report}")
     return Exit.REFUSED if result.state is State.STALE else Exit.GOOD
+
+
+def _subject(
+    window: Window, outcome: Outcome, options: argparse.Namespace, gathered: Gathered
+) -> Subject:
+    assert outcome.estimate is not None
+    return Subject(
+        window,
+        Knowledge(),
+        outcome,
+        source=f"{options.recording}, checked against {options.calibration}",
+        created=datetime.now().astimezone(),
+        method=outcome.estimate.method,
+        title="Compass check",
+        magnetometer_frame=gathered.field_frame,
+        imu_frame=gathered.imu_frame,
+    )
 
 
 def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:

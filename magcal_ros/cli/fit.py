@@ -11,6 +11,7 @@ from typing import Any
 
 from magcal_ros.cli.compare import compare_methods
 from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.folders import new_or_named
 from magcal_ros.cli.printing import bullets, document, table
 from magcal_ros.cli.recorded import (
     Gathered,
@@ -91,15 +92,10 @@ def run(options: argparse.Namespace) -> int:
 
 def _folder(chosen: Path | None) -> Path:
     """Return where to write; what lies there already is never overwritten."""
-    if chosen is None:
-        name = datetime.now().strftime("magcal_fit_%Y%m%d_%H%M%S")
-        names = [name, *(f"{name}_{k}" for k in range(2, 100))]
-        return next(Path(name) for name in names if not Path(name).exists())
-    if chosen.exists() and not chosen.is_dir():
-        raise FileTrouble(f"{chosen} is a file: name a folder with --output")
-    if (chosen / CALIBRATION).exists():
-        raise FileTrouble(f"{chosen / CALIBRATION} exists already: name another --output")
-    return chosen
+    folder = new_or_named(chosen, "magcal_fit")
+    if (folder / CALIBRATION).exists():
+        raise FileTrouble(f"{folder / CALIBRATION} exists already: name another --output")
+    return folder
 
 
 def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:

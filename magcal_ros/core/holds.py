@@ -180,7 +180,7 @@ def check(window: Window, calibration: Calibration) -> Check:
     -------
     Check
     """
-    up = _up(window)
+    up = up_of(window)
     heading = yaw_from_up_and_field(up, calibration.correction.apply(window.field))
     before, after = (
         figures(window, up, heading, correction, calibration)
@@ -237,7 +237,7 @@ def figures(
     return found
 
 
-def _up(window: Window) -> FloatArray:
+def up_of(window: Window) -> FloatArray:
     """Return up at each sample, carried by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
         return unit(window.specific_force)

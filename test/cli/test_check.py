@@ -22,8 +22,9 @@ def calibration_file(tmp_path_factory):
 
 
 @pytest.fixture
-def check(calibration_file, capsys):
+def check(calibration_file, capsys, tmp_path, monkeypatch):
     """Run `magcal check`; returns exit status, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
 
     def run(recording, *arguments, file=calibration_file):
         try:
@@ -53,6 +54,19 @@ def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
     status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
     assert status == 4
     assert out.startswith("The calibration is stale, calibrate again: heading swing")
+
+
+@pytest.mark.parametrize(("iron", "word"), [(0.0, "holds"), (5e-6, "stale")])
+def test_the_report_tells_the_same(check, tmp_path, iron, word):
+    robot = dataclasses.replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([iron, 0.0, 0.0]))
+    recording = write_csv(tmp_path / "csv", drive(400.0, robot, seed=3))
+    _, out, _ = check(recording, "--output", str(tmp_path / "found"))
+    report = tmp_path / "found" / "report.html"
+    assert f"Report: {report}" in out
+    page = report.read_text()
+    assert "Compass check" in page
+    assert f"The calibration {'is stale' if word == 'stale' else 'holds'}" in page
+    assert "° of a turn seen" in page
 
 
 def test_json_has_both_sides_of_every_figure(check, tmp_path):
