@@ -1,6 +1,7 @@
 """The real node in a thread of its own, and a simulated robot that talks to it over DDS."""
 
 import contextlib
+import sys
 import threading
 
 import pytest
@@ -9,8 +10,18 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from support import REFERENCE, ROBOT, SPEED
 
+from magcal_ros.ros.main import SWITCH_INTERVAL
 from magcal_ros.ros.node import Calibrator
 from magcal_ros.ros.rehearsal import Rehearsal
+
+
+@pytest.fixture(autouse=True, scope="session")
+def switch_interval():
+    """Let threads take turns as they do in the node's own process."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    yield
+    sys.setswitchinterval(before)
 
 
 @pytest.fixture(autouse=True)

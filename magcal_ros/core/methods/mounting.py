@@ -22,7 +22,7 @@ LEAST_VARIANCE = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Mounting:
+class SeenMounting:
     """A rotation of the corrected field against the IMU, as far as gravity shows it.
 
     Parameters
@@ -62,7 +62,7 @@ class Mounting:
         return covariance
 
 
-def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> Mounting:
+def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> SeenMounting:
     """Weigh what is believed about the mounting against what gravity shows.
 
     Parameters
@@ -76,7 +76,7 @@ def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> Mou
 
     Returns
     -------
-    Mounting
+    SeenMounting
         Neighbouring samples' common errors are counted: the noise is judged by sums over pieces
         of time.
     """
@@ -84,7 +84,7 @@ def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> Mou
     design = np.column_stack([np.ones(len(up)), -np.cross(direction, up)])
     if sigma == 0.0:
         scatter = float(np.std(cosines))
-        return Mounting(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
+        return SeenMounting(float(cosines.mean()), np.zeros(3), np.zeros((3, 3)), scatter)
     prior = np.diag([0.0, *np.full(3, sigma**-2)])
     answer = np.linalg.lstsq(design, cosines, rcond=None)[0]
     residual = cosines - design @ answer
@@ -92,7 +92,7 @@ def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> Mou
     weight = 1.0 / (variance * _repetition(design, residual))
     covariance = np.linalg.inv(weight * design.T @ design + prior)
     answer = weight * covariance @ design.T @ cosines
-    return Mounting(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
+    return SeenMounting(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
 
 
 def _repetition(design: FloatArray, residual: FloatArray) -> float:

@@ -20,7 +20,7 @@ from magcal_ros.core.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.mounting import look_at_mounting
+from magcal_ros.core.methods.mounting import SeenMounting, look_at_mounting
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.window import Window
 
@@ -192,23 +192,13 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
     extent = _extent(points[inliers])
     _refuse_no_sphere(distance[inliers], extent, settings)
     correction = shape.correction(knowledge)
-    covariance = jackknife_covariance(
-        lambda part, known: solve(part, known).correction(known),
-        window,
-        knowledge,
-        blocks=settings.jackknife_blocks,
-    )
+    covariance = _covariance(solve, window, knowledge, settings)
     up = unit(window.specific_force[inliers])
     mounting = look_at_mounting(unit(points[inliers]), up, settings.installation_sigma)
     strength = believed_strength(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
     noise = math.sqrt(float((residual[inliers] ** 2).sum()) / max(int(inliers.sum()) - 9, 1))
-    figures = {**shape.figures, "sphere_extent": 0.5 * extent}
-    if settings.installation_sigma > 0.0:
-        figures["misalignment"] = mounting.angle
-    if not knowledge.reference.strength.is_unknown:
-        figures["radius_ratio"] = shape.radius / strength
     return Estimate(
         method=settings.method,
         correction=correction,
@@ -222,9 +212,37 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
         noise_up=_noise_up(mounting.scatter, inclination),
         inliers=inliers,
         residual=residual,
-        figures=figures,
+        figures={
+            **shape.figures,
+            "sphere_extent": 0.5 * extent,
+            **_comparisons(shape, mounting, knowledge, settings),
+        },
         message="closed form; the magnetometer's axes were taken for the IMU's",
     )
+
+
+def _covariance(
+    solve: Solve, window: Window, knowledge: Knowledge, settings: Settings
+) -> FloatArray:
+    return jackknife_covariance(
+        lambda part, known: solve(part, known).correction(known),
+        window,
+        knowledge,
+        blocks=settings.jackknife_blocks,
+    )
+
+
+def _comparisons(
+    shape: Shape, mounting: SeenMounting, knowledge: Knowledge, settings: Settings
+) -> dict[str, float]:
+    """Return the figures that hold the result against what is known besides."""
+    found = {}
+    if settings.installation_sigma > 0.0:
+        found["misalignment"] = mounting.angle
+    if not knowledge.reference.strength.is_unknown:
+        strength = believed_strength(shape, knowledge)
+        found["radius_ratio"] = shape.radius / strength
+    return found
 
 
 def _noise_up(scatter: float, inclination: float) -> float:
