@@ -76,7 +76,7 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
         return Outcome(refuse(refusal))
-    verdict = judge(estimate, knowledge)
+    verdict = judge(estimate, knowledge, window)
     return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
 
 

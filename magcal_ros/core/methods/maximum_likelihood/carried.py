@@ -252,8 +252,9 @@ def _strained(plain: Carried) -> bool:
     problem = plain.solution.problem
     counted = problem.weights.sample
     stray = predict(plain.solution.state, problem.samples).up_residual
-    mean = float(np.linalg.norm(counted @ stray)) / float(counted.sum())
-    chance = problem.noise.up * math.sqrt(problem.kappa / float(counted.sum()))
+    count = max(float(counted.sum()), 1.0)
+    mean = float(np.linalg.norm(counted @ stray)) / count
+    chance = problem.noise.up * math.sqrt(problem.kappa / count)
     bias = plain.carrier.bias_pull(plain.coefficients)
     return bias > SUSPICIOUS_BIAS or mean > SUSPICIOUS_STRAY * chance
 
@@ -383,7 +384,8 @@ def _cost(place: _Place, problem: Problem, carrier: Carrier, drift: float) -> fl
 def _noise(equations: _Equations, problem: Problem) -> Noise:
     weights, noise = problem.weights, problem.noise
     squares = (weights.data * weights.sample)[:, None] * equations.residual**2
-    count = float(weights.sample.sum())
+    # Where no sample is believed the noise shrinks no further than below, and the fit is refused.
+    count = max(float(weights.sample.sum()), 1.0)
     left = max(1.0 - equations.spent / (5.0 * count), 0.1)
     up = noise.up * math.sqrt(float(squares[:, :3].sum()) / (2.0 * count * left))
     field = noise.field * math.sqrt(float(squares[:, 3:].sum()) / (3.0 * count * left))
