@@ -175,7 +175,8 @@ def converge_carried(
     equations = _equations(place, problem, carrier, drift)
     free = len(problem.prior.free)
     block = equations.information
-    shared = np.linalg.solve(block[free:, free:], block[free:, :free])
+    # Without a believed sample the gyro's own errors are not determined either.
+    shared = np.linalg.lstsq(block[free:, free:], block[free:, :free], rcond=1e-14)[0]
     information = block[:free, :free] - block[:free, free:] @ shared
     lean = np.sqrt(np.mean(place.state.lean[:, :2] ** 2))
     noise = replace(problem.noise, wobble=max(float(lean), 1e-3))
