@@ -27,6 +27,7 @@ unit: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python benchmarks/offline.py
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)

@@ -19,6 +19,8 @@ ROS_WHEELS = [
     "ros-rmw-fastrtps-cpp==9.3.3",
 ]
 
+# Reads bags without ROS.
+BAG_READER = ["rosbags>=0.10"]
 LIVE_VIEW = ["rich>=12"]
 
 REPORT = ["matplotlib>=3.5"]
@@ -48,10 +50,11 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools", "numpy>=1.21", "scipy>=1.8", "PyYAML>=5.4"],
     extras_require={
+        "bags": BAG_READER,
         "live": LIVE_VIEW,
         "report": REPORT,
         "ros": ROS_WHEELS,
-        "test": LIVE_VIEW + REPORT + TEST_TOOLS,
+        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *TEST_TOOLS],
     },
     zip_safe=True,
     maintainer="magcal_ros maintainers",

@@ -14,7 +14,7 @@ every_file = pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative
 
 MAY_IMPORT = {
     "core": {"core", "numpy", "scipy"},
-    "files": {"core", "files", "magcal_ros", "numpy", "yaml"},
+    "files": {"core", "files", "magcal_ros", "numpy", "rosbags", "yaml"},
 }
 """Beyond the standard library; a room of the package by its own name."""
 
@@ -60,7 +60,14 @@ def test_core_and_files_load_neither_ros_nor_matplotlib():
     loaded = set(done.stdout.split())
     assert {"magcal_ros.core.heading", "magcal_ros.files.recording"} <= loaded
     tops = {name.split(".")[0] for name in loaded}
-    assert not tops & {"rclpy", "matplotlib", "sensor_msgs", "std_msgs", "rcl_interfaces"}
+    assert not tops & {
+        "rclpy",
+        "matplotlib",
+        "sensor_msgs",
+        "std_msgs",
+        "rcl_interfaces",
+        "rosbags",
+    }
     assert not {"magcal_ros.ros", "magcal_ros.cli", "magcal_ros.report"} & loaded
 
 

@@ -7,12 +7,12 @@ import sys
 from collections.abc import Sequence
 
 from magcal_ros import __version__
-from magcal_ros.cli import calibrate, demo, export, replay
+from magcal_ros.cli import calibrate, check, demo, export, fit, replay
 from magcal_ros.cli.exits import Exit
-from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.atomic import FileTrouble
 
-COMMANDS = (calibrate, export, replay, demo)
+COMMANDS = (calibrate, fit, check, export, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,6 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return int(options.run(options))
     except KeyboardInterrupt:
         return int(Exit.INTERRUPTED)
+    except Misuse as error:
+        print(f"magcal: {error}", file=sys.stderr)
+        return int(Exit.USAGE)
     except FileTrouble as error:
         print(f"magcal: {error}", file=sys.stderr)
         return int(Exit.FILE_TROUBLE)

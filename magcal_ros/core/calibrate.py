@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import cast
 
 from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.errors import Refusal
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.figures import predicted_heading_sigma
 from magcal_ros.core.knowledge import Knowledge
@@ -34,11 +34,19 @@ class Outcome:
         What was found, whatever the verdict; None if nothing could be found.
     estimate : Estimate or None
         The method's own result.
+    reason : Reason or None
+        Why nothing could be found.
     """
 
     verdict: Verdict
     calibration: Calibration | None = None
     estimate: Estimate | None = None
+    reason: Reason | None = None
+
+    @classmethod
+    def refused(cls, refusal: Refusal) -> Outcome:
+        """Return what comes of samples that cannot carry a calibration."""
+        return cls(refuse(refusal), reason=refusal.reason)
 
 
 def find_method(name: str) -> Fit:
@@ -75,7 +83,7 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
-        return Outcome(refuse(refusal))
+        return Outcome.refused(refusal)
     verdict = judge(estimate, knowledge, window)
     return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
 

@@ -9,6 +9,10 @@ class MagcalError(Exception):
     """Root of everything this package raises on purpose; its text is meant for the user."""
 
 
+class Misuse(MagcalError):
+    """What was asked for cannot be, or is not clear; the text lists what can be asked for."""
+
+
 class Reason(str, Enum):
     """Why a window of samples cannot be turned into a calibration."""
 

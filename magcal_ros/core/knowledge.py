@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray, frozen_array
+from magcal_ros.core.rotations import rotation_from_rpy
+
+STRENGTH_SIGMA_UT = 1.5
+INCLINATION_SIGMA_DEG = 1.0
+"""What a world magnetic model leaves open outdoors; indoors rather 7 µT and 5°."""
 
 SOFT_IRON_SIGMA_DIAGONAL = 0.03
 SOFT_IRON_SIGMA_CROSS = 0.02
@@ -141,3 +147,40 @@ class Knowledge:
     reference: ReferenceField = field(default_factory=ReferenceField)
     mounting: Mounting = field(default_factory=Mounting)
     soft_iron: SoftIron = field(default_factory=SoftIron)
+
+
+def knowledge_of(
+    strength_ut: float = math.nan,
+    strength_sigma_ut: float = STRENGTH_SIGMA_UT,
+    inclination_deg: float = math.nan,
+    inclination_sigma_deg: float = INCLINATION_SIGMA_DEG,
+    declination_deg: float = math.nan,
+    soft_iron_gains: Sequence[float] = (1.0, 1.0, 1.0),
+    mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
+) -> Knowledge:
+    """Build from the numbers that people write; NaN stands for what is not known.
+
+    Parameters
+    ----------
+    strength_ut, strength_sigma_ut : float
+        Microtesla.
+    inclination_deg, inclination_sigma_deg, declination_deg : float
+        Degrees.
+    soft_iron_gains : sequence of three float
+        Known gains of the magnetometer's axes.
+    mount_rpy_deg : sequence of three float
+        Nominal roll, pitch and yaw of the magnetometer in the IMU's frame, degrees.
+
+    Returns
+    -------
+    Knowledge
+    """
+    strength, inclination = Belief.unknown(), Belief.unknown()
+    if not math.isnan(strength_ut):
+        strength = Belief(strength_ut * 1e-6, strength_sigma_ut * 1e-6)
+    if not math.isnan(inclination_deg):
+        inclination = Belief(math.radians(inclination_deg), math.radians(inclination_sigma_deg))
+    declination = None if math.isnan(declination_deg) else math.radians(declination_deg)
+    roll, pitch, yaw = (math.radians(angle) for angle in mount_rpy_deg)
+    mounting = Mounting(np.array(soft_iron_gains), rotation_from_rpy(roll, pitch, yaw))
+    return Knowledge(ReferenceField(strength, inclination, declination), mounting)

@@ -106,9 +106,7 @@ def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
         across /= np.linalg.norm(across)
         return np.asarray(2.0 * np.outer(across, across) - np.eye(3))
     k = skew(np.cross(start, end))
-    # 1 + cosine, without its cancellation where the vectors are nearly opposite.
-    between = start + end
-    return np.asarray(np.eye(3) + k + k @ k / (0.5 * float(between @ between)))
+    return np.asarray(np.eye(3) + k + k @ k / (1.0 + cosine))
 
 
 def rotation_angle(rotation: FloatArray) -> float:

@@ -31,6 +31,9 @@ STANDS_STILL = 3.0
 SLOWEST_TURN = math.radians(3.0)
 """rad/s. Slower than this the robot stands."""
 
+NO_TURN = 0.1
+"""Radians of arc that a robot at rest may seem to have turned."""
+
 ROWS = 10
 """Columns of the buffer: stamp, field, specific force, angular rate."""
 
@@ -102,6 +105,20 @@ class Progress:
             line += f", heading ±{math.degrees(self.heading_sigma):.2f}°"
         hole = self.coverage.hole_in_words
         return f"{line}; {hole}" if hole else line
+
+    def require_arc(self, smallest: float) -> None:
+        """Refuse a turn of less than `smallest` radians.
+
+        Raises
+        ------
+        Refusal
+            With what was seen of the turn.
+        """
+        if self.coverage.arc < smallest:
+            raise Refusal(
+                Reason.NO_MOTION if self.coverage.arc < NO_TURN else Reason.ARC_TOO_SHORT,
+                f"too little of a turn: {self.in_words}. Turn the robot a full circle",
+            )
 
 
 class Session:

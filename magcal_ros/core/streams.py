@@ -13,6 +13,9 @@ from typing import NamedTuple
 BACKWARD_SAMPLES_UNTIL_RESTART = 10
 """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
 
+MAX_GAP = 0.2
+"""Seconds. IMU samples further apart are usually not interpolated between."""
+
 HISTORY = 4096
 """Samples kept of each stream: four seconds of the fastest sensors."""
 

@@ -19,7 +19,6 @@ from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pairer, Streams
-from magcal_ros.core.verdict import refuse
 from magcal_ros.core.window import Window
 from magcal_ros.ros.parameters import Settings
 
@@ -57,6 +56,8 @@ class Control:
         returns what to add to the answer ("saved to ...").
     describe_silence : callable
         Says which sensor is missing, and what to look at.
+    report : callable
+        Begins the report on a window and its outcome and returns where it will lie, in words.
     """
 
     def __init__(
@@ -64,10 +65,12 @@ class Control:
         streams: Streams,
         put_in_force: Callable[[Calibration], Callable[[], str]],
         describe_silence: Callable[[], str],
+        report: Callable[[Window, Settings, Outcome], str],
     ) -> None:
         self._streams = streams
         self._put_in_force = put_in_force
         self._describe_silence = describe_silence
+        self._report = report
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="magcal-fit")
         self._session: Session | None = None
         self._pairer = Pairer(streams)
@@ -77,7 +80,7 @@ class Control:
         self._preview: Job[float] | None = None
         self._preview_began = self._next_preview = 0.0
         self._why_ended = ""
-        self._words = ""
+        self._words = self._words_of_report = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
         self.progress: Progress | None = None
         self.last_window: Window | None = None
@@ -204,21 +207,12 @@ class Control:
         self._session = None
         try:
             window = self.last_window = session.window()
-            self._require_arc(session, self.progress)
+            self.progress.require_arc(session.limits.smallest_arc)
         except Refusal as refusal:
             self._refuse(refusal)
             return
         settings = self._settings
         self._job = self._worker.submit(calibrate, window, settings.knowledge, settings.method)
-
-    def _require_arc(self, session: Session, progress: Progress) -> None:
-        if progress.coverage.arc >= session.limits.smallest_arc:
-            return
-        seen = progress.in_words
-        raise Refusal(
-            Reason.NO_MOTION if progress.coverage.arc < 0.1 else Reason.ARC_TOO_SHORT,
-            f"too little of a turn: {seen}. Call again and turn the robot a full circle",
-        )
 
     def _use(self, job: Job[Outcome]) -> None:
         try:
@@ -233,6 +227,8 @@ class Control:
         self._words = outcome.verdict.summary
         if self._why_ended:
             self._words = f"{self._why_ended}; {self._words}"
+        if self.last_window is not None and self._settings is not None:
+            self._words_of_report = self._report(self.last_window, self._settings, outcome)
         unchanged = "The calibration in force is unchanged"
         if outcome.calibration is None:
             self._conclude(Conclusion(False, f"{self._words} {unchanged}."))
@@ -243,9 +239,13 @@ class Control:
             self._conclude(Conclusion(False, f"{self._words} {unchanged}; {remedy}."))
 
     def _refuse(self, refusal: Refusal) -> None:
-        self._judge(Outcome(refuse(refusal)))
+        self._judge(Outcome.refused(refusal))
 
     def _conclude(self, conclusion: Conclusion) -> None:
+        if self._words_of_report:
+            message = f"{conclusion.message} {self._words_of_report}"
+            conclusion = Conclusion(conclusion.success, message)
+            self._words_of_report = ""
         self.last_conclusion = conclusion
         listeners, self._listeners = self._listeners, []
         for listener in listeners:

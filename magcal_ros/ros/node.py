@@ -14,18 +14,21 @@ from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
+from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
 from magcal_ros.ros.markers import turn_markers
-from magcal_ros.ros.messages import field_sample, imu_sample
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
-from magcal_ros.ros.parameters import Parameters
+from magcal_ros.ros.parameters import Parameters, Settings
+from magcal_ros.ros.reporter import Reporter, now
 from magcal_ros.ros.services import Services
 from magcal_ros.ros.status import (
     calibration_diagnostic,
@@ -58,7 +61,10 @@ class Calibrator(Node):
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
-        self._control = Control(streams, self._put_in_force, self._describe_silence)
+        self._reporter = Reporter()
+        self._control = Control(
+            streams, self._put_in_force, self._describe_silence, self._begin_report
+        )
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
@@ -188,6 +194,20 @@ class Calibrator(Node):
         return Conclusion(
             True, "no calibration is in force any more; its file stays and is used at next start"
         )
+
+    def _begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        imu, field = self._inputs.imu, self._inputs.field
+        subject = Subject(
+            window,
+            settings.knowledge,
+            outcome,
+            source=f"{field.topic} and {imu.topic}",
+            created=now(),
+            method=settings.method,
+            magnetometer_frame=field.frame,
+            imu_frame=imu.frame,
+        )
+        return self._reporter.begin(settings.report_folder, subject)
 
     def _describe_silence(self) -> str:
         complaints = self._inputs.complaints()

@@ -12,9 +12,14 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from magcal_ros.core.calibrate import METHODS
-from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import (
+    INCLINATION_SIGMA_DEG,
+    STRENGTH_SIGMA_UT,
+    Knowledge,
+    knowledge_of,
+)
 from magcal_ros.core.session import Limits
+from magcal_ros.core.streams import MAX_GAP
 
 UNSET = math.nan
 """Stands for a number that is not known; in YAML it is written .nan or left out."""
@@ -102,6 +107,12 @@ PARAMETERS: tuple[Spec, ...] = (
         "Where the calibration is stored and loaded from. Empty: "
         "$ROS_HOME/magcal/<namespace>/<frame of the magnetometer>.yaml",
     ),
+    Spec(
+        "report_folder",
+        "",
+        "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
+        "$ROS_HOME/magcal/reports; none: no reports",
+    ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
         "reference.strength_ut",
@@ -113,7 +124,7 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec(
         "reference.strength_sigma_ut",
-        1.5,
+        STRENGTH_SIGMA_UT,
         "How far the true strength may be from it (1 σ); indoors rather 7",
         0.0,
         100.0,
@@ -129,7 +140,7 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec(
         "reference.inclination_sigma_deg",
-        1.0,
+        INCLINATION_SIGMA_DEG,
         "How far the true inclination may be from it (1 σ); indoors rather 5",
         0.0,
         90.0,
@@ -184,7 +195,7 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec(
         "window.max_gap_s",
-        0.2,
+        MAX_GAP,
         "IMU samples further apart are not interpolated between",
         0.001,
         5.0,
@@ -198,6 +209,7 @@ class Settings:
     """The parameters' values in SI units and in the core's own types."""
 
     calibration_file: str
+    report_folder: str
     method: str
     knowledge: Knowledge
     limits: Limits
@@ -206,12 +218,20 @@ class Settings:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
         """Build from checked values by parameter name."""
-        roll, pitch, yaw = (math.radians(angle) for angle in values["mount_rpy_deg"])
-        mounting = Mounting(values["soft_iron_gains"], rotation_from_rpy(roll, pitch, yaw))
+        knowledge = knowledge_of(
+            values["reference.strength_ut"],
+            values["reference.strength_sigma_ut"],
+            values["reference.inclination_deg"],
+            values["reference.inclination_sigma_deg"],
+            values["reference.declination_deg"],
+            values["soft_iron_gains"],
+            values["mount_rpy_deg"],
+        )
         return cls(
             values["calibration_file"],
+            values["report_folder"],
             values["method"],
-            Knowledge(_reference(values), mounting),
+            knowledge,
             Limits(
                 values["window.timeout_s"],
                 values["window.silence_s"],
@@ -219,22 +239,6 @@ class Settings:
             ),
             values["window.max_gap_s"],
         )
-
-
-def _reference(values: Mapping[str, Any]) -> ReferenceField:
-    strength, inclination = values["reference.strength_ut"], values["reference.inclination_deg"]
-    declination = values["reference.declination_deg"]
-    return ReferenceField(
-        Belief.unknown()
-        if math.isnan(strength)
-        else Belief(strength * 1e-6, values["reference.strength_sigma_ut"] * 1e-6),
-        Belief.unknown()
-        if math.isnan(inclination)
-        else Belief(
-            math.radians(inclination), math.radians(values["reference.inclination_sigma_deg"])
-        ),
-        None if math.isnan(declination) else math.radians(declination),
-    )
 
 
 class Parameters:

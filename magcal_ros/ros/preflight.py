@@ -14,8 +14,8 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.messages import seconds
 from magcal_ros.core.units import likely_field_unit
-from magcal_ros.ros.messages import seconds
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"

@@ -8,8 +8,8 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField
 
+from magcal_ros.core.messages import ABSENT
 from magcal_ros.core.streams import FieldSample, ImuSample
-from magcal_ros.ros.messages import ABSENT
 
 
 class SensorSource:

@@ -10,13 +10,27 @@ from magcal_ros.core.verdict import Grade
 from magcal_ros.core.window import Window
 
 ROBOT = Robot()
+TURN_METHODS = ("maximum_likelihood", "design_tip")
+TUMBLE_METHODS = ("ellipsoid", "min_max")
 
 
 def window_of(robot=ROBOT, **motion):
     return measure(robot, turn(**motion), np.random.default_rng(3), gyro=True)
 
 
-@pytest.mark.parametrize("method", METHODS)
+def test_every_method_is_for_a_turn_or_for_a_tumbled_sensor():
+    assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS}
+    assert METHODS[0] == "maximum_likelihood"
+
+
+@pytest.mark.parametrize("method", TUMBLE_METHODS)
+def test_one_turn_is_too_little_for_a_method_that_wants_a_tumble(method):
+    outcome = calibrate(window_of(), ROBOT.knowledge(), method)
+    assert not outcome.verdict.accepted
+    assert "plane" in outcome.verdict.summary
+
+
+@pytest.mark.parametrize("method", TURN_METHODS)
 class TestEveryMethod:
     def test_one_turn_calibrates_the_robot(self, method):
         outcome = calibrate(window_of(), ROBOT.knowledge(), method)

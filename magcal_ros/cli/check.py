@@ -1,0 +1,90 @@
+"""`magcal check`: whether a calibration still holds on a fresh recording."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.printing import bullets, document, table
+from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.holds import Check, State, check
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.files.calibration_file import Origin, read_calibration
+from magcal_ros.files.plain import plain
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "check",
+        help="say whether a calibration still holds on a fresh recording",
+        description="Say whether a calibration still holds on a fresh recording in which the "
+        "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
+        "little data, 4 stale, 5 file trouble.",
+    )
+    add_recording_options(parser)
+    parser.add_argument(
+        "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read both, compare, and say what came of it."""
+    calibration, origin = read_calibration(options.calibration)
+    gathered = gather(options, Knowledge())
+    notes = [*_other_sensor(origin, gathered), *gathered.gathering.complaints()]
+    try:
+        result = check(gathered.gathering.window(), calibration)
+    except Refusal as refusal:
+        content = {"summary": str(refusal), "state": None, "about": notes}
+        words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
+        print(document(content) if options.json else words.rstrip("\n"))
+        return Exit.TOO_LITTLE_DATA
+    print(document(_facts(result, notes)) if options.json else _words(result, notes))
+    return Exit.REFUSED if result.state is State.STALE else Exit.GOOD
+
+
+def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
+    made_for, heard = origin.magnetometer_frame, gathered.field_frame
+    if made_for and heard and made_for != heard:
+        return [
+            f"the calibration was made for the magnetometer {plain(made_for)}, "
+            f"but this is {plain(heard)}"
+        ]
+    return []
+
+
+def _words(result: Check, notes: list[str]) -> str:
+    rows = [("", "before", "after", "unit", "")]
+    rows += [
+        (f.name, f"{f.before:.2f}", f"{f.after:.2f}", f.unit, f.state.value)
+        for f in result.findings
+    ]
+    text = f"{result.summary}\n\n{table(rows)}\n"
+    text += bullets("Not shown by this recording:", result.not_shown)
+    text += bullets("About the recording:", notes)
+    return text.rstrip("\n")
+
+
+def _facts(result: Check, notes: list[str]) -> dict[str, Any]:
+    return {
+        "summary": result.summary,
+        "state": result.state.value,
+        "findings": [
+            {
+                "figure": f.figure,
+                "state": f.state.value,
+                "before": f.before,
+                "after": f.after,
+                "unit": f.unit,
+                "words": f.words,
+            }
+            for f in result.findings
+        ],
+        "not_shown": list(result.not_shown),
+        "about": notes,
+    }

@@ -1,0 +1,208 @@
+"""`magcal fit`: a calibration from a recording, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from magcal_ros.cli.compare import compare_methods
+from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.printing import bullets, document, table
+from magcal_ros.cli.recorded import (
+    Gathered,
+    add_knowledge_options,
+    add_recording_options,
+    gather,
+    knowledge_from,
+)
+from magcal_ros.core.calibrate import METHODS, Outcome
+from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.figures import common_figures
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.offline import LITTLE_DATA, fit_gathered
+from magcal_ros.core.session import Progress
+from magcal_ros.core.window import Window
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.report import Subject, write_report
+
+CALIBRATION = "calibration.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A recording and what came of it."""
+
+    gathered: Gathered
+    knowledge: Knowledge
+    outcome: Outcome
+    window: Window | None
+    progress: Progress
+
+    @property
+    def status(self) -> Exit:
+        """What the shell sees."""
+        if self.outcome.verdict.accepted:
+            return Exit.GOOD
+        return Exit.TOO_LITTLE_DATA if self.outcome.reason in LITTLE_DATA else Exit.REFUSED
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "fit",
+        help="calibrate from a recording",
+        description="Calibrate from a recording of a turn, as the node does live. The whole span "
+        "is used. Exit status: 0 good, 2 usage, 3 too little data, 4 refused, 5 file trouble.",
+    )
+    add_recording_options(parser)
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder for what is found (default: a new magcal_fit_DATE_TIME here)",
+    )
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="way of fitting")
+    parser.add_argument(
+        "--compare", action="store_true", help="print every method side by side; write no files"
+    )
+    add_knowledge_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, fit, leave the files, and say what came of it."""
+    folder = _folder(options.output)
+    knowledge = knowledge_from(options)
+    gathered = gather(options, knowledge)
+    outcome, window = fit_gathered(gathered.gathering, knowledge, options.method)
+    fitted = Fitted(gathered, knowledge, outcome, window, gathered.gathering.progress())
+    if options.compare:
+        print(compare_methods(window, knowledge))
+        return fitted.status
+    files = _write_files(folder, fitted, options)
+    print(document(_facts(fitted, files)) if options.json else _words(fitted, files))
+    return fitted.status
+
+
+def _folder(chosen: Path | None) -> Path:
+    """Return where to write; what lies there already is never overwritten."""
+    if chosen is None:
+        name = datetime.now().strftime("magcal_fit_%Y%m%d_%H%M%S")
+        names = [name, *(f"{name}_{k}" for k in range(2, 100))]
+        return next(Path(name) for name in names if not Path(name).exists())
+    if chosen.exists() and not chosen.is_dir():
+        raise FileTrouble(f"{chosen} is a file: name a folder with --output")
+    if (chosen / CALIBRATION).exists():
+        raise FileTrouble(f"{chosen / CALIBRATION} exists already: name another --output")
+    return chosen
+
+
+def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
+    """Leave what was found in the folder; returns the files."""
+    files = []
+    outcome, gathered = fitted.outcome, fitted.gathered
+    if outcome.calibration is not None and outcome.verdict.accepted:
+        origin = Origin.now(gathered.field_frame, gathered.imu_frame)
+        files.append(folder / CALIBRATION)
+        write_calibration(files[-1], outcome.calibration, origin)
+    if fitted.window is not None:
+        files.append(write_report(folder, _subject(fitted, fitted.window, options)))
+    return files
+
+
+def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Subject:
+    gathered = fitted.gathered
+    return Subject(
+        window,
+        fitted.knowledge,
+        fitted.outcome,
+        source=f"{options.recording} ({gathered.field_topic} and {gathered.imu_topic})",
+        created=datetime.now().astimezone(),
+        method=options.method,
+        magnetometer_frame=gathered.field_frame,
+        imu_frame=gathered.imu_frame,
+    )
+
+
+def _words(fitted: Fitted, files: list[Path]) -> str:
+    verdict = fitted.outcome.verdict
+    rows = [(name, number, unit) for _, name, number, unit in _numbers(fitted)]
+    text = f"{verdict.summary}\n\n{table(rows)}\n"
+    text += bullets("Not shown by this turn:", verdict.not_shown)
+    text += bullets("About the recording:", fitted.gathered.gathering.complaints())
+    text += bullets("Written:", [str(file) for file in files])
+    if not files:
+        text += "\nNo calibration was written.\n"
+    return text.rstrip("\n")
+
+
+def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
+    gathered, outcome = fitted.gathered, fitted.outcome
+    verdict = outcome.verdict
+    return {
+        "summary": verdict.summary,
+        "accepted": verdict.accepted,
+        "quality": verdict.quality.value,
+        "confidence": verdict.confidence.value,
+        "reason": outcome.reason.value if outcome.reason else None,
+        "checks": [
+            {"figure": c.figure, "aspect": c.aspect.value, "grade": c.grade.value, "words": c.words}
+            for c in verdict.checks
+        ],
+        "not_shown": list(verdict.not_shown),
+        "numbers": {key: float(number) for key, _, number, _ in _numbers(fitted)},
+        "recording": {
+            "imu_topic": gathered.imu_topic,
+            "mag_topic": gathered.field_topic,
+            "complaints": gathered.gathering.complaints(),
+        },
+        "files": [str(file) for file in files],
+        "exit": int(fitted.status),
+    }
+
+
+def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
+    """Return key, name, number and unit of everything worth a line."""
+    imus, fields = fitted.gathered.gathering.heard
+    used = 0 if fitted.window is None else len(fitted.window)
+    arc = math.degrees(fitted.progress.coverage.arc)
+    rows = [
+        ("imu_messages", f"messages on {fitted.gathered.imu_topic}", f"{imus}", ""),
+        ("mag_messages", f"messages on {fitted.gathered.field_topic}", f"{fields}", ""),
+        ("samples", "samples in the fit", f"{used}", ""),
+        ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
+    ]
+    estimate = fitted.outcome.estimate
+    return rows if estimate is None else rows + _found(estimate)
+
+
+def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
+    iron = estimate.correction.hard_iron * 1e6
+    rows = [
+        (f"hard_iron_{axis}_ut", f"hard iron {axis}", f"{value:.2f}", "µT")
+        for axis, value in zip("xyz", iron, strict=True)
+    ]
+    if estimate.installation is not None:
+        for axis in ("roll", "pitch"):
+            angle = math.degrees(getattr(estimate.installation, axis))
+            rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
+    figures = common_figures(estimate) | dict(estimate.figures)
+    rows += [
+        ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
+        ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
+    ]
+    for figure, key, name in (
+        ("heading_sigma", "heading_sigma_deg", "heading error (1σ), level"),
+        ("heading_sigma_tilted", "heading_sigma_tilted_deg", "heading error (1σ), 10° of tilt"),
+        ("gyro_compass_rms", "gyro_compass_rms_deg", "gyro against compass, rms"),
+    ):
+        if figure in figures:
+            rows.append((key, name, f"{math.degrees(figures[figure]):.2f}", "°"))
+    ratio = 100.0 * figures["residual_ratio"]
+    rows.append(("residual_percent", "residual against the level field", f"{ratio:.1f}", "%"))
+    return rows

@@ -1,0 +1,219 @@
+"""Bags read lazily with the `rosbags` library: rosbag2 (mcap, sqlite3) and ROS 1, without ROS."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.messages import field_sample, imu_sample
+from magcal_ros.core.offline import Reading
+from magcal_ros.files import wire
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+IMU_TYPE = "sensor_msgs/msg/Imu"
+FIELD_TYPE = "sensor_msgs/msg/MagneticField"
+LATEST = 2**63 - 1
+"""Nanoseconds: after every message."""
+
+REMEDIES = {
+    ".mcap": "`mcap recover IN -o OUT` saves what is whole",
+    ".db3": "`sqlite3 IN .recover | sqlite3 OUT` with `ros2 bag reindex` saves what is whole",
+    ".bag": "`rosbag reindex` saves what is whole",
+}
+
+
+class Bag:
+    """The two sensor topics of an open bag.
+
+    Parameters
+    ----------
+    path : Path
+        For words.
+    reader : AnyReader
+        Open.
+    imu, field : str
+        Topics; empty to take the only one of the right type.
+    start, stop : float
+        Seconds from the bag's beginning, by its own clock.
+    """
+
+    def __init__(
+        self, path: Path, reader: AnyReader, imu: str, field: str, start: float, stop: float
+    ) -> None:
+        self._path, self._reader = path, reader
+        if not reader.message_count:
+            raise FileTrouble(f"{plain(str(path))} holds no messages: record again")
+        self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
+        self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
+        self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
+        self.imu_frame = self.field_frame = ""
+        self._first = reader.start_time + _nanoseconds(max(start, 0.0))
+        self._end = min(reader.end_time, reader.start_time + _nanoseconds(stop))
+        self._reached = self._first
+
+    @property
+    def share(self) -> float:
+        """How much of the span has been read, 0 to 1."""
+        return min(1.0, (self._reached - self._first) / max(self._end - self._first, 1))
+
+    def readings(self) -> Iterator[Reading]:
+        """Yield what the two topics say, in the order in which it was recorded.
+
+        Raises
+        ------
+        FileTrouble
+            Where the bag is damaged.
+        """
+        layout = wire.CDR if self._reader.is2 else wire.ROS1
+        of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
+        fields = {connection.id for connection in self._field}
+        messages = self._reader.messages([*self._imu, *self._field], self._first, self._end)
+        imu_frame = field_frame = b""
+        with _damage_in_words(self._path):
+            for connection, self._reached, data in messages:
+                is_field = connection.id in fields
+                if self._reader.is2 and not wire.is_plain_cdr(data):
+                    yield self._slowly(connection, data, is_field)
+                elif is_field:
+                    frame, sample = of_field(data)
+                    if frame != field_frame:
+                        field_frame, self.field_frame = frame, _text(frame)
+                    yield sample
+                else:
+                    frame, reading = of_imu(data)
+                    if frame != imu_frame:
+                        imu_frame, self.imu_frame = frame, _text(frame)
+                    yield reading
+
+    def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
+        """Let the library take apart what is not in the usual byte order."""
+        message: Any = self._reader.deserialize(data, connection.msgtype)
+        if is_field:
+            self.field_frame = message.header.frame_id
+            return field_sample(message)
+        self.imu_frame = message.header.frame_id
+        return imu_sample(message)
+
+
+@contextlib.contextmanager
+def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Iterator[Bag]:
+    """Open a bag; arguments as in `open_recording`.
+
+    Raises
+    ------
+    FileTrouble
+        If `rosbags` is not installed, or if the bag cannot be read or has no such topics.
+    Misuse
+        If it has several topics of the right type.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise FileTrouble(
+            "reading a bag needs the library rosbags: pip install 'magcal_ros[bags]'"
+        ) from error
+    _refuse_other_files(path)
+    with contextlib.ExitStack() as stack:
+        with _damage_in_words(path):
+            # Bags of old distributions do not carry their types: these two never changed.
+            types = get_typestore(Stores.ROS2_HUMBLE)
+            reader = stack.enter_context(AnyReader([path], default_typestore=types))
+        yield Bag(path, reader, imu, field, start, stop)
+
+
+def _refuse_other_files(path: Path) -> None:
+    if path.is_dir():
+        if not (path / "metadata.yaml").exists():
+            raise FileTrouble(
+                f"{plain(str(path))} is no recording: a CSV folder has imu.csv and mag.csv, a bag "
+                "has metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be "
+                "named itself)"
+            )
+    elif path.suffix not in REMEDIES:
+        raise FileTrouble(
+            f"{plain(str(path))} is no recording: name a bag (folder, .mcap, .db3, .bag) or a "
+            "folder with imu.csv and mag.csv"
+        )
+
+
+@contextlib.contextmanager
+def _damage_in_words(path: Path) -> Iterator[None]:
+    """Turn whatever a parser does with damaged bytes into words."""
+    try:
+        yield
+    except MagcalError:
+        raise
+    except OSError as error:
+        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+    except Exception as error:  # a damaged file may end in any error of any parser below
+        reason = plain(" ".join(str(error).split()) or type(error).__name__)
+        raise FileTrouble(
+            f"{plain(str(path))} is damaged or cut short ({reason}). {_remedy(path)}"
+        ) from error
+
+
+def _remedy(path: Path) -> str:
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    kinds = [file.suffix for file in files if file.suffix in REMEDIES]
+    remedy = REMEDIES.get(kinds[0], "") if kinds else ""
+    return f"Record again; {remedy}." if remedy else "Record again."
+
+
+def _find(
+    path: Path, reader: AnyReader, msgtype: str, wanted: str, option: str
+) -> list[Connection]:
+    """Return the connections of the wanted topic, or of the only one of this type."""
+    if wanted:
+        return _named(path, reader, msgtype, wanted)
+    fitting = [c for c in reader.connections if c.msgtype == msgtype and c.msgcount]
+    topics = sorted({connection.topic for connection in fitting})
+    kind = msgtype.replace("/msg/", "/")
+    if not topics:
+        raise FileTrouble(
+            f"{plain(str(path))} has no {kind} messages; it has: {_listed(reader)}. "
+            "Record the IMU's and the magnetometer's topics"
+        )
+    if len(topics) > 1:
+        names = ", ".join(plain(topic) for topic in topics)
+        raise Misuse(
+            f"{plain(str(path))} has {len(topics)} topics of {kind}: {names}; "
+            f"choose one with {option}"
+        )
+    return fitting
+
+
+def _named(path: Path, reader: AnyReader, msgtype: str, wanted: str) -> list[Connection]:
+    found = [c for c in reader.connections if c.topic == wanted]
+    if not found:
+        raise FileTrouble(
+            f"{plain(str(path))} has no topic {plain(wanted)}; it has: {_listed(reader)}"
+        )
+    wrong = next((c.msgtype for c in found if c.msgtype != msgtype), None)
+    if wrong is not None:
+        raise FileTrouble(
+            f"{plain(wanted)} is {plain(wrong)}, not {msgtype}; the bag has: {_listed(reader)}"
+        )
+    return found
+
+
+def _listed(reader: AnyReader) -> str:
+    names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
+    return ", ".join(names) or "nothing"
+
+
+def _text(frame: bytes) -> str:
+    return bytes(frame).decode("utf-8", "replace")
+
+
+def _nanoseconds(seconds: float) -> int:
+    return LATEST if math.isinf(seconds) else min(round(seconds * 1e9), LATEST)

@@ -1,0 +1,90 @@
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+from drives import ROBOT, drive, write_bag, write_csv
+
+from magcal_ros.cli.main import main
+from magcal_ros.core.offline import Gathering, fit_gathered
+from magcal_ros.files.calibration_file import Origin, write_calibration
+
+
+@pytest.fixture(scope="module")
+def calibration_file(tmp_path_factory):
+    gathering = Gathering(ROBOT.mounting)
+    gathering.take(drive(400.0))
+    outcome, _ = fit_gathered(gathering, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
+    path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
+    write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
+    return path
+
+
+@pytest.fixture
+def check(calibration_file, capsys):
+    """Run `magcal check`; returns exit status, stdout and stderr."""
+
+    def run(recording, *arguments, file=calibration_file):
+        try:
+            status = main(["check", str(recording), "--calibration", str(file), *arguments])
+        except SystemExit as left:
+            status = left.code
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def moved():
+    return dataclasses.replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([5e-6, 0.0, 0.0]))
+
+
+def test_a_good_one_holds(check, tmp_path):
+    status, out, err = check(write_bag(tmp_path / "bag", drive(400.0, seed=2)))
+    assert (status, err) == (0, "")
+    assert out.startswith("The calibration holds: ")
+    lines = out.splitlines()
+    assert lines[2].split() == ["before", "after", "unit"]
+    assert sum(line.endswith("holds") for line in lines) == 6
+    assert "Not shown by this recording:" in out
+
+
+def test_a_stale_one_is_4_with_the_reason(check, tmp_path):
+    status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)))
+    assert status == 4
+    assert out.startswith("The calibration is stale, calibrate again: heading swing")
+
+
+def test_json_has_both_sides_of_every_figure(check, tmp_path):
+    status, out, _ = check(write_csv(tmp_path / "csv", drive(400.0, moved(), seed=3)), "--json")
+    document = json.loads(out)
+    assert (status, document["state"]) == (4, "stale")
+    swing = next(f for f in document["findings"] if f["figure"] == "heading_swing")
+    assert swing["after"] == pytest.approx(8.1, abs=1.0)
+    assert swing["before"] > 20.0
+
+
+@pytest.mark.parametrize("arguments", [[], ["--json"]])
+def test_too_little_of_a_turn_is_3(check, tmp_path, arguments):
+    status, out, _ = check(write_csv(tmp_path / "csv", drive(20.0)), *arguments)
+    assert status == 3
+    assert "too little of a turn" in out
+
+
+def test_another_sensor_is_said(check, tmp_path):
+    evil = "rear\x1b[31m"
+    path = write_bag(tmp_path / "bag", drive(400.0, seed=2), frames=("imu_link", evil))
+    _, out, _ = check(path)
+    assert "made for the magnetometer mag_link, but this is rear?[31m" in out
+    assert "\x1b" not in out
+
+
+def test_file_trouble_is_5_and_usage_2(check, tmp_path):
+    path = write_csv(tmp_path / "csv", drive(20.0))
+    assert check(tmp_path / "nothing")[0] == 5
+    assert check(path, file=tmp_path / "nothing.yaml")[0] == 5
+    assert check(path, file=path / "imu.csv")[0] == 5
+    assert check(path, "--from", "x")[0] == 2
+    with pytest.raises(SystemExit) as left:
+        main(["check", str(path)])
+    assert left.value.code == 2

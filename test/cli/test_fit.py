@@ -1,0 +1,197 @@
+import io
+import json
+
+import numpy as np
+import pytest
+from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
+
+from magcal_ros.cli.main import main
+from magcal_ros.cli.recorded import watched
+from magcal_ros.core.streams import ImuSample
+from magcal_ros.files.calibration_file import read_calibration
+
+REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return write_bag(tmp_path_factory.mktemp("turn") / "bag", drive(400.0))
+
+
+@pytest.fixture
+def fit(tmp_path, capsys):
+    """Run `magcal fit`; returns exit status, stdout and stderr."""
+
+    def run(recording, *arguments):
+        output = [] if "--output" in arguments else ["--output", str(tmp_path / "found")]
+        try:
+            status = main(["fit", str(recording), *output, *REFERENCE, *arguments])
+        except SystemExit as left:
+            status = left.code
+        return status, *capsys.readouterr()
+
+    return run
+
+
+def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path):
+    status, out, err = fit(bag)
+    assert status == 0, out + err
+    assert out.startswith("Calibrated, quality ")
+    for words in ("hard iron x", "µT", "Not shown by this turn:", "Written:\n"):
+        assert words in out
+    calibration, origin = read_calibration(tmp_path / "found" / "calibration.yaml")
+    assert (origin.magnetometer_frame, origin.imu_frame) == ("mag_link", "imu_link")
+    np.testing.assert_allclose(calibration.correction.hard_iron[:2], [30e-6, -20e-6], atol=1e-6)
+    assert str(tmp_path / "found" / "calibration.yaml") in out
+    assert err == ""
+
+
+@pytest.mark.parametrize("kind", ["sqlite3", "ros1", "csv"])
+def test_every_kind_of_recording_gives_the_same(fit, bag, tmp_path, kind):
+    samples = drive(400.0)
+    path = tmp_path / kind
+    path = write_csv(path, samples) if kind == "csv" else write_bag(path, samples, kind)
+    assert fit(bag, "--output", str(tmp_path / "one"))[0] == 0
+    assert fit(path, "--output", str(tmp_path / "other"))[0] == 0
+    one, other = (read_calibration(tmp_path / n / "calibration.yaml")[0] for n in ("one", "other"))
+    difference = one.correction.parameters - other.correction.parameters
+    assert np.abs(difference).max() < 1e-6
+
+
+def test_without_output_a_dated_folder_is_made_and_none_is_reused(bag, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fit", str(bag), *REFERENCE]) == 0
+    assert main(["fit", str(bag), *REFERENCE]) == 0
+    assert len(list(tmp_path.glob("magcal_fit_2*/calibration.yaml"))) == 2
+
+
+def test_nothing_is_overwritten(fit, bag, tmp_path):
+    (tmp_path / "found").mkdir()
+    (tmp_path / "found" / "calibration.yaml").write_text("mine")
+    status, out, err = fit(bag)
+    assert (status, out) == (5, "")
+    assert "exists already" in err
+    assert (tmp_path / "found" / "calibration.yaml").read_text() == "mine"
+
+
+def test_json_is_one_document_with_every_number(fit, bag, tmp_path):
+    status, out, _ = fit(bag, "--json")
+    document = json.loads(out)
+    assert status == document["exit"] == 0
+    assert document["accepted"] is True
+    assert document["numbers"]["hard_iron_x_ut"] == pytest.approx(30.0, abs=1.0)
+    assert document["numbers"]["installation_roll_deg"] == pytest.approx(3.0, abs=0.5)
+    assert document["files"] == [str(tmp_path / "found" / "calibration.yaml")]
+    assert {check["aspect"] for check in document["checks"]} == {"quality", "confidence"}
+
+
+class TestExits:
+    @pytest.mark.parametrize(("turned", "status"), [(0.0, 3), (25.0, 3)])
+    def test_too_little_data_is_3(self, fit, tmp_path, turned, status):
+        found, out, _ = fit(write_csv(tmp_path / "csv", drive(turned)))
+        assert found == status
+        assert out.startswith("Refused: too little of a turn")
+        assert "No calibration was written." in out
+        assert not (tmp_path / "found").exists()
+
+    def test_a_span_outside_the_recording_is_3(self, fit, bag):
+        assert fit(bag, "--from", "5000")[0] == 3
+
+    def test_a_refusal_is_4_and_leaves_nothing(self, fit, bag, tmp_path):
+        """The reference contradicts the turn."""
+        status, out, _ = fit(bag, "--reference-strength-ut", "90")
+        assert status == 4
+        assert out.startswith("Refused")
+        assert not (tmp_path / "found").exists()
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ["--method", "dance"],
+            ["--reference-strength-ut", "48000"],
+            ["--reference-strength-ut", "nan"],
+            ["--soft-iron-gains", "1", "1"],
+            ["--from", "-1"],
+            ["--from", "9", "--to", "3"],
+        ],
+    )
+    def test_wrong_options_are_2(self, fit, bag, arguments):
+        status, out, err = fit(bag, *arguments)
+        assert (status, out) == (2, "")
+        assert "Traceback" not in err
+
+    def test_several_topics_are_listed_with_2(self, fit, tmp_path):
+        samples = drive(400.0)
+        second = [("/b\x1b[2J", message(STORE2, s)) for s in samples if isinstance(s, ImuSample)]
+        path = write_bag(tmp_path / "two", [*samples, *second[:3]])
+        status, out, err = fit(path)
+        assert (status, out) == (2, "")
+        assert "/b?[2J, /imu/data_raw; choose one with --imu" in err
+        assert "\x1b" not in err
+        assert fit(path, "--imu", "/imu/data_raw")[0] == 0
+
+    def test_file_trouble_is_5(self, fit, tmp_path):
+        status, out, err = fit(tmp_path / "nothing")
+        assert (status, out) == (5, "")
+        assert err.count("\n") == 1
+
+    def test_a_folder_that_cannot_be_made_is_5(self, fit, bag, tmp_path):
+        (tmp_path / "file").write_text("")
+        assert fit(bag, "--output", str(tmp_path / "file" / "sub"))[0] == 5
+        assert fit(bag, "--output", str(tmp_path / "file"))[0] == 5
+
+
+def test_options_say_what_is_known(fit, tmp_path):
+    gains = ["--soft-iron-gains", "1", "1", "1", "--mount-rpy-deg", "3", "-4", "0"]
+    status, out, _ = fit(write_csv(tmp_path / "csv", drive(400.0)), *gains, "--json")
+    assert status == 0
+    numbers = json.loads(out)["numbers"]
+    # The nominal pose is the true one: nothing of it is left for the installation error.
+    assert abs(numbers["installation_roll_deg"]) < 0.5
+    assert abs(numbers["installation_pitch_deg"]) < 0.5
+    assert ROBOT.roll == pytest.approx(np.radians(3.0))
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Slow:
+    """A source of which every reading takes a millisecond."""
+
+    share = 0.5
+
+    def __init__(self):
+        self.now = 0.0
+
+    def readings(self):
+        for _ in range(20_000):
+            self.now += 1e-3
+            yield None
+
+
+@pytest.mark.parametrize(("out", "lines"), [(io.StringIO(), 3), (Terminal(), 0)])
+def test_progress_is_one_line_on_a_terminal_and_one_in_five_seconds_elsewhere(out, lines):
+    source = Slow()
+    assert sum(1 for _ in watched(source, out, lambda: source.now)) == 20_000
+    assert out.getvalue().count("\n") == lines
+    assert "reading:  50 %" in out.getvalue()
+    assert ("\r" in out.getvalue()) == (lines == 0)
+
+
+class TestRecordings:
+    def test_the_car_from_its_bag(self, fit, recording):
+        folder = recording("car_circles_neu2025_kiran")
+        place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]
+        status, out, _ = fit(folder / "bag_mcap", *place, "--json")
+        assert status == 0
+        assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
+
+    def test_a_span_of_a_hand_held_turn_runs(self, fit, recording):
+        status, out, _ = fit(recording("broad05"), "--from", "48", "--to", "62", "--json")
+        document = json.loads(out)
+        assert status == document["exit"]
+        assert status in (0, 4)
+        assert document["numbers"]["arc_deg"] > 340.0
+        assert document["numbers"]["imu_messages"] == pytest.approx(1333, abs=2)

@@ -1,0 +1,88 @@
+"""Simulated drives, and how they are written as every kind of recording."""
+
+import math
+
+import numpy as np
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from magcal_ros.core.ride import Ride
+from magcal_ros.core.simulator import Robot
+from magcal_ros.core.streams import ImuSample
+
+ROBOT = Robot()
+IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+STORE1, STORE2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+
+
+def drive(turned=400.0, robot=ROBOT, seed=1, start=1000.0, rate=0.5, gyro=True):
+    """What the sensors say while the robot turns by so many degrees."""
+    ride = Ride(robot, np.random.default_rng(seed), start=start, imu_rate=50.0, gyro=gyro)
+    steps = max(50, int(math.radians(turned) / rate * 50.0))
+    speed = rate if turned else 0.0
+    return [sample for _ in range(steps) for sample in ride.step(speed)]
+
+
+def message(store, sample, frame="imu_link"):
+    kinds = store.types
+    vector = kinds["geometry_msgs/msg/Vector3"]
+    time = kinds["builtin_interfaces/msg/Time"](*divmod(round(sample.stamp * 1e9), 1_000_000_000))
+    number = {"seq": 0} if store is STORE1 else {}
+    header = kinds["std_msgs/msg/Header"](stamp=time, frame_id=frame, **number)
+    none = np.zeros(9)
+    if not isinstance(sample, ImuSample):
+        return kinds[FIELD](header, vector(*sample.field), none)
+    still = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    has_rate = not math.isnan(sample.rate[0])
+    absent = none if has_rate else np.r_[-1.0, np.zeros(8)]
+    rate = vector(*(sample.rate if has_rate else (0.0, 0.0, 0.0)))
+    return kinds[IMU](header, still, none, rate, absent, vector(*sample.force), none)
+
+
+def text(store, words):
+    return store.types["std_msgs/msg/String"](words)
+
+
+def bag_message(store, sample, frames):
+    """The topic of a sample and its message; a pair of topic and message passes as it is."""
+    if isinstance(sample, ImuSample):
+        return "/imu/data_raw", message(store, sample, frames[0])
+    if hasattr(sample, "field"):
+        return "/imu/mag", message(store, sample, frames[1])
+    return sample
+
+
+def write_bag(path, samples, kind="mcap", frames=("imu_link", "mag_link")):
+    """Write a rosbag2 (mcap, sqlite3) or a ROS 1 bag; returns its path."""
+    store = STORE1 if kind == "ros1" else STORE2
+    if kind == "ros1":
+        path = path.with_suffix(".bag")
+        writer, serialize = Writer1(path), store.serialize_ros1
+    else:
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        writer, serialize = Writer2(path, version=8, storage_plugin=plugin), store.serialize_cdr
+    connections, stamp = {}, 0
+    with writer:
+        for sample in samples:
+            topic, content = bag_message(store, sample, frames)
+            msgtype = content.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, msgtype, typestore=store)
+            stamp = round(sample.stamp * 1e9) if hasattr(sample, "stamp") else stamp
+            writer.write(connections[topic], stamp, serialize(content, msgtype))
+    return path
+
+
+def write_csv(folder, samples):
+    """Write imu.csv and mag.csv; returns the folder."""
+    folder.mkdir(parents=True)
+    imu = [(s.stamp, *s.force, *s.rate) for s in samples if isinstance(s, ImuSample)]
+    field = [(s.stamp, *s.field) for s in samples if not isinstance(s, ImuSample)]
+    for name, header, rows in (
+        ("imu.csv", "t,ax,ay,az,gx,gy,gz", imu),
+        ("mag.csv", "t,mx,my,mz", field),
+    ):
+        np.savetxt(folder / name, rows, fmt="%.17g", delimiter=",", header=header, comments="")
+    return folder

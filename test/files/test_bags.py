@@ -1,0 +1,194 @@
+import builtins
+import math
+
+import numpy as np
+import pytest
+from drives import STORE2, drive, message, text, write_bag, write_csv
+
+from magcal_ros.core.errors import Misuse
+from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain
+from magcal_ros.files.sources import open_recording
+
+KINDS = ["mcap", "sqlite3", "ros1"]
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return drive(60.0)
+
+
+def read(path, **options):
+    with open_recording(path, **options) as source:
+        return list(source.readings()), source
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_gives_back_what_was_recorded(tmp_path, samples, kind):
+    readings, source = read(write_bag(tmp_path / "bag", samples, kind))
+    assert (source.imu_topic, source.field_topic) == ("/imu/data_raw", "/imu/mag")
+    assert (source.imu_frame, source.field_frame) == ("imu_link", "mag_link")
+    assert source.share == pytest.approx(1.0, abs=0.01)
+    assert len(readings) == len(samples)
+    for one, other in zip(readings, samples, strict=True):
+        assert type(one) is type(other)
+        assert one[1:] == other[1:]
+        assert one.stamp == pytest.approx(other.stamp, abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_span_counts_from_the_beginning(tmp_path, samples, kind):
+    readings, _ = read(write_bag(tmp_path / "bag", samples, kind), start=0.5, stop=1.25)
+    first = samples[0].stamp
+    assert readings[0].stamp - first == pytest.approx(0.5, abs=0.021)
+    assert readings[-1].stamp - first == pytest.approx(1.25, abs=0.021)
+    csv, _ = read(write_csv(tmp_path / "csv", samples), start=0.5, stop=1.25)
+    assert abs(len(csv) - len(readings)) <= 2
+
+
+def test_the_file_inside_may_be_named_itself(tmp_path, samples):
+    folder = write_bag(tmp_path / "bag", samples)
+    readings, _ = read(next(folder.glob("*.mcap")))
+    assert len(readings) == len(samples)
+
+
+def test_reading_begins_before_the_bag_is_loaded(tmp_path, samples):
+    """A damaged end is met only when it is reached."""
+    with open_recording(write_bag(tmp_path / "bag", samples)) as source:
+        assert isinstance(next(source.readings()), ImuSample)
+        assert source.share < 0.05
+
+
+def test_an_imu_without_gyro_or_acceleration_says_so(tmp_path, samples):
+    gyroless = [s._replace(rate=(math.nan,) * 3) for s in samples if isinstance(s, ImuSample)]
+    mute = message(STORE2, gyroless[0])
+    mute.linear_acceleration_covariance = np.r_[-1.0, np.zeros(8)]
+    fields = [s for s in samples if isinstance(s, FieldSample)]
+    content = [*gyroless, ("/imu/data_raw", mute), *fields]
+    readings, _ = read(write_bag(tmp_path / "bag", content))
+    assert readings.count(None) == 1
+    assert all(math.isnan(r.rate[0]) for r in readings if isinstance(r, ImuSample))
+
+
+class TestTopics:
+    def test_several_are_listed_and_not_guessed(self, tmp_path, samples):
+        other = ("/camera/imu", message(STORE2, samples[0]))
+        path = write_bag(tmp_path / "bag", [*samples, other])
+        with pytest.raises(Misuse, match=r"2 topics .*/camera/imu, /imu/data_raw.*--imu"):
+            read(path)
+        readings, _ = read(path, imu="/camera/imu")
+        assert sum(isinstance(r, ImuSample) for r in readings) == 1
+
+    @pytest.mark.parametrize(("missing", "word"), [(ImuSample, "Imu"), (FieldSample, "Magnetic")])
+    def test_a_missing_one_is_named_with_what_there_is(self, tmp_path, samples, missing, word):
+        left = [s for s in samples if not isinstance(s, missing)]
+        path = write_bag(tmp_path / "bag", [*left, ("/words", text(STORE2, "hello"))])
+        with pytest.raises(FileTrouble, match=rf"no sensor_msgs/{word}.*/words \(std_msgs"):
+            read(path)
+
+    def test_one_that_is_asked_for_must_exist_and_fit(self, tmp_path, samples):
+        path = write_bag(tmp_path / "bag", [*samples, ("/words", text(STORE2, "hello"))])
+        with pytest.raises(FileTrouble, match=r"no topic /nowhere; it has: .*/imu/mag"):
+            read(path, field="/nowhere")
+        with pytest.raises(FileTrouble, match="/words is std_msgs/msg/String, not sensor_msgs"):
+            read(path, imu="/words")
+
+    def test_a_csv_folder_has_none_to_choose(self, tmp_path, samples):
+        with pytest.raises(Misuse, match="without topics"):
+            read(write_csv(tmp_path / "csv", samples), imu="/imu")
+
+    @pytest.mark.parametrize("evil", ["/\x1b[2J\x1b]0;owned\x07", "/a\r\nb", "/\u202eimu"])
+    def test_hostile_names_reach_no_terminal(self, tmp_path, samples, evil):
+        other = (evil, message(STORE2, samples[0], frame=evil))
+        with pytest.raises(Misuse) as caught:
+            read(write_bag(tmp_path / "bag", [*samples, other]))
+        assert str(caught.value).isprintable()
+        left = [s for s in samples if not isinstance(s, ImuSample)]
+        with open_recording(write_bag(tmp_path / "other", [*left, other])) as source:
+            assert source.imu_topic.isprintable()
+
+
+def test_plain_text_stays_and_long_text_is_cut():
+    assert plain("/imu/data_raw ä µ") == "/imu/data_raw ä µ"
+    assert plain("a\x1b[31mb\x9bc\n") == "a?[31mb?c?"
+    assert len(plain("x" * 10_000)) < 300
+
+
+class TestDamage:
+    @pytest.mark.parametrize("share", [0.0, 0.001, 0.02, 0.3, 0.7, 0.99])
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_a_file_that_was_cut_short_is_said(self, tmp_path, samples, kind, share):
+        path = write_bag(tmp_path / "bag", samples, kind)
+        file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+        content = file.read_bytes()
+        file.write_bytes(content[: int(share * len(content))])
+        with pytest.raises(FileTrouble, match=r"Record again; .* saves what is whole") as caught:
+            read(path)
+        assert str(caught.value).isprintable()
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_wrong_bytes_end_in_words_or_in_samples(self, tmp_path, samples, kind):
+        path = write_bag(tmp_path / "bag", samples[:60], kind)
+        file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+        content = np.frombuffer(file.read_bytes(), np.uint8)
+        rng, said = np.random.default_rng(1), []
+        for _ in range(40):
+            broken = content.copy()
+            where = rng.integers(0, len(content), 20)
+            broken[where] = rng.integers(0, 256, 20)
+            file.write_bytes(broken.tobytes())
+            try:
+                read(path)
+            except (FileTrouble, Misuse) as error:
+                said.append(str(error))
+        assert len(said) > 5
+        assert all(words.isprintable() for words in said)
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_an_empty_bag(self, tmp_path, kind):
+        with pytest.raises(FileTrouble, match=r"holds no messages|damaged"):
+            read(write_bag(tmp_path / "bag", [], kind))
+
+    def test_metadata_that_is_no_metadata(self, tmp_path, samples):
+        path = write_bag(tmp_path / "bag", samples)
+        (path / "metadata.yaml").write_text("rosbag2_bagfile_information: 7\n")
+        with pytest.raises(FileTrouble, match="damaged"):
+            read(path)
+
+    def test_other_files_and_folders_are_no_recording(self, tmp_path):
+        with pytest.raises(FileTrouble, match="no such file"):
+            read(tmp_path / "nothing.mcap")
+        with pytest.raises(FileTrouble, match=r"is no recording.*metadata\.yaml"):
+            read(tmp_path)
+        (tmp_path / "notes.txt").write_text("hello")
+        with pytest.raises(FileTrouble, match="is no recording: name a bag"):
+            read(tmp_path / "notes.txt")
+
+
+def test_without_the_library_it_says_how_to_get_it(tmp_path, samples, monkeypatch):
+    path, importing = write_bag(tmp_path / "bag", samples), builtins.__import__
+
+    def lacking(name, *rest):
+        if name.startswith("rosbags"):
+            raise ImportError(name)
+        return importing(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", lacking)
+    with pytest.raises(FileTrouble, match=r"pip install 'magcal_ros\[bags\]'"):
+        read(path)
+
+
+class TestCsv:
+    def test_it_gives_back_what_was_recorded(self, tmp_path, samples):
+        readings, source = read(write_csv(tmp_path / "csv", samples))
+        assert readings == samples
+        assert source.share == 1.0
+
+    @pytest.mark.parametrize("start", [0.0, -5.0])
+    def test_time_may_begin_at_zero_or_before(self, tmp_path, start):
+        shifted = drive(60.0, start=start)
+        readings, _ = read(write_csv(tmp_path / "csv", shifted))
+        stamps = np.array([r.stamp for r in readings])
+        assert stamps.min() > 0.0
+        np.testing.assert_allclose(np.diff(stamps), np.diff([s.stamp for s in shifted]), atol=1e-9)

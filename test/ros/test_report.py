@@ -1,0 +1,53 @@
+"""Each turn leaves a report, drawn outside the node."""
+
+import time
+
+from support import REFERENCE
+
+from magcal_ros.files.samples import read_samples
+
+
+def wait_for(path, patience=30.0):
+    deadline = time.monotonic() + patience
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return path.exists()
+
+
+def only_folder(ros_home):
+    (folder,) = (ros_home / "magcal" / "reports").iterdir()
+    return folder
+
+
+def test_a_turn_leaves_a_report_and_its_samples(stage, ros_home):
+    actor = stage()
+    answer = actor.calibrate()
+    folder = only_folder(ros_home)
+    assert f"Report: {folder}/report.html." in answer.message
+    assert wait_for(folder / "report.html")
+    page = (folder / "report.html").read_text()
+    assert "/imu/mag and /imu/data_raw" in page
+    assert "<svg" in page
+    assert len(read_samples(folder / "samples.csv")) > 300
+
+
+def test_a_refused_turn_leaves_a_report_too_and_nothing_is_overwritten(stage, ros_home):
+    actor = stage(parameters={**REFERENCE, "window.timeout_s": 2.0})
+    for _ in range(2):
+        assert not actor.calibrate(yaw_rate=0.0).success
+    folders = list((ros_home / "magcal" / "reports").iterdir())
+    assert len(folders) == 2
+    assert all(wait_for(folder / "report.html") for folder in folders)
+
+
+def test_reports_can_be_switched_off(stage, ros_home):
+    actor = stage(parameters={**REFERENCE, "report_folder": "none"})
+    assert "Report" not in actor.calibrate().message
+    assert not (ros_home / "magcal" / "reports").exists()
+
+
+def test_a_folder_that_cannot_be_written_is_said(stage):
+    actor = stage(parameters={**REFERENCE, "report_folder": "/proc/nowhere"})
+    answer = actor.calibrate()
+    assert answer.success
+    assert "No report" in answer.message
