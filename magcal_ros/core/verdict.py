@@ -125,6 +125,10 @@ def judged_figures(estimate: Estimate, knowledge: Knowledge) -> dict[str, float]
     if "radius_misfit" in figures:
         allowed = ALLOWED_SIGMAS * _radius_sigma(knowledge)
         figures["radius_misfit"] = max(figures["radius_misfit"] - allowed, 0.0)
+    if "split_half" in figures:
+        # Halves differ by chance by twice the sigma of the whole, which is graded by itself.
+        chance = 2.0 * figures["heading_sigma"]
+        figures["split_half"] = math.sqrt(max(figures["split_half"] ** 2 - chance**2, 0.0))
     with_iron = figures.get("heading_sigma_soft_iron", 0.0)
     if with_iron > SEVERAL * figures["heading_sigma"]:
         figures["unseen_soft_iron"] = with_iron
