@@ -139,7 +139,10 @@ def draw_turn(rng: np.random.Generator, wild: bool) -> Draw:
         axis=np.array([math.sin(lean) * math.cos(spin), math.sin(lean) * math.sin(spin),
                        math.cos(lean)]),
         start_rpy=(slope * math.cos(side), slope * math.sin(side), rng.uniform(0, math.tau)),
-        wobble=smooth_wobble(rng, samples, duration, up_to(3, 15) * DEGREE, (0.2, 1.5)),
+        # No faster than such a gyro, sampled so slowly, can follow.
+        wobble=smooth_wobble(
+            rng, samples, duration, up_to(3, 15) * DEGREE, (0.05, min(1.5, samples / duration / 15))
+        ),
     )  # fmt: skip
     trouble = Trouble(outliers=up_to(0.02, 0.4) if rng.random() < 0.5 else 0.0)
     reference = rng.choice(["exact", "model", "indoors", "unknown"])
@@ -271,7 +274,8 @@ def centripetal(rng: np.random.Generator, case: Case) -> Case:
     rate, arm = case.motion.angular_rate, np.append(rng.uniform(-4, 4, 2), 0.0)
     pull = np.cross(rate, np.cross(rate, arm))
     force = case.window.specific_force + pull
-    return replace(case, window=replace(case.window, specific_force=force))
+    window = replace(case.window, specific_force=force)
+    return replace(case, window=window, hidden=is_blind(case))
 
 
 def standing(rng: np.random.Generator, case: Case) -> Case:

@@ -154,7 +154,7 @@ THRESHOLDS: tuple[Threshold, ...] = (
         "split_half",
         Aspect.CONFIDENCE,
         0.3,
-        0.7,
+        1.0,
         4.0,
         "°",
         DEGREES,

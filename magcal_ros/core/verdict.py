@@ -35,6 +35,8 @@ __all__ = ["THRESHOLDS", "Aspect", "Check", "Grade", "Threshold", "Verdict", "ju
 REASONS_IN_SUMMARY = 2
 SEVERAL = 2.0
 """Times the heading's sigma from which soft iron that was not shown is worth a word."""
+CHANCE, CHANCE_WITH_SOFT_IRON = 3.0, 8.0
+"""Heading sigmas of the whole turn by which its halves may differ; a half hardly shows iron."""
 ALLOWED_SIGMAS = 2.0
 """Of the reference field's own belief, which its radius may be off before it counts."""
 
@@ -83,7 +85,8 @@ NO_MOUNTING = (
     "corrects nothing of it"
 )
 NO_GYRO = (
-    "a distorted room, or axes that are mirrored: there is no gyro to check the compass against"
+    "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
+    " checked, because there is no gyro"
 )
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
@@ -126,8 +129,9 @@ def judged_figures(estimate: Estimate, knowledge: Knowledge) -> dict[str, float]
         allowed = ALLOWED_SIGMAS * _radius_sigma(knowledge)
         figures["radius_misfit"] = max(figures["radius_misfit"] - allowed, 0.0)
     if "split_half" in figures:
-        # Halves differ by chance by twice the sigma of the whole, which is graded by itself.
-        chance = 2.0 * figures["heading_sigma"]
+        # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
+        sigmas = CHANCE_WITH_SOFT_IRON if figures.get("soft_iron") else CHANCE
+        chance = sigmas * figures["heading_sigma"]
         figures["split_half"] = math.sqrt(max(figures["split_half"] ** 2 - chance**2, 0.0))
     with_iron = figures.get("heading_sigma_soft_iron", 0.0)
     if with_iron > SEVERAL * figures["heading_sigma"]:

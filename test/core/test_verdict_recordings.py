@@ -93,10 +93,12 @@ class TestHandHeldTurn:
         verdict = calibrate(in_g, self.known).verdict
         assert any("looks like g published" in check.words for check in verdict.checks)
 
-    def test_a_unit_of_field_is_named(self, turn):
+    @pytest.mark.parametrize("known", [UNKNOWN, known])
+    def test_a_unit_of_field_is_named(self, turn, known):
         gauss = Window(turn.time, turn.field * 1e4, turn.specific_force, turn.angular_rate)
-        verdict = calibrate(gauss, UNKNOWN).verdict
+        verdict = calibrate(gauss, known).verdict
         assert verdict.quality.rank >= Grade.WARN.rank
+        assert any("looks like gauss" in check.words for check in verdict.checks)
 
 
 def test_a_car_in_circles_is_not_refused(recording):
