@@ -110,6 +110,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     figures = judged_figures(estimate, knowledge)
     checks = [t.check(figures[t.figure]) for t in THRESHOLDS if t.figure in figures]
     checks.append(_check_strength(estimate.strength))
+    if "gyro_carried" in figures:
+        checks.append(_check_carrying(figures["gyro_carried"] > 0.0))
     if window is not None:
         checks.append(_check_gravity(window))
     not_shown = _not_shown(estimate, figures, knowledge)
@@ -165,6 +167,18 @@ def _check_strength(strength: float) -> Check:
         hint = likely_field_unit(strength)
         words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
     return Check("strength", Aspect.QUALITY, grade, words)
+
+
+def _check_carrying(carried: bool) -> Check:
+    """Say whether the gyro's turning and the samples belong to one motion."""
+    if carried:
+        words = "the gyro's turning explains the samples"
+        return Check("gyro_carried", Aspect.QUALITY, Grade.EXCELLENT, words)
+    words = (
+        "the gyro's turning does not explain the samples: check the axes and the stamps of the "
+        "gyro, and keep the sensor near the turn's centre, away from iron"
+    )
+    return Check("gyro_carried", Aspect.QUALITY, Grade.WARN, words)
 
 
 def _check_gravity(window: Window) -> Check:

@@ -255,6 +255,14 @@ class TestWhatTheEstimateItselfShows:
         if grade is Grade.WARN:
             assert "cannot show soft iron" in verdict.summary
 
+    @pytest.mark.parametrize(("carried", "grade"), [(1.0, Grade.EXCELLENT), (0.0, Grade.WARN)])
+    def test_a_gyro_that_tells_of_another_turn_warns(self, carried, grade):
+        figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert verdict.quality is grade
+        told = "gyro's turning does not explain the samples" in verdict.summary
+        assert told == (grade is Grade.WARN)
+
     def test_halves_that_differ_by_chance_are_no_fault(self):
         figures = {"heading_sigma": math.radians(0.49), "split_half": math.radians(0.97)}
         verdict = judge(estimate(figures=figures), KNOWN)
