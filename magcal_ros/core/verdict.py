@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.figures import common_figures
+from magcal_ros.core.figures import common_figures, sideways_pull
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.thresholds import (
     DEGREES,
@@ -37,6 +37,8 @@ SEVERAL = 2.0
 """Times the heading's sigma from which soft iron that was not shown is worth a word."""
 CHANCE, CHANCE_WITH_SOFT_IRON = 3.0, 8.0
 """Heading sigmas of the whole turn by which its halves may differ; a half hardly shows iron."""
+NEARLY_FULL = math.radians(300.0)
+"""Arc from which a steady sideways pull can be told from a slope."""
 ALLOWED_SIGMAS = 2.0
 """Of the reference field's own belief, which its radius may be off before it counts."""
 
@@ -108,6 +110,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
     Verdict
     """
     figures = judged_figures(estimate, knowledge)
+    if window is not None and window.angular_rate is not None and estimate.arc > NEARLY_FULL:
+        figures["sideways_pull"] = sideways_pull(window)
     checks = [t.check(figures[t.figure]) for t in THRESHOLDS if t.figure in figures]
     checks.append(_check_strength(estimate.strength))
     if "gyro_carried" in figures:

@@ -169,7 +169,7 @@ class TestJudge:
     def test_the_summary_names_warnings(self):
         summary = judge(estimate(figures={"gyro_compass_rms": math.radians(7.0)}), KNOWN).summary
         assert summary.startswith("Calibrated, quality warn, confidence excellent")
-        assert "But gyro against compass around the turn 7° (want 4° or less)" in summary
+        assert "But gyro against compass around the turn 7° (want 2° or less)" in summary
 
     def test_the_summary_of_a_refusal_names_its_causes_only(self):
         figures = {
@@ -187,8 +187,8 @@ class TestJudge:
     def test_the_summary_names_two_reasons_and_counts_the_others(self):
         figures = {
             "gyro_compass_rms": math.radians(7.0),
-            "strength_pull": -3.0,
-            "inclination_pull": 3.0,
+            "strength_pull": -4.0,
+            "inclination_pull": 4.0,
             "rival_gap": math.radians(2.0),
         }
         verdict = judge(estimate(figures=figures), KNOWN)
