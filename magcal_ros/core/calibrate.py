@@ -8,11 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
+
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.figures import predicted_heading_sigma
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.units import likely_field_unit
 from magcal_ros.core.verdict import Verdict, judge, refuse
 from magcal_ros.core.window import Window
 
@@ -83,9 +86,17 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(refusal)
-    verdict = judge(estimate, knowledge)
+        return Outcome.refused(_with_unit(refusal, window))
+    verdict = judge(estimate, knowledge, window)
     return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
+
+
+def _with_unit(refusal: Refusal, window: Window) -> Refusal:
+    """Add the field's likely unit to a refusal: a wrong one upsets every check before it shows."""
+    if len(window) == 0:
+        return refusal
+    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
+    return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> float:

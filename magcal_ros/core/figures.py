@@ -7,9 +7,10 @@ import math
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import field_in_enu
+from magcal_ros.core.attitude import field_in_enu, unit
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.window import Window
 
 CHECKED_TILT = math.radians(10.0)
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
@@ -68,3 +69,18 @@ def predicted_heading_sigma(estimate: Estimate, tilt: float) -> float:
     reference = field_in_enu(estimate.strength, estimate.inclination)
     sigma = estimate.heading_sigma(poses @ UP, poses @ reference)
     return math.sqrt(float(np.mean(sigma**2)))
+
+
+def sideways_pull(window: Window) -> float:
+    """Return the angle between the gyro's mean axis and the mean specific force, radians.
+
+    Over a full turn about any axis the true up averages to that axis. What is left is a steady
+    pull to one side, as of a car in a circle. The mean goes over the angle, so a pause does not
+    weigh.
+    """
+    rate = window.angular_rate
+    if rate is None:
+        return 0.0
+    axis = unit(rate.mean(axis=0))
+    mean = unit((rate @ axis) @ unit(window.specific_force))
+    return math.acos(min(abs(float(axis @ mean)), 1.0))

@@ -26,3 +26,24 @@ def likely_field_unit(size: float) -> str:
                 f"multiply by {factor} in the driver"
             )
     return ""
+
+
+ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (
+    (0.8, 1.2, "g", "9.80665"),
+    (800.0, 1200.0, "milli-g", "0.00980665"),
+)
+"""Size range of gravity when published in another unit, its name, its factor."""
+
+
+def likely_acceleration_unit(size: float) -> str:
+    """Say in words which unit gravity of `size` "m/s²" probably has; empty if none fits.
+
+    Parameters
+    ----------
+    size : float
+        Length of the acceleration at rest as published.
+    """
+    for low, high, name, factor in ACCELERATION_UNITS:
+        if low <= size < high:
+            return f"it looks like {name} published as m/s²; multiply by {factor} in the driver"
+    return ""

@@ -9,219 +9,38 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 
+import numpy as np
+
+from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.figures import common_figures
+from magcal_ros.core.figures import common_figures, sideways_pull
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.units import likely_field_unit
-
-
-class Grade(str, Enum):
-    """From best to worst; a refused calibration is not put in force by itself."""
-
-    EXCELLENT = "excellent"
-    GOOD = "good"
-    WARN = "warn"
-    REFUSED = "refused"
-
-    @property
-    def rank(self) -> int:
-        """Zero for the best."""
-        return list(Grade).index(self)
-
-
-class Aspect(str, Enum):
-    """Which of the two grades a check speaks to."""
-
-    QUALITY = "quality"
-    CONFIDENCE = "confidence"
-
-
-@dataclass(frozen=True)
-class Threshold:
-    """The upper bounds of three grades for one figure.
-
-    Parameters
-    ----------
-    figure : str
-        Name in `Estimate.figures`.
-    aspect : Aspect
-        Quality or confidence.
-    excellent, good, warn : float
-        Largest values of these grades, in the unit people see; beyond `warn` it is refused.
-    unit : str
-        Unit people see: "°", "%", "σ", "" ...
-    scale : float
-        Figure (SI) times this gives the unit people see.
-    words : str
-        What the figure is.
-    remedy : str
-        What to do when it falls short.
-    """
-
-    figure: str
-    aspect: Aspect
-    excellent: float
-    good: float
-    warn: float
-    unit: str
-    scale: float
-    words: str
-    remedy: str
-
-    def check(self, figure: float) -> Check:
-        """Grade one value of the figure."""
-        value = figure * self.scale
-        bounds = ((Grade.EXCELLENT, self.excellent), (Grade.GOOD, self.good))
-        grade = next((g for g, bound in bounds if value <= bound), Grade.WARN)
-        if not value <= self.warn:
-            grade = Grade.REFUSED
-        words = f"{self.words} {value:.3g}{self.unit}"
-        if grade.rank >= Grade.WARN.rank:
-            limit = self.good if grade is Grade.WARN else self.warn
-            words += f" (want {limit:g}{self.unit} or less): {self.remedy}"
-        return Check(self.figure, self.aspect, grade, words)
-
-
-@dataclass(frozen=True)
-class Check:
-    """One figure, graded and put into words."""
-
-    figure: str
-    aspect: Aspect
-    grade: Grade
-    words: str
-
-
-DEGREES = 180.0 / math.pi
-PERCENT = 100.0
-
-THRESHOLDS: tuple[Threshold, ...] = (
-    Threshold(
-        "heading_sigma",
-        Aspect.CONFIDENCE,
-        0.3,
-        0.5,
-        2.0,
-        "°",
-        DEGREES,
-        "predicted heading error on the level (1σ)",
-        "see the full circle or all orientations, more slowly, and give the reference field",
-    ),
-    Threshold(
-        "residual_ratio",
-        Aspect.QUALITY,
-        3.0,
-        6.0,
-        12.0,
-        "%",
-        PERCENT,
-        "residual against the level field",
-        "move away from steel and motors, and keep loads still while turning",
-    ),
-    Threshold(
-        "outlier_share",
-        Aspect.QUALITY,
-        5.0,
-        15.0,
-        50.0,
-        "%",
-        PERCENT,
-        "samples that were not believed",
-        "something magnetic passed by or switched; turn again elsewhere",
-    ),
-    Threshold(
-        "radius_misfit",
-        Aspect.QUALITY,
-        3.0,
-        10.0,
-        25.0,
-        "%",
-        PERCENT,
-        "radius of the field against the reference",
-        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
-    ),
-    Threshold(
-        "ellipse_excess",
-        Aspect.QUALITY,
-        2.0,
-        10.0,
-        30.0,
-        "%",
-        PERCENT,
-        "ellipse in the turn's plane, longer axis over shorter less one",
-        "give soft_iron_gains, or move the magnetometer away from iron parts",
-    ),
-    Threshold(
-        "split_half",
-        Aspect.CONFIDENCE,
-        0.3,
-        0.7,
-        4.0,
-        "°",
-        DEGREES,
-        "headings from the two halves of the turn differ by",
-        "turn once more, evenly, away from moving iron",
-    ),
-    Threshold(
-        "gyro_compass_rms",
-        Aspect.QUALITY,
-        2.0,
-        4.0,
-        10.0,
-        "°",
-        DEGREES,
-        "gyro against compass around the turn",
-        "the field is distorted here, or the sensors' axes do not belong together; turn elsewhere",
-    ),
-    Threshold(
-        "strength_pull",
-        Aspect.QUALITY,
-        1.0,
-        2.0,
-        4.0,
-        "σ",
-        1.0,
-        "field strength pulled from the reference by",
-        "check reference.strength_ut, or turn where the field is undisturbed",
-    ),
-    Threshold(
-        "inclination_pull",
-        Aspect.QUALITY,
-        1.0,
-        2.0,
-        4.0,
-        "σ",
-        1.0,
-        "inclination pulled from the reference by",
-        "check reference.inclination_deg, or turn where the field is undisturbed",
-    ),
-    Threshold(
-        "installation_angle",
-        Aspect.QUALITY,
-        5.0,
-        15.0,
-        45.0,
-        "°",
-        DEGREES,
-        "installation error",
-        "give the sensor's nominal pose with mount_rpy_deg",
-    ),
-    Threshold(
-        "misalignment",
-        Aspect.QUALITY,
-        0.5,
-        1.5,
-        5.0,
-        "°",
-        DEGREES,
-        "the corrected field is turned against the IMU, as gravity shows, by",
-        "this method does not correct it; give mount_rpy_deg, or use a method that does",
-    ),
+from magcal_ros.core.thresholds import (
+    DEGREES,
+    EARTHS_FIELD_UT,
+    GRAVITY_MISFITS,
+    THRESHOLDS,
+    Aspect,
+    Check,
+    Grade,
+    Threshold,
 )
-"""The one table of bounds; they come from simulation and about ten recordings, so move them."""
+from magcal_ros.core.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.window import Window
+
+__all__ = ["THRESHOLDS", "Aspect", "Check", "Grade", "Threshold", "Verdict", "judge", "refuse"]
+
+REASONS_IN_SUMMARY = 2
+SEVERAL = 2.0
+"""Times the heading's sigma from which soft iron that was not shown is worth a word."""
+CHANCE, CHANCE_WITH_SOFT_IRON = 3.0, 8.0
+"""Heading sigmas of the whole turn by which its halves may differ; a half hardly shows iron."""
+NEARLY_FULL = math.radians(300.0)
+"""Arc from which a steady sideways pull can be told from a slope."""
+ALLOWED_SIGMAS = 2.0
+"""Of the reference field's own belief, which its radius may be off before it counts."""
 
 
 @dataclass(frozen=True)
@@ -267,11 +86,14 @@ NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method took their axes for aligned and "
     "corrects nothing of it"
 )
-NO_GYRO = "a distorted field: gyro against compass was not checked"
-NO_REFERENCE = "the size of the field was not checked: the reference field is not known"
+NO_GYRO = (
+    "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
+    " checked, because there is no gyro"
+)
+NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
-def judge(estimate: Estimate, knowledge: Knowledge) -> Verdict:
+def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
     """Weigh an estimate.
 
     Parameters
@@ -280,17 +102,57 @@ def judge(estimate: Estimate, knowledge: Knowledge) -> Verdict:
         What a method found.
     knowledge : Knowledge
         What it was told beforehand.
+    window : Window, optional
+        The samples; without them gravity is not checked.
 
     Returns
     -------
     Verdict
     """
-    figures = common_figures(estimate) | dict(estimate.figures)
+    figures = judged_figures(estimate, knowledge)
+    if window is not None and window.angular_rate is not None and estimate.arc > NEARLY_FULL:
+        figures["sideways_pull"] = sideways_pull(window)
     checks = [t.check(figures[t.figure]) for t in THRESHOLDS if t.figure in figures]
     checks.append(_check_strength(estimate.strength))
+    if "gyro_carried" in figures:
+        checks.append(_check_carrying(figures["gyro_carried"] > 0.0))
+    if window is not None:
+        checks.append(_check_gravity(window))
     not_shown = _not_shown(estimate, figures, knowledge)
     verdict = Verdict(tuple(checks), not_shown, "")
     return Verdict(tuple(checks), not_shown, _summary(verdict, estimate, figures))
+
+
+def judged_figures(estimate: Estimate, knowledge: Knowledge) -> dict[str, float]:
+    """Return every figure that the table can grade, by name; SI units."""
+    figures = {
+        "arc": estimate.arc,
+        "samples": float(np.count_nonzero(estimate.inliers)),
+        "axis_lean": math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
+    }
+    figures |= common_figures(estimate) | dict(estimate.figures)
+    if "radius_misfit" in figures:
+        allowed = ALLOWED_SIGMAS * _radius_sigma(knowledge)
+        figures["radius_misfit"] = max(figures["radius_misfit"] - allowed, 0.0)
+    if "split_half" in figures:
+        # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
+        sigmas = CHANCE_WITH_SOFT_IRON if figures.get("soft_iron") else CHANCE
+        chance = sigmas * figures["heading_sigma"]
+        figures["split_half"] = math.sqrt(max(figures["split_half"] ** 2 - chance**2, 0.0))
+    with_iron = figures.get("heading_sigma_soft_iron", 0.0)
+    if with_iron > SEVERAL * figures["heading_sigma"]:
+        figures["unseen_soft_iron"] = with_iron
+    return figures
+
+
+def _radius_sigma(knowledge: Knowledge) -> float:
+    """Return how uncertain the reference's level field is, relative."""
+    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
+    if strength.is_unknown or dip.is_unknown:
+        return 0.0
+    return math.hypot(
+        strength.sigma / (abs(strength.value) or 1.0), math.tan(dip.value) * dip.sigma
+    )
 
 
 def refuse(refusal: Refusal) -> Verdict:
@@ -302,12 +164,38 @@ def refuse(refusal: Refusal) -> Verdict:
 
 def _check_strength(strength: float) -> Check:
     microtesla = strength * 1e6
-    grade = Grade.EXCELLENT if 20.0 <= microtesla <= 70.0 else Grade.WARN
+    low, high = EARTHS_FIELD_UT
+    grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
     words = f"field strength {microtesla:.1f} µT"
     if grade is Grade.WARN:
         hint = likely_field_unit(strength)
-        words += f" is not the Earth's (20 to 70 µT){': ' + hint if hint else ''}"
+        words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
     return Check("strength", Aspect.QUALITY, grade, words)
+
+
+def _check_carrying(carried: bool) -> Check:
+    """Say whether the gyro's turning and the samples belong to one motion."""
+    if carried:
+        words = "the gyro's turning explains the samples"
+        return Check("gyro_carried", Aspect.QUALITY, Grade.EXCELLENT, words)
+    words = (
+        "the gyro's turning does not explain the samples: check the axes and the stamps of the "
+        "gyro, and keep the sensor near the turn's centre, away from iron"
+    )
+    return Check("gyro_carried", Aspect.QUALITY, Grade.WARN, words)
+
+
+def _check_gravity(window: Window) -> Check:
+    size = float(np.median(np.linalg.norm(window.specific_force, axis=1)))
+    misfit = abs(size / STANDARD_GRAVITY - 1.0)
+    excellent, good = GRAVITY_MISFITS
+    grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD
+    words = f"acceleration at rest {size:.3g} m/s²"
+    if not misfit <= good:
+        grade = Grade.WARN
+        hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
+        words += f" is not gravity's ({STANDARD_GRAVITY:.2f} m/s²): {hint}"
+    return Check("gravity", Aspect.QUALITY, grade, words)
 
 
 def _not_shown(
@@ -317,8 +205,8 @@ def _not_shown(
     level, tilted = figures["heading_sigma"], figures["heading_sigma_tilted"]
     if tilted > 2.0 * level and tilted * DEGREES > 0.5:
         found.append(
-            "the hard iron along the turn's axis, well: it costs "
-            f"{tilted * DEGREES:.1f}° (1σ) of heading at 10° of tilt"
+            "the hard iron along the turn's axis: fine on the level, but at 10° of tilt it costs "
+            f"{tilted * DEGREES:.1f}° (1σ) of heading; give the reference field, or turn on ramps"
         )
     if "gyro_compass_rms" not in figures:
         found.append(NO_GYRO)
@@ -330,8 +218,7 @@ def _not_shown(
 def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[str, float]) -> str:
     grades = f"quality {verdict.quality.value}, confidence {verdict.confidence.value}"
     if not verdict.accepted:
-        causes = "; ".join(c.words for c in verdict.checks if c.grade is Grade.REFUSED)
-        return f"Refused ({grades}): {causes}."
+        return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED)}."
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
     words = (
         f"{grades}: heading ±{figures['heading_sigma'] * DEGREES:.2f}° on the level, "
@@ -341,5 +228,12 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[str, float])
     if estimate.installation is not None:
         roll, pitch = estimate.installation.roll, estimate.installation.pitch
         words += f", installation roll {roll * DEGREES:.2f}°, pitch {pitch * DEGREES:.2f}°"
-    warnings = "; ".join(check.words for check in verdict.checks if check.grade is Grade.WARN)
+    warnings = _reasons(verdict, Grade.WARN)
     return f"Calibrated, {words}.{' But ' + warnings + '.' if warnings else ''}"
+
+
+def _reasons(verdict: Verdict, grade: Grade) -> str:
+    """Return the first reasons for a grade: the table holds the weightiest first."""
+    words = [check.words for check in verdict.checks if check.grade is grade]
+    more = len(words) - REASONS_IN_SUMMARY
+    return "; ".join(words[:REASONS_IN_SUMMARY]) + (f"; and {more} more" if more > 0 else "")

@@ -78,6 +78,14 @@ class TestEveryMethod:
         assert isinstance(outcome.calibration, Calibration)
 
 
+def test_a_refusal_names_the_unit_that_upset_the_fit():
+    one = window_of()
+    gauss = Window(one.time, 1e4 * one.field, one.specific_force, one.angular_rate)
+    verdict = calibrate(gauss, ROBOT.knowledge()).verdict
+    assert not verdict.accepted
+    assert "looks like gauss" in verdict.summary
+
+
 def test_the_first_method_is_the_default():
     outcome = calibrate(window_of(), ROBOT.knowledge())
     assert outcome.estimate.method == METHODS[0]

@@ -6,8 +6,9 @@ from sample_results import SKEWED, estimate, small_covariance
 
 from magcal_ros.core.correction import Correction
 from magcal_ros.core.estimate import Installation
-from magcal_ros.core.figures import common_figures, predicted_heading_sigma
-from magcal_ros.core.simulator import LEVEL_TILT, Robot, heading_errors
+from magcal_ros.core.figures import common_figures, predicted_heading_sigma, sideways_pull
+from magcal_ros.core.simulator import LEVEL_TILT, Robot, heading_errors, measure, turn
+from magcal_ros.core.window import Window
 
 TRUTH = Robot()
 
@@ -83,3 +84,20 @@ class TestCommonFigures:
         assert figures["heading_sigma"] == predicted_heading_sigma(one, 0.0)
         tilted = predicted_heading_sigma(one, math.radians(10.0))
         assert figures["heading_sigma_tilted"] == tilted != figures["heading_sigma"]
+
+
+class TestSidewaysPull:
+    @staticmethod
+    def window(pull=0.0, **motion):
+        one = measure(Robot(), turn(**motion), np.random.default_rng(3), gyro=True)
+        force = one.specific_force + np.array([pull * 9.81, 0.0, 0.0])
+        return Window(one.time, one.field, force, one.angular_rate)
+
+    @pytest.mark.parametrize(
+        "motion", [{}, {"arc": -math.tau}, {"start_rpy": (0.2, 0.1, 1.0)}, {"axis": [0.3, 0, 1.0]}]
+    )
+    def test_a_turn_on_the_spot_has_none(self, motion):
+        assert sideways_pull(self.window(**motion)) < math.radians(0.5)
+
+    def test_a_circle_has_its_angle(self):
+        assert sideways_pull(self.window(0.1)) == pytest.approx(math.atan(0.1), abs=0.01)

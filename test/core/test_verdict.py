@@ -22,6 +22,7 @@ from magcal_ros.core.verdict import (
     judge,
     refuse,
 )
+from magcal_ros.core.window import Window
 
 KNOWN = Robot().knowledge()
 BY_FIGURE = {threshold.figure: threshold for threshold in THRESHOLDS}
@@ -33,10 +34,17 @@ def at(threshold, value):
     return threshold.check(value / threshold.scale)
 
 
+def refused_value(threshold):
+    """A value beyond the last bound, in the unit people see."""
+    return threshold.warn * (0.5 if threshold.at_least else 2.0)
+
+
 class TestThreshold:
     @every_threshold
     def test_the_table_goes_from_best_to_worst(self, threshold):
-        assert 0.0 < threshold.excellent < threshold.good < threshold.warn
+        bounds = (threshold.excellent, threshold.good, threshold.warn)
+        assert min(bounds) > 0.0
+        assert list(bounds) == sorted(set(bounds), reverse=threshold.at_least)
         assert threshold.words
         assert threshold.remedy
 
@@ -44,9 +52,15 @@ class TestThreshold:
     def test_every_bound_belongs_to_the_better_grade(self, threshold):
         bounds = (threshold.excellent, threshold.good, threshold.warn)
         for bound, better, worse in zip(bounds, list(Grade), list(Grade)[1:], strict=False):
-            assert at(threshold, 0.999 * bound).grade is better
-            assert at(threshold, 1.001 * bound).grade is worse
-        assert at(threshold, 0.0).grade is Grade.EXCELLENT
+            inside, outside = (1.001, 0.999) if threshold.at_least else (0.999, 1.001)
+            assert at(threshold, inside * bound).grade is better
+            assert at(threshold, outside * bound).grade is worse
+        none = Grade.REFUSED if threshold.at_least else Grade.EXCELLENT
+        assert at(threshold, 0.0).grade is none
+
+    @every_threshold
+    def test_only_the_size_counts(self, threshold):
+        assert at(threshold, -0.99 * threshold.good) == at(threshold, 0.99 * threshold.good)
 
     @every_threshold
     @pytest.mark.parametrize("value", [math.nan, math.inf])
@@ -55,19 +69,22 @@ class TestThreshold:
 
     @every_threshold
     def test_the_words_give_the_value_in_the_unit_people_see(self, threshold):
-        words = at(threshold, 0.5 * threshold.excellent).words
-        assert words == f"{threshold.words} {0.5 * threshold.excellent:.3g}{threshold.unit}"
+        value = threshold.excellent * (2.0 if threshold.at_least else 0.5)
+        words = at(threshold, value).words
+        assert words == f"{threshold.words} {value:.3g}{threshold.unit}"
 
     @every_threshold
     def test_what_falls_short_says_what_is_wanted_and_what_to_do(self, threshold):
         warned = at(threshold, 0.5 * (threshold.good + threshold.warn)).words
-        assert f"(want {threshold.good:g}{threshold.unit} or less): {threshold.remedy}" in warned
-        refused = at(threshold, 2.0 * threshold.warn).words
-        assert f"(want {threshold.warn:g}{threshold.unit} or less): {threshold.remedy}" in refused
+        side = "more" if threshold.at_least else "less"
+        assert f"(want {threshold.good:g}{threshold.unit} or {side}): {threshold.remedy}" in warned
+        refused = at(threshold, refused_value(threshold)).words
+        assert f"(want {threshold.warn:g}{threshold.unit} or {side}): {threshold.remedy}" in refused
 
     @every_threshold
     def test_what_is_good_needs_no_advice(self, threshold):
-        assert threshold.remedy not in at(threshold, threshold.good * 0.99).words
+        inside = 1.01 if threshold.at_least else 0.99
+        assert threshold.remedy not in at(threshold, threshold.good * inside).words
 
     def test_each_figure_has_one_row(self):
         assert len(BY_FIGURE) == len(THRESHOLDS)
@@ -106,7 +123,7 @@ class TestJudge:
     @pytest.mark.parametrize("bad", ["refused", "nan"])
     def test_one_bad_figure_refuses_its_own_aspect_only(self, figure, aspect, bad):
         row = BY_FIGURE[figure]
-        value = math.nan if bad == "nan" else 2.0 * row.warn / row.scale
+        value = math.nan if bad == "nan" else refused_value(row) / row.scale
         verdict = judge(estimate(figures={figure: value}), KNOWN)
         assert not verdict.accepted
         expected = {aspect: Grade.REFUSED}
@@ -152,7 +169,7 @@ class TestJudge:
     def test_the_summary_names_warnings(self):
         summary = judge(estimate(figures={"gyro_compass_rms": math.radians(7.0)}), KNOWN).summary
         assert summary.startswith("Calibrated, quality warn, confidence excellent")
-        assert "But gyro against compass around the turn 7° (want 4° or less)" in summary
+        assert "But gyro against compass around the turn 7° (want 2° or less)" in summary
 
     def test_the_summary_of_a_refusal_names_its_causes_only(self):
         figures = {
@@ -162,9 +179,130 @@ class TestJudge:
         }
         summary = judge(estimate(figures=figures), KNOWN).summary
         assert "gyro against compass around the turn 20°" in summary
-        assert "two halves of the turn differ by 9°" in summary
+        # less what the halves may differ by chance
+        assert "two halves of the turn differ by 8.99°" in summary
         assert "ellipse" not in summary
         assert "Calibrated" not in summary
+
+    def test_the_summary_names_two_reasons_and_counts_the_others(self):
+        figures = {
+            "gyro_compass_rms": math.radians(7.0),
+            "strength_pull": -4.0,
+            "inclination_pull": 4.0,
+            "rival_gap": math.radians(2.0),
+        }
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert "gyro against compass" in verdict.summary
+        assert "field strength pulled" in verdict.summary
+        assert verdict.summary.endswith("; and 2 more.")
+        assert sum(check.grade is Grade.WARN for check in verdict.checks) == 4
+
+
+def window(force):
+    n = len(force)
+    return Window(np.arange(n) / 10.0, np.full((n, 3), 30e-6), force)
+
+
+def grade_of(verdict, figure):
+    return next(check for check in verdict.checks if check.figure == figure)
+
+
+class TestWhatTheEstimateItselfShows:
+    @pytest.mark.parametrize(
+        ("arc", "grade"),
+        [(360, Grade.EXCELLENT), (200, Grade.GOOD), (100, Grade.WARN), (30, Grade.REFUSED)],
+    )
+    def test_a_short_arc_costs_confidence(self, arc, grade):
+        verdict = judge(estimate(arc=math.radians(arc)), KNOWN)
+        assert (verdict.quality, verdict.confidence) == (Grade.EXCELLENT, grade)
+        if grade is Grade.WARN:
+            assert "the turn covers 100° (want 160° or more): turn the full circle" in (
+                verdict.summary
+            )
+
+    def test_few_believed_samples_cost_confidence(self):
+        few = {"inliers": np.ones(30, dtype=bool), "residual": np.zeros((30, 3))}
+        verdict = judge(estimate(**few), KNOWN)
+        assert verdict.confidence is Grade.WARN
+        assert "believed samples: 30 (want 50 or more)" in verdict.summary
+
+    @pytest.mark.parametrize(
+        ("axis", "grade"),
+        [
+            ([0.0, 0.0, 1.0], Grade.EXCELLENT),
+            ([0.5, 0.0, 0.866], Grade.GOOD),
+            ([0.0, 0.9, 0.436], Grade.WARN),
+            ([0.0, 0.0, -1.0], Grade.REFUSED),
+        ],
+    )
+    def test_a_board_that_is_not_upright_is_told_so(self, axis, grade):
+        check = grade_of(judge(estimate(axis=np.array(axis)), KNOWN), "axis_lean")
+        assert check.grade is grade
+        told = "z points down or sideways at rest" in check.words
+        assert told == (grade.rank >= Grade.WARN.rank)
+
+    @pytest.mark.parametrize(
+        ("sigma", "grade"), [(0.4, None), (0.8, Grade.GOOD), (2.0, Grade.WARN)]
+    )
+    def test_soft_iron_that_half_a_turn_hides_costs_confidence(self, sigma, grade):
+        own = judge(estimate(), KNOWN)
+        figures = {"heading_sigma": math.radians(0.3)}
+        figures["heading_sigma_soft_iron"] = math.radians(sigma)
+        verdict = judge(estimate(figures=figures), KNOWN)
+        found = [c for c in verdict.checks if c.figure == "unseen_soft_iron"]
+        assert [c.grade for c in found] == ([] if grade is None else [grade])
+        assert own.confidence is Grade.EXCELLENT
+        if grade is Grade.WARN:
+            assert "cannot show soft iron" in verdict.summary
+
+    @pytest.mark.parametrize(("carried", "grade"), [(1.0, Grade.EXCELLENT), (0.0, Grade.WARN)])
+    def test_a_gyro_that_tells_of_another_turn_warns(self, carried, grade):
+        figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert verdict.quality is grade
+        told = "gyro's turning does not explain the samples" in verdict.summary
+        assert told == (grade is Grade.WARN)
+
+    def test_halves_that_differ_by_chance_are_no_fault(self):
+        figures = {"heading_sigma": math.radians(0.49), "split_half": math.radians(0.97)}
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert grade_of(verdict, "split_half").grade is Grade.EXCELLENT
+
+    def test_a_radius_within_what_the_reference_promises_is_no_fault(self):
+        figures = {"radius_ratio": 1.2}
+        vague = Robot().knowledge(strength_sigma=5e-6, inclination_sigma=0.05)
+        assert grade_of(judge(estimate(figures=figures), KNOWN), "radius_misfit").grade is (
+            Grade.WARN
+        )
+        assert judge(estimate(figures=figures), vague).quality is Grade.EXCELLENT
+
+
+class TestGravity:
+    @pytest.mark.parametrize(
+        ("size", "words"),
+        [
+            (1.0, "g published as m/s²; multiply by 9.80665"),
+            (1000.0, "milli-g published as m/s²"),
+            (7.5, "check the accelerometer's range and scale"),
+            (12.0, "is not gravity's (9.81 m/s²)"),
+        ],
+    )
+    def test_a_length_that_is_not_gravitys_warns_by_name(self, size, words):
+        force = np.zeros((50, 3))
+        force[:, 2] = size
+        verdict = judge(estimate(), KNOWN, window(force))
+        assert verdict.quality is Grade.WARN
+        assert words in verdict.summary
+
+    @pytest.mark.parametrize(
+        ("size", "grade"), [(9.7, Grade.EXCELLENT), (8.8, Grade.GOOD), (-9.81, Grade.EXCELLENT)]
+    )
+    def test_gravity_and_a_poor_scale_pass(self, size, grade):
+        verdict = judge(estimate(), KNOWN, window(np.full((50, 3), [0.0, 0.0, size])))
+        assert grade_of(verdict, "gravity").grade is grade
+
+    def test_without_samples_it_is_not_checked(self):
+        assert "gravity" not in {check.figure for check in judge(estimate(), KNOWN).checks}
 
 
 class TestNotShown:
@@ -196,7 +334,7 @@ class TestNotShown:
         words = [text for text in not_shown if "along the turn's axis" in text]
         # 5 µT * sin 10° / 25 µT / sqrt 2
         assert len(words) == 1
-        assert "1.4° (1σ) of heading at 10° of tilt" in words[0]
+        assert "at 10° of tilt it costs 1.4° (1σ) of heading" in words[0]
 
     def test_a_certain_axial_hard_iron_is_not_named(self):
         assert not [t for t in judge(estimate(), KNOWN).not_shown if "turn's axis" in t]

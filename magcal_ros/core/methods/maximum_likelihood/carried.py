@@ -175,7 +175,8 @@ def converge_carried(
     equations = _equations(place, problem, carrier, drift)
     free = len(problem.prior.free)
     block = equations.information
-    shared = np.linalg.solve(block[free:, free:], block[free:, :free])
+    # Without a believed sample the gyro's own errors are not determined either.
+    shared = np.linalg.lstsq(block[free:, free:], block[free:, :free], rcond=1e-14)[0]
     information = block[:free, :free] - block[:free, free:] @ shared
     lean = np.sqrt(np.mean(place.state.lean[:, :2] ** 2))
     noise = replace(problem.noise, wobble=max(float(lean), 1e-3))
@@ -252,8 +253,9 @@ def _strained(plain: Carried) -> bool:
     problem = plain.solution.problem
     counted = problem.weights.sample
     stray = predict(plain.solution.state, problem.samples).up_residual
-    mean = float(np.linalg.norm(counted @ stray)) / float(counted.sum())
-    chance = problem.noise.up * math.sqrt(problem.kappa / float(counted.sum()))
+    count = max(float(counted.sum()), 1.0)
+    mean = float(np.linalg.norm(counted @ stray)) / count
+    chance = problem.noise.up * math.sqrt(problem.kappa / count)
     bias = plain.carrier.bias_pull(plain.coefficients)
     return bias > SUSPICIOUS_BIAS or mean > SUSPICIOUS_STRAY * chance
 
@@ -383,7 +385,8 @@ def _cost(place: _Place, problem: Problem, carrier: Carrier, drift: float) -> fl
 def _noise(equations: _Equations, problem: Problem) -> Noise:
     weights, noise = problem.weights, problem.noise
     squares = (weights.data * weights.sample)[:, None] * equations.residual**2
-    count = float(weights.sample.sum())
+    # Where no sample is believed the noise shrinks no further than below, and the fit is refused.
+    count = max(float(weights.sample.sum()), 1.0)
     left = max(1.0 - equations.spent / (5.0 * count), 0.1)
     up = noise.up * math.sqrt(float(squares[:, :3].sum()) / (2.0 * count * left))
     field = noise.field * math.sqrt(float(squares[:, 3:].sum()) / (3.0 * count * left))

@@ -101,6 +101,11 @@ def _choose(solutions: list[Solution]) -> Search:
     kappa = solutions[int(np.argmin(costs))].problem.kappa
     rivals = [s for s, c in zip(solutions, costs, strict=True) if c < min(costs) + RIVAL * kappa]
     rivals.sort(key=lambda solution: rotation_angle(solution.state.shared.installation))
+    if not rivals:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "no calibration explains the samples at all; check the units and axes of both sensors",
+        )
     best = rivals[0]
     gaps = [heading_gap(best, other) for other in rivals[1:]]
     return Search(best, max(gaps, default=0.0))
