@@ -27,6 +27,9 @@ SOFT_IRON_PRICE = 25.0
 RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
+CLEAR_GAIN = 100.0
+"""An expected fall of chi-square that leaves little doubt about soft iron."""
+
 STRETCHES = 8
 STEADINESS = 1.75
 """Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
@@ -109,9 +112,11 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
         Whether soft iron is fitted whatever the samples say.
     """
     wobbling = gated(start)
-    plain = rigid_or_wobbling(wobbling)
     if not with_iron.has_soft_iron:
-        return Choice(plain, 0.0)
+        return Choice(rigid_or_wobbling(wobbling), 0.0)
+    # Where soft iron is plain to see, whether the axis would look rigid without it is idle.
+    plain_to_see = expected_gain(wobbling, with_iron) > CLEAR_GAIN
+    plain = wobbling if plain_to_see else rigid_or_wobbling(wobbling)
     if not always_iron and expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE:
         return Choice(plain, 0.0)
     freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
@@ -120,8 +125,9 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     asked = keeps_samples(plain, iron) and gain.asks_for_it(
         iron.problem.kappa, rigid=iron.problem.rigid
     )
-    chosen = iron if always_iron or asked else plain
-    return Choice(chosen, gain.total)
+    if always_iron or asked:
+        return Choice(iron, gain.total)
+    return Choice(rigid_or_wobbling(wobbling) if plain_to_see else plain, gain.total)
 
 
 def keeps_samples(simple: Solution, rich: Solution) -> bool:
