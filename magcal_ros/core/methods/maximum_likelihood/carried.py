@@ -27,11 +27,13 @@ from magcal_ros.core.methods.maximum_likelihood.carried_equations import (
 )
 from magcal_ros.core.methods.maximum_likelihood.choice import (
     SOFT_IRON_PRICE,
+    WORTH_TRYING,
     Gain,
     is_steady,
     keeps_samples,
 )
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
+from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt, Look, look_for_soft_iron
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Problem,
@@ -129,6 +131,7 @@ def fit_carried(start: Solution, carrier: Carrier, prior: Prior, rounds: int = 2
     for turn in range(rounds):
         soft = turn < SOFT_ROUNDS
         weights = _weights(place, task.problem, soft=soft)
+        moved = float(np.mean(weights.sample != task.problem.weights.sample))
         task = task.with_weights(weights)
         equations = normal_equations(place, task)
         if not soft:
@@ -139,7 +142,7 @@ def fit_carried(start: Solution, carrier: Carrier, prior: Prior, rounds: int = 2
         place, size = step(place, equations, task)
         change = largest_change(noise, task.problem.noise) + abs(math.log(drift / task.drift)) / 10
         task = replace(task, problem=task.problem.with_noise(noise), drift=drift)
-        if turn > SOFT_ROUNDS + 1 and change < 0.015 and size < SETTLED:
+        if turn > SOFT_ROUNDS + 1 and change < 0.015 and size < SETTLED and moved < 0.002:
             break
     return converge_carried(place, task)
 
@@ -166,10 +169,11 @@ def converge_carried(place: Place, task: Task, steps: int = 10, tolerance: float
 
 @dataclass(frozen=True, eq=False)
 class CarriedChoice:
-    """The model that the samples ask for, and by how much chi-square fell by soft iron."""
+    """The model that the samples ask for, by how much chi-square fell by soft iron, and doubt."""
 
     best: Carried
-    soft_iron_gain: float
+    soft_iron_gain: float = 0.0
+    doubt: Doubt | None = None
 
 
 def choose_carried(
@@ -179,28 +183,30 @@ def choose_carried(
     plain = _with_or_without_offset(start, carrier)
     carrier = plain.carrier
     if not with_iron.has_soft_iron:
-        return CarriedChoice(plain, 0.0)
+        return CarriedChoice(plain)
+    look, total = _look_at(plain, with_iron), 0.0
     # Where soft iron was taken for drift or outliers, the plain fit no longer shows its slope.
     honest = plain.drift < HONEST_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
-    little = honest and _expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE
-    if little and not always_iron:
-        return CarriedChoice(plain, 0.0)
-    iron = fit_carried(start, carrier, with_iron)
-    without = _held_to(iron, carrier, start.problem.prior)
-    gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
-    asked = keeps_samples(plain.solution, iron.solution)
-    # A gyro that drifts more than gyros do hides errors that last, which kappa does not see.
-    kappa = iron.solution.problem.kappa * max(1.0, iron.drift / USUAL_DRIFT)
-    asked = asked and gain.asks_for_it(kappa)
-    return CarriedChoice(iron if always_iron or asked else plain, gain.total)
+    if always_iron or not honest or look.gain > WORTH_TRYING:
+        iron = fit_carried(start, carrier, with_iron)
+        without = _held_to(iron, carrier, start.problem.prior)
+        gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
+        # A gyro that drifts more than gyros do hides errors that last, which kappa does not see.
+        kappa = iron.solution.problem.kappa * max(1.0, iron.drift / USUAL_DRIFT)
+        asked = gain.asks_for_it(look.price(SOFT_IRON_PRICE) * kappa)
+        if always_iron or (asked and keeps_samples(plain.solution, iron.solution)):
+            return CarriedChoice(iron, gain.total)
+        total = gain.total
+    return CarriedChoice(plain, total, Doubt(look, look.probability(total)))
 
 
-def _expected_gain(plain: Carried, with_iron: Prior) -> float:
-    """Return by how much the cost would fall with soft iron, from its slope at zero."""
-    problem = replace(plain.solution.problem, prior=without_axes(with_iron))
-    task = Task(problem, plain.carrier, plain.drift)
+def _look_at(plain: Carried, with_iron: Prior) -> Look:
+    """Return what soft iron would bring, from the slope at zero."""
+    prior = without_axes(with_iron)
+    task = Task(replace(plain.solution.problem, prior=prior), plain.carrier, plain.drift)
     equations = normal_equations(at(plain.solution.state, plain.coefficients, task), task)
-    return float(equations.gradient @ equations.covariance @ equations.gradient)
+    kappa = task.problem.kappa
+    return look_for_soft_iron(equations.covariance, equations.gradient, prior, kappa)
 
 
 def _with_or_without_offset(start: Solution, carrier: Carrier) -> Carried:

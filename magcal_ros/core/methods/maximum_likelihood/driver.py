@@ -10,6 +10,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood.attitudes import attitudes_from_vectors
 from magcal_ros.core.methods.maximum_likelihood.carried import choose_carried, explains_as_well
 from magcal_ros.core.methods.maximum_likelihood.choice import choose_model
+from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
 from magcal_ros.core.methods.maximum_likelihood.figures import measure_figures
 from magcal_ros.core.methods.maximum_likelihood.gyro import (
     Carrier,
@@ -79,7 +80,7 @@ def fit(
     if outcome.gyro_compass_rms is not None:
         check_gyro(outcome.gyro_compass_rms)
     check_solution(solution, knowledge, arc, outcome.rival_gap, gyro=gyro)
-    covariance = twelve_covariance(solution, outcome.information, prepared.scale)
+    covariance = twelve_covariance(solution, outcome.information, prepared.scale, outcome.doubt)
     figures = measure_figures(solution, covariance, knowledge, prepared.scale, arc)
     figures.update(rival_gap=outcome.rival_gap, soft_iron_gain=outcome.soft_iron_gain)
     if outcome.gyro_compass_rms is not None:
@@ -97,6 +98,7 @@ class _Outcome:
     information: FloatArray
     rival_gap: float
     soft_iron_gain: float
+    doubt: Doubt | None
     gyro_carried: bool = False
     gyro_compass_rms: float | None = None
 
@@ -118,6 +120,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
                 carried.best.information,
                 found.rival_gap,
                 carried.soft_iron_gain,
+                carried.doubt,
                 gyro_carried=True,
                 gyro_compass_rms=_consistency(
                     carried.best.solution, carrier, prepared, window, carried.best.offset
@@ -132,6 +135,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
         information,
         found.rival_gap,
         choice.soft_iron_gain,
+        choice.doubt,
         gyro_compass_rms=consistency,
     )
 
