@@ -10,12 +10,12 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood.attitudes import attitudes_from_vectors
 from magcal_ros.core.methods.maximum_likelihood.carried import choose_carried, explains_as_well
 from magcal_ros.core.methods.maximum_likelihood.choice import choose_model
+from magcal_ros.core.methods.maximum_likelihood.consistency import gyro_compass_rms
 from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
 from magcal_ros.core.methods.maximum_likelihood.figures import measure_figures
 from magcal_ros.core.methods.maximum_likelihood.gyro import (
     Carrier,
     carry,
-    gyro_compass_rms,
     sense_of_mounting,
 )
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
@@ -152,7 +152,7 @@ def _consistency(
         samples = replace(samples, up=samples.up - offset)
     shared = solution.state.shared
     attitude = shared.body_axis @ attitudes_from_vectors(shared, samples)
-    return gyro_compass_rms(attitude, carrier, window.time[prepared.first])
+    return gyro_compass_rms(carrier.relative, attitude, window.time[prepared.first])
 
 
 def _on_all(thin: Solution, samples: Samples) -> Solution:
