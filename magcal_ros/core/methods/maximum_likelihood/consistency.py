@@ -75,7 +75,7 @@ def _sectors(stray: FloatArray, turned: FloatArray, time: FloatArray, noise: flo
     def mean(values: FloatArray) -> FloatArray:
         return np.asarray(np.bincount(index, good * values, size) / count)
 
-    return _Sectors(mean(stray), mean(turned), mean(time), count)
+    return _Sectors(mean(stray), mean(turned), mean(time), count.astype(float))
 
 
 def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
