@@ -110,7 +110,7 @@ def _shoulders(loud: BoolArray) -> BoolArray:
     for first, last in edges.reshape(-1, 2):
         reach = int(SHOULDER * (last - first))
         around[max(first - reach, 0) : last + reach] = True
-    return around
+    return np.asarray(around)
 
 
 def moving_sum(values: FloatArray, width: int) -> FloatArray:
