@@ -35,7 +35,7 @@ def live(samples, knowledge):
     from magcal_ros.ros.parameters import PARAMETERS, Settings
 
     streams = Streams(0.2)
-    control = Control(streams, lambda calibration: lambda: "", lambda: "silent")
+    control = Control(streams, lambda calibration: lambda: "", lambda: "silent", lambda *_: "")
     settings = Settings.of({spec.name: spec.default for spec in PARAMETERS})
     assert control.start(dataclasses.replace(settings, knowledge=knowledge)).success
     for sample in samples:

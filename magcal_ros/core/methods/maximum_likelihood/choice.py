@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.arrays import BoolArray, FloatArray
+from magcal_ros.core.methods.maximum_likelihood.covariance import inverse_information
+from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt, Look, look_for_soft_iron
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Linearisation,
     Noise,
@@ -26,6 +28,11 @@ WOBBLE_PRICE = 10.0
 SOFT_IRON_PRICE = 25.0
 RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
+
+WORTH_TRYING = 12.5
+"""An expected fall of chi-square for which soft iron is fitted."""
+CLEAR_GAIN = 100.0
+"""An expected fall of chi-square that leaves little doubt about soft iron."""
 
 STRETCHES = 8
 STEADINESS = 1.75
@@ -90,10 +97,13 @@ class Choice:
     solution : Solution
     soft_iron_gain : float
         Fall of chi-square by soft iron; zero where it was not tried.
+    doubt : Doubt, optional
+        Where soft iron was left out and could have been there.
     """
 
     solution: Solution
-    soft_iron_gain: float
+    soft_iron_gain: float = 0.0
+    doubt: Doubt | None = None
 
 
 def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Choice:
@@ -109,19 +119,26 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
         Whether soft iron is fitted whatever the samples say.
     """
     wobbling = gated(start)
-    plain = rigid_or_wobbling(wobbling)
     if not with_iron.has_soft_iron:
-        return Choice(plain, 0.0)
-    if not always_iron and expected_gain(plain, with_iron) < 0.5 * SOFT_IRON_PRICE:
-        return Choice(plain, 0.0)
-    freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
-    iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
-    gain = soft_iron_gain(plain, iron)
-    asked = keeps_samples(plain, iron) and gain.asks_for_it(
-        iron.problem.kappa, rigid=iron.problem.rigid
-    )
-    chosen = iron if always_iron or asked else plain
-    return Choice(chosen, gain.total)
+        return Choice(rigid_or_wobbling(wobbling))
+    # Where soft iron is plain to see, whether the axis would look rigid without it is idle.
+    plain_to_see = look_at(wobbling, with_iron).gain > CLEAR_GAIN
+    plain = wobbling if plain_to_see else rigid_or_wobbling(wobbling)
+    look, total = look_at(plain, with_iron), 0.0
+    if always_iron or look.gain > WORTH_TRYING:
+        freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
+        iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
+        gain = soft_iron_gain(plain, iron)
+        rigid = iron.problem.rigid
+        price = look.price(RIGID_SOFT_IRON_PRICE) if rigid else SOFT_IRON_PRICE
+        asked = gain.asks_for_it(price * iron.problem.kappa, rigid=rigid)
+        if always_iron or (asked and keeps_samples(plain, iron)):
+            return Choice(iron, gain.total)
+        total = gain.total
+    if plain_to_see:
+        plain = rigid_or_wobbling(wobbling)
+        look = look_at(plain, with_iron)
+    return Choice(plain, total, Doubt(look, look.probability(total)))
 
 
 def keeps_samples(simple: Solution, rich: Solution) -> bool:
@@ -165,14 +182,12 @@ class Gain:
     total: float
     steady: bool
 
-    def asks_for_it(self, kappa: float, *, rigid: bool = False) -> bool:
+    def asks_for_it(self, price: float, *, rigid: bool = False) -> bool:
         """Return whether soft iron is worth its price.
 
         A rigid axis leaves little else that could look like soft iron.
         """
-        if rigid:
-            return self.total > RIGID_SOFT_IRON_PRICE * kappa
-        return self.steady and self.total > SOFT_IRON_PRICE * kappa
+        return (rigid or self.steady) and self.total > price
 
 
 def soft_iron_gain(plain: Solution, iron: Solution) -> Gain:
@@ -216,10 +231,11 @@ def is_steady(falls: FloatArray) -> bool:
     return bool(parts.sum() > STEADINESS * spread)
 
 
-def expected_gain(solution: Solution, with_iron: Prior) -> float:
-    """Return by how much chi-square would fall with soft iron, from the slope at zero."""
+def look_at(solution: Solution, with_iron: Prior) -> Look:
+    """Return what soft iron would bring, from the slope at zero."""
     problem = replace(solution.problem, prior=with_iron)
     lin = linearise(solution.state, problem)
     pulled = (lin.local_covariance @ lin.local_gradient[:, :, None])[:, :, 0]
     slope = lin.gradient - lin.through_attitudes(pulled)
-    return float(slope @ np.linalg.lstsq(lin.reduced_information, slope, rcond=1e-14)[0])
+    covariance = inverse_information(lin.reduced_information)
+    return look_for_soft_iron(covariance, slope, with_iron, problem.kappa)

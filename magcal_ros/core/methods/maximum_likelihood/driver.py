@@ -10,11 +10,12 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood.attitudes import attitudes_from_vectors
 from magcal_ros.core.methods.maximum_likelihood.carried import choose_carried, explains_as_well
 from magcal_ros.core.methods.maximum_likelihood.choice import choose_model
+from magcal_ros.core.methods.maximum_likelihood.consistency import gyro_compass_rms
+from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
 from magcal_ros.core.methods.maximum_likelihood.figures import measure_figures
 from magcal_ros.core.methods.maximum_likelihood.gyro import (
     Carrier,
     carry,
-    gyro_compass_rms,
     sense_of_mounting,
 )
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
@@ -79,7 +80,7 @@ def fit(
     if outcome.gyro_compass_rms is not None:
         check_gyro(outcome.gyro_compass_rms)
     check_solution(solution, knowledge, arc, outcome.rival_gap, gyro=gyro)
-    covariance = twelve_covariance(solution, outcome.information, prepared.scale)
+    covariance = twelve_covariance(solution, outcome.information, prepared.scale, outcome.doubt)
     figures = measure_figures(solution, covariance, knowledge, prepared.scale, arc)
     figures.update(rival_gap=outcome.rival_gap, soft_iron_gain=outcome.soft_iron_gain)
     if outcome.gyro_compass_rms is not None:
@@ -97,6 +98,7 @@ class _Outcome:
     information: FloatArray
     rival_gap: float
     soft_iron_gain: float
+    doubt: Doubt | None
     gyro_carried: bool = False
     gyro_compass_rms: float | None = None
 
@@ -118,6 +120,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
                 carried.best.information,
                 found.rival_gap,
                 carried.soft_iron_gain,
+                carried.doubt,
                 gyro_carried=True,
                 gyro_compass_rms=_consistency(
                     carried.best.solution, carrier, prepared, window, carried.best.offset
@@ -132,6 +135,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
         information,
         found.rival_gap,
         choice.soft_iron_gain,
+        choice.doubt,
         gyro_compass_rms=consistency,
     )
 
@@ -148,7 +152,7 @@ def _consistency(
         samples = replace(samples, up=samples.up - offset)
     shared = solution.state.shared
     attitude = shared.body_axis @ attitudes_from_vectors(shared, samples)
-    return gyro_compass_rms(attitude, carrier, window.time[prepared.first])
+    return gyro_compass_rms(carrier.relative, attitude, window.time[prepared.first])
 
 
 def _on_all(thin: Solution, samples: Samples) -> Solution:

@@ -48,8 +48,9 @@ FIGURES: Mapping[str, str] = MappingProxyType(
         "soft_iron_gain": "fall of chi-square by soft iron; zero where it was not tried",
         "gyro_carried": "one where the gyro carried the attitude from sample to sample, else zero;"
         " absent without a gyro",
-        "gyro_compass_rms": "RMS difference between the gyro's yaw and the corrected compass's"
-        " after offset, bias and scale, radians; absent without a gyro",
+        "gyro_compass_rms": "RMS of the lasting swing between the gyro's yaw and the corrected"
+        " compass's: offset, bias, scale and the noise of single samples taken off; radians,"
+        " absent without a gyro",
         "field_scale": "tesla by which the field was scaled inside the fit",
     }
 )

@@ -20,9 +20,6 @@ SCALE_SIGMA = 0.02
 KNOT_SPACING = 1.0
 """Seconds between the knots of the drift that neither bias nor scale explain."""
 MOST_KNOTS = 12
-WORST_BIAS = 0.03
-WORST_SCALE = 0.05
-"""No more bias (rad/s) and scale than this is taken off before gyro and compass are compared."""
 CLEAR_SENSE = 0.5
 OFFSET_SIGMA = 0.1
 """Steady sideways pull on the accelerometer, over gravity: a car in a circle."""
@@ -164,39 +161,3 @@ def sense_of_mounting(samples: Samples, carrier: Carrier) -> float:
     together = float(field_turn @ robot_turn)
     size = float(np.linalg.norm(field_turn) * np.linalg.norm(robot_turn))
     return -1.0 if together > CLEAR_SENSE * size else 1.0
-
-
-def gyro_compass_rms(attitude: FloatArray, carrier: Carrier, time: FloatArray) -> float:
-    """Return how far the compass's turn strays from the gyro's, radians RMS.
-
-    Offset, bias and a small scale error are removed; spikes of the compass are left out.
-
-    Parameters
-    ----------
-    attitude : ndarray, shape (n, 3, 3)
-        Body axes by up and corrected field, from any fixed world axes.
-    carrier : Carrier
-    time : ndarray, shape (n,)
-        Seconds.
-    """
-    relative = carrier.relative
-    away = np.swapaxes(relative, 1, 2) @ attitude
-    stray = np.unwrap(_turn_about_z(away @ away[len(away) // 2].T))
-    turned = np.unwrap(_turn_about_z(np.swapaxes(relative, 1, 2)))
-    rows = np.column_stack([np.ones_like(stray), time - time.mean(), turned - turned.mean()])
-    most = np.array([np.inf, WORST_BIAS, WORST_SCALE])
-    weight, left = np.ones_like(stray), stray
-    for _ in range(10):
-        weighted = rows.T * weight
-        found = np.linalg.lstsq(weighted @ rows, weighted @ stray, rcond=None)[0]
-        left = stray - rows @ np.clip(found, -most, most)
-        left = left - np.median(left)
-        weight = 1.0 / (1.0 + (left / (3.0 * np.median(np.abs(left)) + 1e-9)) ** 2)
-    kept = np.abs(left) <= 6.0 * np.median(np.abs(left)) + 1e-9
-    return float(np.sqrt(np.mean(left[kept] ** 2)))
-
-
-def _turn_about_z(rotations: FloatArray) -> FloatArray:
-    return np.arctan2(
-        rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
-    )

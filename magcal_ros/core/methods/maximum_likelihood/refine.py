@@ -118,7 +118,7 @@ def gated(solution: Solution, rounds: int = 10) -> Solution:
         if turn > 0:
             kappa = samples_per_independent(lin.residual, weights.sample)
             problem = replace(problem, kappa=kappa)
-        lin = settle(state, problem, steps=3, tolerance=1e-2)
+        lin = settle(state, problem, steps=2, tolerance=0.05)
         state = lin.state
         noise = estimate_noise(lin, problem, change=1.5)
         change = largest_change(noise, problem.noise)

@@ -14,6 +14,7 @@ from magcal_ros.core.methods.maximum_likelihood.covariance import (
     correction_jacobian,
     inverse_information,
 )
+from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
 from magcal_ros.core.methods.maximum_likelihood.linearise import Noise, chi_squares
 from magcal_ros.core.methods.maximum_likelihood.model import predict
 from magcal_ros.core.methods.maximum_likelihood.prepare import Prepared
@@ -23,7 +24,9 @@ from magcal_ros.core.methods.maximum_likelihood.weights import passes_alone
 METHOD = "maximum_likelihood"
 
 
-def twelve_covariance(solution: Solution, information: FloatArray, scale: float) -> FloatArray:
+def twelve_covariance(
+    solution: Solution, information: FloatArray, scale: float, doubt: Doubt | None = None
+) -> FloatArray:
     """Return the covariance of the twelve numbers in SI units, shape (12, 12).
 
     Parameters
@@ -33,11 +36,15 @@ def twelve_covariance(solution: Solution, information: FloatArray, scale: float)
         On the free globals, prior times kappa included.
     scale : float
         Tesla of one field scale.
+    doubt : Doubt, optional
+        Of soft iron that was not fitted.
     """
     problem = solution.problem
     jacobian = correction_jacobian(solution.state.shared, problem.samples.mounting, scale)
-    jacobian = jacobian[:, problem.prior.free]
-    covariance = problem.kappa * jacobian @ inverse_information(information) @ jacobian.T
+    free = jacobian[:, problem.prior.free]
+    covariance = problem.kappa * free @ inverse_information(information) @ free.T
+    if doubt is not None:
+        covariance = doubt.widened(covariance, jacobian)
     return np.asarray(0.5 * (covariance + covariance.T))
 
 

@@ -18,6 +18,9 @@ LOCAL_TAIL = 1e-4
 LOCAL_WINDOWS = ((100, 5), (25, 9))
 """The local gate sums residuals over these fractions of the turn, at least so many samples."""
 
+SHOULDER = 0.2
+"""A dropped stretch takes so much of its own length with it at each end."""
+
 
 def student_weights(chi: ChiSquares, rigid: bool) -> Weights:
     """Return the weights under which least squares fits Student-t residuals.
@@ -93,7 +96,21 @@ def locally_quiet(residual: FloatArray, alone: BoolArray, freedom: float) -> Boo
         usual = float(np.median(power[alone])) / half if alone.any() else 1.0
         loud = (power > limit * max(1.0, usual)).astype(float)
         quiet &= moving_sum(loud[::-1], width)[::-1] == 0.0
-    return quiet
+    return quiet & ~_shoulders(~quiet)
+
+
+def _shoulders(loud: BoolArray) -> BoolArray:
+    """Return the neighbourhood of loud stretches, each longer by a share of itself at both ends.
+
+    What comes gently is under the noise at first: a stretch that is dropped for its middle still
+    pulls with its ends.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
+    around = loud.copy()
+    for first, last in edges.reshape(-1, 2):
+        reach = int(SHOULDER * (last - first))
+        around[max(first - reach, 0) : last + reach] = True
+    return np.asarray(around)
 
 
 def moving_sum(values: FloatArray, width: int) -> FloatArray:

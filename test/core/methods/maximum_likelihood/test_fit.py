@@ -137,7 +137,7 @@ def test_a_gyro_shows_a_magnetometer_that_is_upside_down():
     window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot) < 0.3
-    assert estimate.figures["gyro_compass_rms"] < 3.0 * DEGREE
+    assert estimate.figures["gyro_compass_rms"] < 0.7 * DEGREE
 
 
 def test_a_gyro_steadies_a_short_arc():
