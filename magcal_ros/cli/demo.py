@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
     parameters = {
         "calibration_file": output.resolve(),
+        "report_folder": output.resolve().parent / "magcal_reports",
         "reference.strength_ut": ROBOT.strength * 1e6,
         "reference.inclination_deg": ROBOT.inclination / DEGREE,
         "reference.declination_deg": ROBOT.declination / DEGREE,

@@ -76,12 +76,12 @@ pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); ove
   .key div { padding: 1pt 4pt; } .key dt { font-size: 6pt; } .key dd { font-size: 8pt; }
   .pictures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4pt; margin-top: 5pt; }
   figure { padding: 4pt; break-inside: avoid; }
-  figure svg { width: auto; max-width: 100%; height: 72mm; margin: 0 auto; }
+  figure svg { width: auto; max-width: 100%; height: 64mm; margin: 0 auto; }
   figcaption { margin-top: 1pt; font-size: 6.8pt; line-height: 1.2; }
   .missing { padding: 10pt; }
   h2 { break-after: avoid; }
   .columns { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 14pt; }
-  table { font-size: 6.8pt; line-height: 1.2; } th, td { padding: .6pt 6pt .6pt 0; }
+  table { font-size: 6.5pt; line-height: 1.15; } th, td { padding: .6pt 6pt .6pt 0; }
   .grade { padding: 0 4pt; } .checks .grade { font-size: 6.4pt; }
   tr { break-inside: avoid; }
   code, pre { font-size: 6pt; line-height: 1.15; }
