@@ -37,6 +37,7 @@ FIGURES: dict[str, Unit] = {
     t.figure: Unit(t.words.removesuffix(" by"), t.scale, t.unit) for t in THRESHOLDS
 } | {
     "heading_sigma_tilted": Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
+    "steady_pull": Unit("steady pull taken off the accelerometer", DEGREES, "°"),
     "inlier_fraction": Unit("samples that were believed", 100.0, "%"),
     "circle_radius": Unit("radius of the field's circle", MICRO, " µT"),
     "radius_ratio": Unit("circle radius over the reference's"),

@@ -16,6 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
@@ -56,6 +57,7 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
+        self._gravity: CarriedGravity | None = None
         self._table = Parameters(self)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
@@ -92,8 +94,8 @@ class Calibrator(Node):
         streams = self._inputs.streams
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
-        else:
-            streams.add_imu(sample)
+        elif streams.add_imu(sample) and self._gravity is not None:
+            self._gravity.add(sample)
 
     def _on_field(self, message: MagneticField) -> None:
         first = self._inputs.field.last_heard is None
@@ -107,6 +109,8 @@ class Calibrator(Node):
         if self._outputs.compass is not None:
             reference = self._table.settings.knowledge.reference
             force = streams.force_at(sample.stamp)
+            if force is not None and self._gravity is not None:
+                force = self._gravity.up or force
             self._outputs.publish(
                 message, sample.field, force, self._body_frame(), reference.declination
             )
@@ -155,6 +159,8 @@ class Calibrator(Node):
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
+        carried = calibration is not None and calibration.wants_carried_up
+        self._gravity = CarriedGravity() if carried else None
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:

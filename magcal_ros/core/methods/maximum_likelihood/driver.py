@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.knowledge import Knowledge
@@ -85,7 +87,9 @@ def fit(
     figures.update(rival_gap=outcome.rival_gap, soft_iron_gain=outcome.soft_iron_gain)
     if outcome.gyro_compass_rms is not None:
         figures.update(
-            gyro_carried=float(outcome.gyro_carried), gyro_compass_rms=outcome.gyro_compass_rms
+            gyro_carried=float(outcome.gyro_carried),
+            gyro_compass_rms=outcome.gyro_compass_rms,
+            steady_pull=outcome.steady_pull,
         )
     return build_estimate(solution, prepared, covariance, arc, figures)
 
@@ -101,6 +105,7 @@ class _Outcome:
     doubt: Doubt | None
     gyro_carried: bool = False
     gyro_compass_rms: float | None = None
+    steady_pull: float = 0.0
 
 
 def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome:
@@ -125,6 +130,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
                 gyro_compass_rms=_consistency(
                     carried.best.solution, carrier, prepared, window, carried.best.offset
                 ),
+                steady_pull=float(np.linalg.norm(carried.best.offset)),
             )
     choice = choose_model(everyone, with_iron, always_iron=always)
     solution = converged(choice.solution)

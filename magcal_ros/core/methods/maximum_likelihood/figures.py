@@ -51,6 +51,8 @@ FIGURES: Mapping[str, str] = MappingProxyType(
         "gyro_compass_rms": "RMS of the lasting swing between the gyro's yaw and the corrected"
         " compass's: offset, bias, scale and the noise of single samples taken off; radians,"
         " absent without a gyro",
+        "steady_pull": "lean of the accelerometer's up that was found to turn with the robot and"
+        " was taken off, radians; zero without one; absent without a gyro",
         "field_scale": "tesla by which the field was scaled inside the fit",
     }
 )
