@@ -27,14 +27,17 @@ unit: $(VENV)/.test
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/offline.py
+	$(BIN)/python benchmarks/accuracy.py
+	$(BIN)/python benchmarks/honesty.py
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
 
 $(VENV)/.demo: setup.py | $(VENV)/bin/pip
-	$(BIN)/python -m pip install --quiet --editable '.[ros]'
+	$(BIN)/python -m pip install --quiet --editable '.[ros,report,live]'
 	@touch $@
 
 $(VENV)/.test: setup.py | $(VENV)/bin/pip
