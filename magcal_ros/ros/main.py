@@ -31,6 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        # A signal can take the context away in the middle of a callback: that is an end, no fault.
+        if rclpy.ok():
+            raise
     finally:
         if node is not None:
             node.close()
