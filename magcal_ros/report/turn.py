@@ -111,7 +111,7 @@ class Turn:
     def of(cls, subject: Subject) -> Turn:
         """Work out what there is to show of a subject."""
         window, estimate = subject.window, subject.outcome.estimate
-        field = window.field @ np.linalg.inv(subject.knowledge.mounting.matrix).T
+        field = window.field @ subject.knowledge.mounting.to_body.T
         up = unit(window.specific_force)
         progress = _progress(window, field)
         gyro = _gyro_angle(window, up)

@@ -108,7 +108,7 @@ class Settings:
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
     """Return the field (n, 3) with known gains and the nominal pose taken off, tesla."""
-    return np.asarray(window.field @ np.linalg.inv(knowledge.mounting.matrix).T)
+    return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 
 def refuse_flat(nominal: FloatArray) -> None:

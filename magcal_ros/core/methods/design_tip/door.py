@@ -81,5 +81,5 @@ def leave(
         The one that was taken off.
     """
     installation = Installation(roll, -pitch)
-    matrix = installation.pose @ np.linalg.inv(mounting.matrix)
+    matrix = installation.pose @ mounting.to_body
     return Correction(matrix, mounting.matrix @ FRD_FROM_FLU @ centre), installation
