@@ -20,7 +20,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pairer, Streams
 from magcal_ros.core.window import Window
-from magcal_ros.ros.parameters import Settings
+from magcal_ros.ros.settings import Settings
 
 PREVIEW_ARC = math.radians(120.0)
 PREVIEW_SHARE = 0.25

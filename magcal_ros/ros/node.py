@@ -28,9 +28,10 @@ from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
 from magcal_ros.ros.markers import turn_markers
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
-from magcal_ros.ros.parameters import Parameters, Settings
+from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter, now
 from magcal_ros.ros.services import Services
+from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.status import (
     calibration_diagnostic,
     field_diagnostic,

@@ -32,7 +32,8 @@ def live(samples, knowledge):
     pytest.importorskip("rclpy")
     from magcal_ros.core.streams import Streams
     from magcal_ros.ros.control import Control
-    from magcal_ros.ros.parameters import PARAMETERS, Settings
+    from magcal_ros.ros.parameter_table import PARAMETERS
+    from magcal_ros.ros.settings import Settings
 
     streams = Streams(0.2)
     control = Control(streams, lambda calibration: lambda: "", lambda: "silent", lambda *_: "")

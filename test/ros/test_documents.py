@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from magcal_ros.ros.generated import readme_with_parameters
-from magcal_ros.ros.parameters import as_yaml
+from magcal_ros.ros.parameter_table import as_yaml
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 

@@ -6,11 +6,14 @@ import pytest
 pytest.importorskip("rclpy")
 
 from magcal_ros.core.rotations import rotation_from_rpy
-from magcal_ros.ros.parameters import PARAMETERS, Settings, Spec
+from magcal_ros.ros.parameter_table import PARAMETERS
+from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.spec import Spec
 
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]
 LISTS = [s for s in PARAMETERS if isinstance(s.default, tuple)]
 TEXTS = [s for s in PARAMETERS if isinstance(s.default, str)]
+SWITCHES = [s for s in PARAMETERS if isinstance(s.default, bool)]
 DEFAULTS = {spec.name: spec.default for spec in PARAMETERS}
 
 
@@ -37,7 +40,16 @@ def test_every_row_accepts_its_own_default(spec):
 
 
 def test_names_are_unique_and_every_row_is_of_a_known_kind():
-    assert len(DEFAULTS) == len(PARAMETERS) == len(NUMBERS) + len(LISTS) + len(TEXTS)
+    kinds = (NUMBERS, LISTS, TEXTS, SWITCHES)
+    assert len(DEFAULTS) == len(PARAMETERS) == sum(len(kind) for kind in kinds)
+
+
+def test_a_switch_is_true_or_false_and_nothing_that_looks_like_it():
+    spec = Spec("moves", False, "Whether it moves")
+    assert [spec.parse(True), spec.parse(False), spec.yaml_default] == [True, False, "false"]
+    for wrong in (1, 0.0, "true", None):
+        with pytest.raises(ValueError, match="moves must be true or false"):
+            spec.parse(wrong)
 
 
 @rows(NUMBERS)

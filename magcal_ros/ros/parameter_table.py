@@ -1,0 +1,136 @@
+"""The one table of parameters: descriptors, checks and the README's table come from it."""
+
+from __future__ import annotations
+
+from magcal_ros.core.calibrate import METHODS
+from magcal_ros.core.knowledge import INCLINATION_SIGMA_DEG, STRENGTH_SIGMA_UT
+from magcal_ros.core.streams import MAX_GAP
+from magcal_ros.ros.spec import UNSET, Spec
+
+PARAMETERS: tuple[Spec, ...] = (
+    Spec(
+        "calibration_file",
+        "",
+        "Where the calibration is stored and loaded from. Empty: "
+        "$ROS_HOME/magcal/<namespace>/<frame of the magnetometer>.yaml",
+    ),
+    Spec(
+        "report_folder",
+        "",
+        "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
+        "$ROS_HOME/magcal/reports; none: no reports",
+    ),
+    Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
+    Spec(
+        "reference.strength_ut",
+        UNSET,
+        "Strength of the Earth's field here; .nan if not known",
+        15.0,
+        100.0,
+        "µT",
+    ),
+    Spec(
+        "reference.strength_sigma_ut",
+        STRENGTH_SIGMA_UT,
+        "How far the true strength may be from it (1 σ); indoors rather 7",
+        0.0,
+        100.0,
+        "µT",
+    ),
+    Spec(
+        "reference.inclination_deg",
+        UNSET,
+        "Inclination (dip) of the Earth's field here, positive down; .nan if not known",
+        -90.0,
+        90.0,
+        "°",
+    ),
+    Spec(
+        "reference.inclination_sigma_deg",
+        INCLINATION_SIGMA_DEG,
+        "How far the true inclination may be from it (1 σ); indoors rather 5",
+        0.0,
+        90.0,
+        "°",
+    ),
+    Spec(
+        "reference.declination_deg",
+        UNSET,
+        "Declination here, positive east; .nan if not known, then no true north is published",
+        -180.0,
+        180.0,
+        "°",
+    ),
+    Spec(
+        "soft_iron_gains",
+        (1.0, 1.0, 1.0),
+        "Known gains of the magnetometer's axes",
+        0.1,
+        10.0,
+    ),
+    Spec(
+        "mount_rpy_deg",
+        (0.0, 0.0, 0.0),
+        "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF",
+        -360.0,
+        360.0,
+        "°",
+    ),
+    Spec(
+        "confidence.target_sigma_deg",
+        0.5,
+        "Predicted heading error (1 σ, on the level) at which a complete turn is enough",
+        0.01,
+        10.0,
+        "°",
+    ),
+    Spec(
+        "window.timeout_s",
+        90.0,
+        "A turn is used or refused after this time, whatever was seen",
+        2.0,
+        3600.0,
+        "s",
+    ),
+    Spec(
+        "window.silence_s",
+        10.0,
+        "A turn ends when a sensor was silent for so long",
+        0.5,
+        600.0,
+        "s",
+    ),
+    Spec(
+        "window.max_gap_s",
+        MAX_GAP,
+        "IMU samples further apart are not interpolated between",
+        0.001,
+        5.0,
+        "s",
+    ),
+)
+
+
+def as_yaml() -> str:
+    """Return the table as the parameter file that is shipped in `config/`."""
+    lines = ["# Every parameter of the calibrator node with its default.", "/**:"]
+    lines.append("  ros__parameters:")
+    group = ""
+    for spec in PARAMETERS:
+        prefix, _, name = spec.name.rpartition(".")
+        if prefix and prefix != group:
+            lines.append(f"    {prefix}:")
+        group = prefix
+        indent = "      " if prefix else "    "
+        lines.append(f"{indent}# {spec.full_description}")
+        lines.append(f"{indent}{name or spec.name}: {spec.yaml_default}")
+    return "\n".join(lines) + "\n"
+
+
+def as_markdown() -> str:
+    """Return the table as it stands in the README."""
+    lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
+    for spec in PARAMETERS:
+        row = (f"`{spec.name}`", f"`{spec.yaml_default}`", spec.constraints, spec.description)
+        lines.append("| " + " | ".join(row) + " |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,48 @@
+"""What the parameters mean, in SI units and in the core's own types."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.session import Limits
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The parameters' values in SI units and in the core's own types."""
+
+    calibration_file: str
+    report_folder: str
+    method: str
+    knowledge: Knowledge
+    limits: Limits
+    max_gap: float
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Settings:
+        """Build from checked values by parameter name."""
+        knowledge = knowledge_of(
+            values["reference.strength_ut"],
+            values["reference.strength_sigma_ut"],
+            values["reference.inclination_deg"],
+            values["reference.inclination_sigma_deg"],
+            values["reference.declination_deg"],
+            values["soft_iron_gains"],
+            values["mount_rpy_deg"],
+        )
+        return cls(
+            values["calibration_file"],
+            values["report_folder"],
+            values["method"],
+            knowledge,
+            Limits(
+                values["window.timeout_s"],
+                values["window.silence_s"],
+                target_sigma=math.radians(values["confidence.target_sigma_deg"]),
+            ),
+            values["window.max_gap_s"],
+        )
