@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field
 
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.units import likely_field_unit
@@ -17,49 +18,73 @@ MOST_REPEATS = 0.9
 LARGEST_OFFSET = 1.0
 """Seconds between the two sensors' newest stamps."""
 
+AHEAD_IN_GAPS = 1.5
+"""Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any more."""
+
 WORDS = {
     Drop.NOT_FINITE: "samples are not finite",
     Drop.ZERO: "samples are all zero",
     Drop.ABSENT: "messages carry no acceleration",
     Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
     Drop.BACKWARD_STAMP: "stamps go backward",
-    Drop.UNPAIRED: "samples have no IMU sample near their stamp",
+    Drop.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
 }
+
+IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no rate in rad/s"}
 
 
 @dataclass(frozen=True)
 class Heard:
-    """One topic and how many messages came on it."""
+    """What came on one topic in the time that is judged.
+
+    Parameters
+    ----------
+    topic : str
+        Its name.
+    messages : int
+        How many came.
+    drops : Counter of Drop
+        How many of them were not used, by reason.
+    flows : bool
+        Whether they still come: the newest stamp of a sensor that died says nothing of its clock.
+    """
 
     topic: str
     messages: int
+    drops: Counter[Drop] = field(default_factory=Counter)
+    flows: bool = True
+
+    def since(self, earlier: Heard) -> Heard:
+        """Return what came after an earlier count of the same topic."""
+        drops = Counter({drop: n - earlier.drops[drop] for drop, n in self.drops.items()})
+        return Heard(self.topic, self.messages - earlier.messages, drops, self.flows)
 
 
-def complaints(streams: Streams, imu: Heard, field: Heard) -> list[str]:
+def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
     """Say what is wrong with two streams, and what to do; empty if nothing is.
 
     Parameters
     ----------
     streams : Streams
-        The cleaned streams with their counts.
-    imu, field : Heard
+        The cleaned streams, for their newest stamps.
+    imu, mag : Heard
         What came on the two topics.
     """
     found = []
-    drops = streams.field_drops
-    if drops[Drop.TOO_LARGE]:
+    if mag.drops[Drop.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)
         found.append(unit or f"a field of {streams.largest_field:.3g} T is no Earth field")
-    for heard, counts in ((imu, streams.imu_drops), (field, drops)):
+    for heard, all_words in ((imu, IMU_WORDS), (mag, WORDS)):
         found += [
-            f"{heard.topic}: {counts[drop]} of {heard.messages} {words}"
-            for drop, words in WORDS.items()
-            if counts[drop] > WORTH_A_WORD * max(heard.messages, 1)
+            f"{heard.topic}: {heard.drops[drop]} of {heard.messages} {words}"
+            for drop, words in all_words.items()
+            if heard.drops[drop] > WORTH_A_WORD * max(heard.messages, 1)
         ]
-    if drops[Drop.REPEATED] > MOST_REPEATS * max(field.messages, 1):
-        found.append(f"{field.topic} repeats one value: the sensor is frozen or at rest")
+    if mag.drops[Drop.REPEATED] > MOST_REPEATS * max(mag.messages, 1):
+        found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     offset = stamp_offset(streams)
-    if abs(offset) > LARGEST_OFFSET:
+    ahead = min(LARGEST_OFFSET, AHEAD_IN_GAPS * streams.max_gap)
+    if imu.flows and mag.flows and not -LARGEST_OFFSET <= offset <= ahead:
         found.append(
             f"the stamps of field and IMU are {offset:+.1f} s apart: "
             "let one clock stamp both sensors"

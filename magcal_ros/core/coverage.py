@@ -147,8 +147,9 @@ def yaw_progress(
 def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     """Return minus the field's phase on its circle about `up`, unwrapped from the first sample."""
     spread = float(np.linalg.eigvalsh(np.cov(field.T))[-1])
-    steps = np.diff(field, axis=0)
-    noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 6.0)
+    # Third differences: a turn of half a radian from sample to sample leaves little in them.
+    steps = np.diff(field, 3, axis=0)
+    noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 60.0)
     if math.sqrt(max(spread, 0.0)) < SPREAD_OVER_NOISE * noise:
         return None
     try:

@@ -43,7 +43,9 @@ class Gathering:
         max_gap: float = MAX_GAP,
     ) -> None:
         self.streams = Streams(max_gap)
+        self._mounting = mounting
         self._session = Session(Limits(), mounting, 0.0)
+        self._best: Session | None = None
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
@@ -70,12 +72,14 @@ class Gathering:
                     pairer.offer(reading)
                     self._collect()
         self._collect()
+        self._choose()
         self._heard[0] += imus
         self._heard[1] += fields
 
     def complaints(self) -> list[str]:
         """Say in words what is wrong with what came; empty if nothing is."""
-        imu, field = (Heard(*each) for each in zip(self._topics, self._heard, strict=True))
+        drops = (self.streams.imu_drops, self.streams.field_drops)
+        imu, field = map(Heard, self._topics, self._heard, drops)
         return complaints(self.streams, imu, field)
 
     def progress(self) -> Progress:
@@ -99,7 +103,22 @@ class Gathering:
 
     def _collect(self) -> None:
         for pair in self._pairer.take():
+            if pair.field.stamp < self._session.newest:
+                self._choose()
+                self._best = self._session
+                self._session = Session(Limits(), self._mounting, 0.0)
             self._session.add(pair, 0.0)
+
+    def _choose(self) -> None:
+        """Of the stretches between which time was set back keep the one with most of a turn."""
+        best = self._best
+        if best is not None and _arc(best) >= _arc(self._session):
+            self._session = best
+        self._best = None
+
+
+def _arc(session: Session) -> float:
+    return session.progress(0.0).coverage.arc
 
 
 def fit_gathered(

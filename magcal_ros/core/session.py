@@ -132,6 +132,11 @@ class Session:
         How the magnetometer is meant to sit: a phase about the up vector needs it.
     now : float
         Seconds on a steady clock.
+
+    Attributes
+    ----------
+    was_set_back : bool
+        Whether stamps went back, and what came before was left out.
     """
 
     def __init__(self, limits: Limits, mounting: Mounting, now: float) -> None:
@@ -143,17 +148,32 @@ class Session:
         self._size = 0
         self._sigmas = (math.inf, math.inf)
         self._last_turning = now
+        self.was_set_back = False
 
     @property
     def has_samples(self) -> bool:
         """Whether any pair has come."""
         return self._size > 0
 
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest pair, seconds; minus infinity before the first."""
+        return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
+
     def add(self, pair: Pair, now: float) -> None:
-        """Take a pair; a stamp that does not increase is left out."""
+        """Take a pair.
+
+        A stamp that stands still is left out. One before the newest means that time was set back,
+        by a clock or by a bag that loops; whether the robot stands where it stood nobody knows, so
+        the turn begins anew.
+        """
         rows = self._buffer
-        if self._size and pair.field.stamp <= rows[self._size - 1, 0]:
+        newest = self.newest
+        if pair.field.stamp == newest:
             return
+        if pair.field.stamp < newest:
+            self._size, self._sigmas = 0, (math.inf, math.inf)
+            self.was_set_back = True
         if self._size == len(rows):
             self._make_room()
         self._buffer[self._size] = (
@@ -210,7 +230,7 @@ class Session:
         rows = self._buffer[: self._size]
         rate = _rate_if_any(rows)
         if rate is not None:
-            rate = np.nan_to_num(rate)
+            rate = np.where(np.isfinite(rate), rate, 0.0)
         return yaw_progress(rows[:, 0], rows[:, 1:4] @ self._to_body.T, rows[:, 4:7], rate)
 
     def _stage(self, coverage: Coverage, now: float) -> Stage:

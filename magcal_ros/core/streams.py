@@ -22,6 +22,15 @@ HISTORY = 4096
 LARGEST_FIELD = 1e-3
 """Tesla. Twenty times the Earth's field: beyond it is a unit error or a magnet on the sensor."""
 
+SMALLEST_FIELD = 1e-9
+"""Tesla. Less than this is a sensor that reads nothing."""
+
+SMALLEST_FORCE, LARGEST_FORCE = 1e-6, 1e5
+"""m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
+
+LARGEST_RATE = 1e4
+"""rad/s. No gyro reads more, degrees published as radians included."""
+
 
 class Drop(str, Enum):
     """Why a sample was not used."""
@@ -113,12 +122,17 @@ class Streams:
     def add_imu(self, sample: ImuSample) -> bool:
         """Take an IMU sample; returns whether it was usable."""
         x, y, z = sample.force
+        p, q, r = sample.rate
         size = x * x + y * y + z * z
         if not math.isfinite(size):
             self.imu_drops[Drop.NOT_FINITE] += 1
             return False
-        if size == 0.0:
+        if size < SMALLEST_FORCE * SMALLEST_FORCE:
             self.imu_drops[Drop.ZERO] += 1
+            return False
+        # Without a gyro the rate is NaN, which is larger than nothing.
+        if size > LARGEST_FORCE * LARGEST_FORCE or p * p + q * q + r * r > LARGEST_RATE**2:
+            self.imu_drops[Drop.TOO_LARGE] += 1
             return False
         went_back_from = self.imu_stamps.newest
         reason = self.imu_stamps.check(sample.stamp)
@@ -141,7 +155,7 @@ class Streams:
         if not math.isfinite(size):
             self.field_drops[Drop.NOT_FINITE] += 1
             return False
-        if size == 0.0:
+        if size < SMALLEST_FIELD * SMALLEST_FIELD:
             self.field_drops[Drop.ZERO] += 1
             return False
         if size > LARGEST_FIELD * LARGEST_FIELD:

@@ -27,6 +27,9 @@ PREVIEW_SHARE = 0.25
 """Share of one core that may go into predicting the heading sigma while the robot turns."""
 
 
+SET_BACK = "time was set back during the turn, and what came before was left out"
+
+
 class State(str, Enum):
     """What the node is busy with."""
 
@@ -203,7 +206,7 @@ class Control:
     def _begin_fit(self, session: Session, why: str) -> None:
         assert self._settings is not None
         self.progress = session.progress(time.monotonic())
-        self._why_ended = why
+        self._why_ended = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
         self._session = None
         try:
             window = self.last_window = session.window()

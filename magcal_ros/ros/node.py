@@ -243,6 +243,7 @@ class Calibrator(Node):
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
+        self._inputs.look(self.count_publishers)
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()

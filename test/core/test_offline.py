@@ -9,6 +9,7 @@ from drives import ROBOT, drive, write_csv
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.offline import LITTLE_DATA, Gathering, fit_gathered
+from magcal_ros.core.ride import Ride
 from magcal_ros.core.session import LARGEST_BUFFER, Limits
 from magcal_ros.core.simulator import Robot, heading_errors, measure, turn
 from magcal_ros.core.streams import FieldSample, ImuSample
@@ -188,3 +189,42 @@ def test_limits_of_the_session_do_not_end_it(tmp_path):
     with open_recording(write_csv(tmp_path / "csv", [*first, *second])) as source:
         window = gathered(source.readings()).window()
     assert window.time[-1] - window.time[0] > 2 * Limits().timeout
+
+
+@pytest.mark.parametrize("turn_first", [True, False])
+def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
+    turned, little = drive(400.0, start=1000.0), drive(90.0, start=900.0, seed=2)
+    if not turn_first:
+        turned, little = drive(400.0, start=900.0), drive(90.0, start=1000.0, seed=2)
+    gathering = gathered([*turned, *little] if turn_first else [*little, *turned])
+    assert gathering.progress().coverage.is_complete
+    outcome = fit_gathered(gathering, KNOWLEDGE)[0]
+    assert outcome.verdict.accepted, outcome.verdict.summary
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize(("imu_rate", "steps"), [(100, 10), (10, 10), (4, 1), (20, 20)])
+def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyro):
+    """A field sample a second is half a radian of turn: the robot turns twice, or more slowly."""
+    ride = Ride(
+        ROBOT,
+        np.random.default_rng(3),
+        start=1000.0,
+        imu_rate=float(imu_rate),
+        steps_per_field=steps,
+        gyro=gyro,
+    )
+    turns = 2.2 if imu_rate / steps < 2 else 1.1
+    count = int(turns * math.tau / 0.5 * imu_rate)
+    outcome = fitted([sample for _ in range(count) for sample in ride.step(0.5)])
+    assert outcome.verdict.accepted, outcome.verdict.summary
+
+
+def test_a_field_at_ten_times_the_imus_rate_carries_a_turn():
+    ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=100.0, steps_per_field=1)
+    samples = [sample for _ in range(1400) for sample in ride.step(0.5)]
+    imus = [sample for sample in samples if isinstance(sample, ImuSample)][::10]
+    fields = [sample for sample in samples if isinstance(sample, FieldSample)]
+    both = sorted([*imus, *fields], key=lambda sample: sample.stamp)
+    outcome = fitted(both)
+    assert outcome.verdict.accepted, outcome.verdict.summary

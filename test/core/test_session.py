@@ -187,16 +187,36 @@ class TestWindow:
         assert found.angular_rate is None
         assert len(found) > 0.9 * len(window)
 
-    def test_stamps_that_do_not_increase_are_left_out(self):
-        window = simulated(arc=4.0)
-        pairs = list(pairs_of(window))
+    def test_a_stamp_that_stands_still_is_left_out(self):
+        pairs = list(pairs_of(simulated(arc=4.0)))
+        session = Session(LIMITS, Mounting(), now=0.0)
+        for pair in pairs:
+            session.add(pair, 1.0)
+            session.add(pair, 1.0)
+        assert session.progress(2.0).samples == len(pairs)
+        assert not session.was_set_back
+
+    def test_where_time_is_set_back_the_turn_begins_anew(self):
+        """A clock that jumps, or a bag that loops: nobody knows where the robot stands now."""
+        pairs = list(pairs_of(simulated()))
+        session = Session(LIMITS, Mounting(), now=0.0)
+        for pair in pairs[len(pairs) // 2 :]:
+            session.add(pair, 1.0)
+        for pair in pairs:
+            session.add(pair, 2.0)
+        assert session.was_set_back
+        assert session.progress(2.0).samples == len(pairs)
+        assert session.progress(2.0).coverage.is_complete
+        assert (np.diff(session.window().time) > 0.0).all()
+
+    def test_a_gyro_that_reads_infinity_now_and_then_is_no_gyro_there(self):
+        pairs = list(pairs_of(simulated()))
         session = Session(LIMITS, Mounting(), now=0.0)
         for k, pair in enumerate(pairs):
-            session.add(pair, 1.0)
-            session.add(pair, 1.0)
-            session.add(pairs[k // 2], 1.0)
-        assert session.progress(2.0).samples == len(pairs)
-        assert (np.diff(session.window().time) > 0.0).all()
+            rate = (math.inf, 0.0, -math.inf) if k % 20 == 7 else pair.imu.rate
+            session.add(Pair(pair.field, pair.imu._replace(rate=rate)), 1.0)
+        assert session.progress(2.0).coverage.arc > 330 * DEGREE
+        assert np.isfinite(session.window().angular_rate).all()
 
     def test_a_pause_does_not_weigh_in_it(self):
         moving = simulated(arc=3.0, samples=300, duration=10.0)

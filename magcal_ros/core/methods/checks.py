@@ -6,7 +6,14 @@ import numpy as np
 
 from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.streams import SMALLEST_FIELD
 from magcal_ros.core.window import Window
+
+LARGEST_FIELD = 1e7
+"""Tesla. The Earth's field is far below, even in nanotesla published as tesla."""
+
+LARGEST_FORCE = 1e7
+"""m/s². Gravity is far below, even in micro-g published as m/s²."""
 
 
 def refuse_empty(window: Window, min_samples: int) -> None:
@@ -36,7 +43,13 @@ def refuse_empty(window: Window, min_samples: int) -> None:
             "The accelerometer shows less than half of gravity. It must publish specific force "
             "in m/s², +9.81 upwards at rest, with gravity not taken off.",
         )
-    if not window.field.any():
+    largest = float(np.abs(window.field).max())
+    if largest < SMALLEST_FIELD:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
+        )
+    if max(largest / LARGEST_FIELD, float(np.abs(window.specific_force).max()) / LARGEST_FORCE) > 1:
+        raise Refusal(
+            Reason.NOT_FINITE,
+            "The samples hold numbers that no unit explains. Check the drivers of both sensors.",
         )
