@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 from typing import Any
 
 from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.graph import joined
-from magcal_ros.cli.live_view import View, best_view
+from magcal_ros.cli.live_view import View, best_view, progress_of
 from magcal_ros.core.errors import MagcalError
+from magcal_ros.files.plain import plain
+
+LONGEST_ANSWER = 5000
+"""Characters of the node's answer that are printed."""
 
 
 def add_to(commands: Any) -> None:
@@ -39,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
         answer = _Turn(node, calibrator).run(best_view())
-    print(f"\n{answer.message}")
+    print(f"\n{plain(answer.message, LONGEST_ANSWER)}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
 
@@ -76,9 +79,7 @@ class _Turn:
         return future.result()
 
     def _on_status(self, message: Any) -> None:
-        status = json.loads(message.data)
-        busy = status["state"] in ("collecting", "fitting")
-        self._progress = status["progress"] if busy else None
+        self._progress = progress_of(message.data)
 
     def _call(self, service: str) -> Any:
         client = self._node.create_client(self._trigger, f"{self._calibrator}/{service}")

@@ -74,7 +74,8 @@ def _subject(
         window,
         Knowledge(),
         outcome,
-        source=f"{options.recording}, checked against {options.calibration}",
+        source=f"{plain(str(options.recording))}, checked against "
+        f"{plain(str(options.calibration))}",
         created=datetime.now().astimezone(),
         method=outcome.estimate.method,
         title="Compass check",

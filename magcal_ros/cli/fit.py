@@ -29,6 +29,7 @@ from magcal_ros.core.session import Progress
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.files.plain import plain
 from magcal_ros.report import Subject, write_report
 
 CALIBRATION = "calibration.yaml"
@@ -117,7 +118,7 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
         window,
         fitted.knowledge,
         fitted.outcome,
-        source=f"{options.recording} ({gathered.field_topic} and {gathered.imu_topic})",
+        source=f"{plain(str(options.recording))} ({gathered.field_topic} and {gathered.imu_topic})",
         created=datetime.now().astimezone(),
         method=options.method,
         magnetometer_frame=gathered.field_frame,

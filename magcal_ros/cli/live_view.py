@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from types import TracebackType
 from typing import Any, Protocol
 
+from magcal_ros.files.plain import plain
+
+BUSY = ("collecting", "fitting")
+
 TOO_FAST = 45.0
 TOO_SLOW = 5.0
 """Degrees per second of turning that is advised against."""
+
+NUMBERS = ("arc_deg", "elapsed_s", "turn_rate_deg_s")
+TEXTS = ("stage", "filled", "advice")
 
 RING_HEIGHT = 11
 RING_WIDTH = 25
@@ -29,6 +37,27 @@ class View(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+def progress_of(status: str) -> dict[str, Any] | None:
+    """Return how far a turn is from the text of `~/status`; None if none is under way.
+
+    Whoever is in the graph may publish there: what is no status is passed over, and no text of it
+    steers the terminal.
+    """
+    try:
+        content = json.loads(status)
+        if content["state"] not in BUSY:
+            return None
+        found = content["progress"]
+        shown: dict[str, Any] = {name: float(found[name]) for name in NUMBERS}
+        shown |= {name: plain(str(found[name])) for name in TEXTS}
+        shown["samples"] = int(found["samples"])
+        sigma = found["heading_sigma_deg"]
+        shown["heading_sigma_deg"] = None if sigma is None else float(sigma)
+    except (ValueError, TypeError, LookupError, OverflowError, RecursionError):
+        return None
+    return shown if all(math.isfinite(shown[name]) for name in NUMBERS) else None
 
 
 def best_view() -> View:

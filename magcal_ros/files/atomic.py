@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import tempfile
+import time
 from pathlib import Path
 
 from magcal_ros.core.errors import MagcalError
@@ -13,6 +15,12 @@ from magcal_ros.core.errors import MagcalError
 class FileTrouble(MagcalError):
     """A file cannot be read or written; the text says which, why, and what to do."""
 
+
+UNFINISHED = ".magcal-unfinished"
+"""How the names of files end that are being written; a kill may leave one behind."""
+
+LEFT_BEHIND = 3600.0
+"""Seconds after which nobody is writing it any more."""
 
 REMEDY = "Choose a writable place with the parameter calibration_file, or mend its permissions."
 
@@ -36,7 +44,8 @@ def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        _sweep(path)
+        descriptor, name = tempfile.mkstemp(UNFINISHED, f".{path.name}.", path.parent)
     except OSError as error:
         raise _trouble(path, error, remedy) from error
     try:
@@ -53,6 +62,15 @@ def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
             raise _trouble(path, error, remedy) from error
         raise
     _sync_folder(path.parent)
+
+
+def _sweep(path: Path) -> None:
+    """Remove what writers of this file left behind when they were killed."""
+    too_old = time.time() - LEFT_BEHIND
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*{UNFINISHED}"):
+        with contextlib.suppress(OSError):
+            if left.stat().st_mtime < too_old:
+                left.unlink()
 
 
 def _sync_folder(folder: Path) -> None:

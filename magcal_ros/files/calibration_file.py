@@ -16,6 +16,7 @@ from magcal_ros import __version__
 from magcal_ros.core.calibration import Calibration, Evidence
 from magcal_ros.core.correction import Correction
 from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.places import known_as
 
 FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1
@@ -52,7 +53,7 @@ class Origin:
     def now(cls, magnetometer_frame: str, imu_frame: str) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        return cls(magnetometer_frame, imu_frame, stamp)
+        return cls(known_as(magnetometer_frame), known_as(imu_frame), stamp)
 
 
 class _PlainLoader(yaml.SafeLoader):

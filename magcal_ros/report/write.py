@@ -42,9 +42,9 @@ def write_report(folder: Path, subject: Subject) -> Path:
         if path.exists():
             raise FileTrouble(f"{path} is there already and stays; choose another folder")
     turn = Turn.of(subject)
-    text = render(subject, turn, pictures(turn))
     believed = None if subject.outcome.estimate is None else turn.believed
+    # The samples come first, because the rest can be made of them; the page comes last: where
+    # there is one, the report is complete.
     write_samples(folder / SAMPLES, subject.window, believed)
-    # The page comes last: where there is one, the report is complete.
-    write_atomically(page, text, REMEDY)
+    write_atomically(page, render(subject, turn, pictures(turn)), REMEDY)
     return page

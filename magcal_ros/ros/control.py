@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future as Job
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from enum import Enum
 
@@ -26,6 +26,9 @@ PREVIEW_ARC = math.radians(120.0)
 PREVIEW_SHARE = 0.25
 """Share of one core that may go into predicting the heading sigma while the robot turns."""
 
+
+SAVING_PATIENCE = 1.5
+"""Seconds that a disk may take to store a calibration while the node is being ended."""
 
 SET_BACK = "time was set back during the turn, and what came before was left out"
 
@@ -166,8 +169,10 @@ class Control:
         return self.state is not State.IDLE
 
     def shut_down(self) -> None:
-        """Drop what is under way without waiting for it."""
+        """Drop a turn under way; what is in force already is saved before this returns."""
         self._session = None
+        if self._saving is not None:
+            wait([self._saving], SAVING_PATIENCE)
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def _collect(self, session: Session) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.places import default_calibration_path
+from magcal_ros.files.places import chosen_path, default_calibration_path, known_as
+from magcal_ros.files.plain import plain
 
 
 class Keeper:
@@ -31,9 +32,15 @@ class Keeper:
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
 
     def path(self, chosen: str, magnetometer_frame: str) -> Path | None:
-        """Return the file: as chosen, or by the sensor's frame; None while that is not known."""
+        """Return the file: as chosen, or by the sensor's frame; None while that is not known.
+
+        Raises
+        ------
+        FileTrouble
+            If it lies in a home that does not exist.
+        """
         if chosen:
-            return Path(chosen).expanduser()
+            return chosen_path(chosen)
         if not magnetometer_frame:
             return None
         return default_calibration_path(magnetometer_frame, self._namespace)
@@ -72,9 +79,10 @@ class Keeper:
             raise
         self.trouble = ""
         self.put_in_force(calibration, origin)
-        return f"loaded {path} (made {origin.created} by {calibration.evidence.method})"
+        made = f"{plain(origin.created)} by {plain(calibration.evidence.method)}"
+        return f"loaded {path} (made {made})"
 
-    def store(self, path: Path) -> Callable[[], str]:
+    def store(self, find_path: Callable[[], Path]) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread."""
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
@@ -82,6 +90,7 @@ class Keeper:
 
         def work() -> str:
             try:
+                path = find_path()
                 write_calibration(path, calibration, origin)
             except FileTrouble as error:
                 self.trouble = str(error)
@@ -101,9 +110,10 @@ def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:
         If both frames are known and differ.
     """
     made_for = origin.magnetometer_frame
-    if made_for and magnetometer_frame and made_for != magnetometer_frame:
+    there = known_as(magnetometer_frame)
+    if made_for and there and made_for != there:
         raise FileTrouble(
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "
-            f"{magnetometer_frame!r}. Calibrate this sensor, or name its own file in "
+            f"{there!r}. Calibrate this sensor, or name its own file in "
             "calibration_file."
         )

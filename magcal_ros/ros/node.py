@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,6 +23,7 @@ from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
+from magcal_ros.files.places import is_missing
 from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
@@ -64,7 +66,7 @@ class Calibrator(Node):
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
-        self._reporter = Reporter()
+        self._reporter = Reporter(self.get_logger().error)
         self._control = Control(
             streams, self._put_in_force, self._describe_silence, self._begin_report
         )
@@ -99,9 +101,10 @@ class Calibrator(Node):
             self._gravity.add(sample)
 
     def _on_field(self, message: MagneticField) -> None:
-        first = self._inputs.field.last_heard is None
+        # A driver may leave out the frame at first: the sensor is known when it has a name.
+        before = self._inputs.field.frame if self._inputs.field.messages else None
         self._inputs.field.heard(message.header.frame_id)
-        if first:
+        if not before and before != message.header.frame_id:
             self._meet_sensor()
         sample = field_sample(message)
         streams = self._inputs.streams
@@ -143,10 +146,10 @@ class Calibrator(Node):
 
     def _load_at_start(self) -> None:
         frame = self._inputs.field.frame
-        path = self._keeper.path(self._table.settings.calibration_file, frame)
-        if path is None or not path.exists():
-            return
         try:
+            path = self._keeper.path(self._table.settings.calibration_file, frame)
+            if path is None or is_missing(path):
+                return
             self.get_logger().info(self._keeper.load(path, frame))
         except FileTrouble as error:
             self.get_logger().error(f"{error} Running uncalibrated.")
@@ -167,11 +170,13 @@ class Calibrator(Node):
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
         origin = Origin.now(self._inputs.field.frame, self._inputs.imu.frame)
         self._keeper.put_in_force(calibration, origin)
-        return self._keeper.store(self._path())
+        return self._keeper.store(self._path)
 
-    def _path(self) -> Any:
+    def _path(self) -> Path:
         chosen = self._table.settings.calibration_file
-        return self._keeper.path(chosen, self._inputs.field.frame or "magnetometer")
+        path = self._keeper.path(chosen, self._inputs.field.frame or "magnetometer")
+        assert path is not None
+        return path
 
     def _accept(self) -> Conclusion:
         outcome = self._control.last_outcome
@@ -183,7 +188,7 @@ class Calibrator(Node):
 
     def _save(self) -> Conclusion:
         try:
-            words = self._keeper.store(self._path())()
+            words = self._keeper.store(self._path)()
         except FileTrouble as error:
             return Conclusion(False, str(error))
         return Conclusion(not self._keeper.trouble, words)
@@ -250,7 +255,7 @@ class Calibrator(Node):
         report = DiagnosticArray()
         report.header.stamp = now
         report.status = [
-            calibration_diagnostic(name, self._control, self._keeper),
+            calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
             field_diagnostic(name, self._outputs, self._keeper),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]

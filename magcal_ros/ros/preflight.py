@@ -16,9 +16,13 @@ from sensor_msgs.msg import Imu, MagneticField
 from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.units import likely_field_unit
+from magcal_ros.files.plain import plain
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
+MOST_FRAMES = 5
+"""Names of frames that are shown."""
+
 SLOWEST_FIELD = 5.0
 """Hertz, below which a turn of 12 s gives too few samples."""
 
@@ -128,13 +132,16 @@ def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
     for heard, subscription in zip(sensors, subscriptions, strict=True):
         heard.publishers = node.count_publishers(heard.topic)
         every = node.get_topic_names_and_types()
-        heard.elsewhere = [t for t, kinds in every if heard.kind in kinds and t != heard.topic]
+        heard.elsewhere = [
+            plain(topic) for topic, kinds in every if heard.kind in kinds and topic != heard.topic
+        ]
         node.destroy_subscription(subscription)
 
 
 def _note(heard: Heard, message: Any) -> None:
     vector = message.linear_acceleration if heard.kind == IMU_TYPE else message.magnetic_field
-    heard.frames.add(message.header.frame_id)
+    if len(heard.frames) < MOST_FRAMES:
+        heard.frames.add(plain(message.header.frame_id))
     heard.stamps.append(seconds(message.header.stamp))
     heard.sizes.append(math.hypot(vector.x, vector.y, vector.z))
 

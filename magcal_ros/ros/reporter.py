@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import signal
+import pickle
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
 from datetime import datetime
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.files.places import ros_home
-from magcal_ros.report import Subject, new_folder, write_report
+from magcal_ros.files.places import chosen_path, ros_home
+from magcal_ros.report import Subject, new_folder
 
 NO_REPORTS = "none"
 
@@ -20,12 +22,17 @@ class Reporter:
     """Writes one report after another without holding up the node.
 
     Drawing takes a second or two of one core and loads a plotting library: neither belongs into
-    a process that passes on messages for months.
+    a process that passes on messages for months. The other process has a session of its own, so
+    that a report is finished although the node was ended right after the turn.
+
+    Parameters
+    ----------
+    say : callable
+        Told, in a thread of its own, what went wrong with a report after `begin` has returned.
     """
 
-    def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
-        self._process: BaseProcess | None = None
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
 
     def begin(self, parent: str, subject: Subject) -> str:
         """Start a report in a new folder and say where it will lie; empty if there is none.
@@ -39,28 +46,36 @@ class Reporter:
         """
         if parent == NO_REPORTS:
             return ""
-        place = Path(parent).expanduser() if parent else ros_home() / "magcal" / "reports"
         try:
+            place = chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
             folder = new_folder(place, subject.created)
+            process = _draw_elsewhere(folder, subject)
         except MagcalError as error:
             return f"No report: {error}"
-        self._process = self._context.Process(
-            target=_write, args=(folder, subject), name="magcal-report", daemon=True
-        )
-        self._process.start()
+        except OSError as error:
+            return f"No report: {error.strerror or error}."
+        threading.Thread(target=self._wait_for, args=(process,), daemon=True).start()
         return f"Report: {folder / 'report.html'}."
 
-    def wait(self, patience: float) -> None:
-        """Give the report under way so many seconds to end."""
-        if self._process is not None:
-            self._process.join(patience)
+    def _wait_for(self, process: subprocess.Popen[bytes]) -> None:
+        _, words = process.communicate()
+        if process.returncode:
+            last = words.decode(errors="replace").strip().rpartition("\n")[2]
+            self._say(f"no report: {last or f'its process ended with {process.returncode}'}")
 
 
-def _write(folder: Path, subject: Subject) -> None:
-    # Ctrl-C in the node's terminal reaches this process too; a report is quick to finish.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(MagcalError):
-        write_report(folder, subject)
+def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
+    # A pipe would hold the node up until the other side has started and reads.
+    with tempfile.TemporaryFile() as handover:
+        pickle.dump((folder, subject), handover)
+        handover.seek(0)
+        return subprocess.Popen(
+            [sys.executable, "-m", "magcal_ros.report"],
+            stdin=handover,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
 
 
 def now() -> datetime:

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from magcal_ros.core.session import Progress
 from magcal_ros.core.verdict import Verdict
+from magcal_ros.files.places import known_as
 from magcal_ros.ros.control import Control, State
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
@@ -94,8 +95,10 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
     }
 
 
-def calibration_diagnostic(name: str, control: Control, keeper: Keeper) -> DiagnosticStatus:
-    """Say whether a calibration is in force, which, and how good it was."""
+def calibration_diagnostic(
+    name: str, control: Control, keeper: Keeper, field_frame: str
+) -> DiagnosticStatus:
+    """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
     status = _named(name, "Calibration")
     calibration, origin = keeper.calibration, keeper.origin
     values = {"state": control.state.value}
@@ -114,6 +117,13 @@ def calibration_diagnostic(name: str, control: Control, keeper: Keeper) -> Diagn
         }
         if "warn" in (calibration.evidence.quality, calibration.evidence.confidence):
             status.level = DiagnosticStatus.WARN
+        made_for, there = origin.magnetometer_frame, known_as(field_frame)
+        if made_for and there and made_for != there:
+            status.level = DiagnosticStatus.ERROR
+            status.message = (
+                f"made for the magnetometer {made_for!r}, but the field now comes from {there!r}: "
+                "let one sensor publish, or calibrate this one"
+            )
     if keeper.trouble:
         status.level = DiagnosticStatus.ERROR
         status.message = keeper.trouble

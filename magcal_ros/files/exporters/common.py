@@ -13,6 +13,7 @@ from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.correction import Correction
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.rotations import rotation_angle, rpy_from_rotation
+from magcal_ros.files.plain import plain
 
 GAUSS = 1e4
 """Gauss in a tesla."""
@@ -114,7 +115,12 @@ def commented(mark: str, *lines: str) -> str:
 def provenance(calibration: Calibration) -> str:
     """Return where the numbers come from, in one line."""
     evidence = calibration.evidence
+    method, quality, confidence = (
+        # A file edited by hand must not end the comment that this becomes.
+        plain(text.replace("*/", "* /"))
+        for text in (evidence.method, evidence.quality, evidence.confidence)
+    )
     return (
-        f"Magnetometer calibration by magcal_ros, method {evidence.method}, "
-        f"quality {evidence.quality}, confidence {evidence.confidence}"
+        f"Magnetometer calibration by magcal_ros, method {method}, "
+        f"quality {quality}, confidence {confidence}"
     )
