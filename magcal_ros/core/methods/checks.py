@@ -15,6 +15,9 @@ LARGEST_FIELD = 1e7
 LARGEST_FORCE = 1e7
 """m/s². Gravity is far below, even in micro-g published as m/s²."""
 
+LARGEST_RATE = 1e6
+"""rad/s. Every turn is far below, even in millidegrees published as radians."""
+
 
 def refuse_empty(window: Window, min_samples: int) -> None:
     """Refuse a window that says too little to begin with.
@@ -48,8 +51,27 @@ def refuse_empty(window: Window, min_samples: int) -> None:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
-    if max(largest / LARGEST_FIELD, float(np.abs(window.specific_force).max()) / LARGEST_FORCE) > 1:
-        raise Refusal(
-            Reason.NOT_FINITE,
-            "The samples hold numbers that no unit explains. Check the drivers of both sensors.",
-        )
+    refuse_nonsense(window)
+
+
+def refuse_nonsense(window: Window) -> None:
+    """Refuse numbers so large that their squares and fourth powers would leave the floats.
+
+    Raises
+    ------
+    Refusal
+        With the sensor's name.
+    """
+    rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
+    for sensor, values, limit in (
+        ("magnetometer", window.field, LARGEST_FIELD),
+        ("accelerometer", window.specific_force, LARGEST_FORCE),
+        ("gyro", rate, LARGEST_RATE),
+    ):
+        largest = float(np.abs(values).max(initial=0.0))
+        if largest > limit:
+            raise Refusal(
+                Reason.NOT_FINITE,
+                f"The {sensor} reads up to {largest:.0e}, which no unit explains. "
+                "Check its driver.",
+            )

@@ -9,6 +9,7 @@ import numpy as np
 from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.checks import refuse_nonsense
 from magcal_ros.core.methods.maximum_likelihood.circle import plane_normal
 from magcal_ros.core.methods.maximum_likelihood.model import State
 from magcal_ros.core.methods.maximum_likelihood.prepare import without_spikes
@@ -46,6 +47,7 @@ def check_window(window: Window, knowledge: Knowledge) -> None:
         `TOO_FEW_SAMPLES`, `GRAVITY_ABSENT`, `FIELD_ABSENT`, `FIELD_TOO_STEEP`, `NO_MOTION` or
         `AXIS_ALONG_FIELD`.
     """
+    refuse_nonsense(window)
     n = len(window)
     if n < FEWEST_SAMPLES:
         raise Refusal(

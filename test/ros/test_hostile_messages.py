@@ -1,0 +1,78 @@
+"""Messages that no sensor should send: the node neither falls nor publishes what is no number."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hostile import HandFed, hostile_message
+from long_form import rounds
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Imu, MagneticField
+from std_msgs.msg import Float64
+from support import REFERENCE, ROBOT
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.simulator import measure, turn
+from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.ros.node import Calibrator
+
+pytestmark = pytest.mark.faults
+
+
+def store_calibration(path, pull):
+    outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
+    calibration = outcome.calibration
+    figures = {**calibration.evidence.figures, "steady_pull": pull}
+    evidence = replace(calibration.evidence, figures=figures)
+    write_calibration(path, replace(calibration, evidence=evidence), Origin.now("", "imu_link"))
+
+
+@pytest.mark.parametrize("pull", [0.0, 0.01], ids=["raw up", "carried up"])
+def test_hostile_messages_by_the_thousand_end_in_no_error_and_no_nan(
+    graph, monkeypatch, tmp_path, pull
+):
+    path = tmp_path / "calibration.yaml"
+    store_calibration(path, pull)
+    parameters = {
+        **REFERENCE,
+        "calibration_file": str(path),
+        "report_folder": "none",
+        "reference.declination_deg": 3.0,
+    }
+    node = Calibrator(parameter_overrides=[Parameter(k, value=v) for k, v in parameters.items()])
+    fed = HandFed(node, monkeypatch)
+    rng = np.random.default_rng(5)
+    count = rounds(4000, 50_000)
+    for k in range(count):
+        fed.feed(hostile_message(rng, 1000.0 + 0.01 * k))
+        if k % 400 == 50:
+            fed.call("start")
+        if k % 100 == 0:
+            fed.tick()
+        if k % 400 == 399:
+            fed.call("finish" if k % 800 == 799 else "cancel")
+    assert fed.published[MagneticField] > count / 100
+    assert fed.published[Float64] > count / 200
+    node.close()
+    node.destroy_node()
+
+
+def test_hostile_messages_over_the_middleware_leave_a_node_that_calibrates(stage):
+    actor = stage()
+    assert actor.calibrate().success
+    rng = np.random.default_rng(6)
+    out = {
+        kind: actor.node.create_publisher(kind, topic, 10)
+        for kind, topic in ((Imu, "imu/data_raw"), (MagneticField, "imu/mag"))
+    }
+    for _ in range(rounds(15, 200)):
+        for _ in range(50):
+            message = hostile_message(rng, actor.ride.stamp)
+            out[type(message)].publish(message)
+        actor.run(0.05)
+    for publisher in out.values():
+        actor.node.destroy_publisher(publisher)
+    assert np.isfinite(actor.yaws).all()
+    actor.run(0.5)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
