@@ -45,19 +45,16 @@ class Heard:
         How many came.
     drops : Counter of Drop
         How many of them were not used, by reason.
-    flows : bool
-        Whether they still come: the newest stamp of a sensor that died says nothing of its clock.
     """
 
     topic: str
     messages: int
     drops: Counter[Drop] = field(default_factory=Counter)
-    flows: bool = True
 
     def since(self, earlier: Heard) -> Heard:
         """Return what came after an earlier count of the same topic."""
         drops = Counter({drop: n - earlier.drops[drop] for drop, n in self.drops.items()})
-        return Heard(self.topic, self.messages - earlier.messages, drops, self.flows)
+        return Heard(self.topic, self.messages - earlier.messages, drops)
 
 
 def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
@@ -83,8 +80,7 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
     if mag.drops[Drop.REPEATED] > MOST_REPEATS * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     offset = stamp_offset(streams)
-    ahead = min(LARGEST_OFFSET, AHEAD_IN_GAPS * streams.max_gap)
-    if imu.flows and mag.flows and not -LARGEST_OFFSET <= offset <= ahead:
+    if offset:
         found.append(
             f"the stamps of field and IMU are {offset:+.1f} s apart: "
             "let one clock stamp both sensors"
@@ -93,6 +89,12 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
 
 
 def stamp_offset(streams: Streams) -> float:
-    """Return newest field stamp less newest IMU stamp, seconds; zero if one is missing."""
-    offset = streams.field_stamps.newest - streams.imu_stamps.newest
-    return offset if math.isfinite(offset) else 0.0
+    """Return by how many seconds the field's stamps lead the IMU's; zero where no fault shows.
+
+    The true lead lies between the leads seen when each sensor's newest sample came, and neither of
+    the two grows when a sensor dies.
+    """
+    least, most = streams.lead_at_imu, streams.lead_at_field
+    if math.isfinite(least) and least > min(LARGEST_OFFSET, AHEAD_IN_GAPS * streams.max_gap):
+        return least
+    return most if math.isfinite(most) and most < -LARGEST_OFFSET else 0.0

@@ -104,6 +104,9 @@ class Streams:
         How many samples were dropped, by reason.
     is_repeated : bool
         Whether the newest field sample has the values of the one before it.
+    lead_at_imu, lead_at_field : float
+        Newest field stamp less newest IMU stamp when the newest IMU sample came, and when the
+        newest field sample came, seconds; infinite while one is missing.
     largest_field : float
         Size of the last field that was too large, tesla as published; zero if none was.
     """
@@ -118,6 +121,8 @@ class Streams:
         self._last_field = (math.nan, math.nan, math.nan)
         self.is_repeated = False
         self.largest_field = 0.0
+        self.lead_at_imu = -math.inf
+        self.lead_at_field = math.inf
 
     def add_imu(self, sample: ImuSample) -> bool:
         """Take an IMU sample; returns whether it was usable."""
@@ -142,6 +147,7 @@ class Streams:
         if sample.stamp < went_back_from:
             self._imu.clear()
         self._imu.append(sample)
+        self.lead_at_imu = self.field_stamps.newest - sample.stamp
         return True
 
     def add_field(self, sample: FieldSample) -> bool:
@@ -166,6 +172,7 @@ class Streams:
         if reason is not None:
             self.field_drops[reason] += 1
             return False
+        self.lead_at_field = sample.stamp - self.imu_stamps.newest
         self.is_repeated = sample.field == self._last_field
         if self.is_repeated:
             self.field_drops[Drop.REPEATED] += 1

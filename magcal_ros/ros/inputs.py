@@ -49,12 +49,6 @@ class Sensor:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         return ""
 
-    @property
-    def flows(self) -> bool:
-        """Whether messages come."""
-        heard = self.last_heard
-        return heard is not None and time.monotonic() - heard <= SILENT_AFTER
-
 
 @dataclass
 class Inputs:
@@ -81,7 +75,7 @@ class Inputs:
 
     def _heard(self) -> tuple[Heard, Heard]:
         imu, mag = (
-            Heard(sensor.topic, sensor.messages, Counter(drops), sensor.flows)
+            Heard(sensor.topic, sensor.messages, Counter(drops))
             for sensor, drops in (
                 (self.imu, self.streams.imu_drops),
                 (self.field, self.streams.field_drops),

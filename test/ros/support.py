@@ -1,10 +1,13 @@
 """The robot of the ROS tests, and how its headings are measured."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.simulator import Robot
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.files.calibration_file import Origin, write_calibration
 
 DEGREE = math.pi / 180.0
 SPEED = 4.0
@@ -25,3 +28,14 @@ REFERENCE = {"reference.strength_ut": 48.0, "reference.inclination_deg": 65.0}
 def rms_deg(errors):
     """Return the root mean square of radians in degrees."""
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
+
+
+def store_calibration(path, pull=0.0, frame="mag_link"):
+    """Leave a calibration of the robot for a node to load; `pull` radians were taken off."""
+    outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
+    calibration = outcome.calibration
+    figures = {**calibration.evidence.figures, "steady_pull": pull}
+    evidence = replace(calibration.evidence, figures=figures)
+    calibration = replace(calibration, evidence=evidence)
+    write_calibration(path, calibration, Origin.now(frame, "imu_link"))
+    return path

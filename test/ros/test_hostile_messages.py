@@ -1,7 +1,5 @@
 """Messages that no sensor should send: the node neither falls nor publishes what is no number."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hostile import HandFed, hostile_message
@@ -9,30 +7,18 @@ from long_form import rounds
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Float64
-from support import REFERENCE, ROBOT
+from support import REFERENCE, store_calibration
 
-from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.simulator import measure, turn
-from magcal_ros.files.calibration_file import Origin, write_calibration
 from magcal_ros.ros.node import Calibrator
 
 pytestmark = pytest.mark.faults
-
-
-def store_calibration(path, pull):
-    outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
-    calibration = outcome.calibration
-    figures = {**calibration.evidence.figures, "steady_pull": pull}
-    evidence = replace(calibration.evidence, figures=figures)
-    write_calibration(path, replace(calibration, evidence=evidence), Origin.now("", "imu_link"))
 
 
 @pytest.mark.parametrize("pull", [0.0, 0.01], ids=["raw up", "carried up"])
 def test_hostile_messages_by_the_thousand_end_in_no_error_and_no_nan(
     graph, monkeypatch, tmp_path, pull
 ):
-    path = tmp_path / "calibration.yaml"
-    store_calibration(path, pull)
+    path = store_calibration(tmp_path / "calibration.yaml", pull, frame="")
     parameters = {
         **REFERENCE,
         "calibration_file": str(path),
