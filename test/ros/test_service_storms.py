@@ -1,0 +1,80 @@
+"""Services called by hundreds at once, in every state, by callers that leave."""
+
+import numpy as np
+import pytest
+import rclpy
+from long_form import rounds
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+from support import REFERENCE
+
+pytestmark = pytest.mark.faults
+
+SERVICES = ("calibrate", "start", "finish", "cancel", "accept", "save", "load", "reset")
+
+
+def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
+    actor = stage(parameters={**REFERENCE, "report_folder": "none"})
+    rng = np.random.default_rng(3)
+    clients = {name: actor.node.create_client(Trigger, f"/calibrator/{name}") for name in SERVICES}
+    for client in clients.values():
+        assert client.wait_for_service(10.0)
+    futures = []
+    for _ in range(rounds(10, 200)):
+        futures += [clients[str(name)].call_async(Trigger.Request())
+                    for name in rng.choice(SERVICES, 30)]  # fmt: skip
+        actor.run(0.2, 0.5)
+    for _ in range(3):
+        futures.append(clients["cancel"].call_async(Trigger.Request()))
+        actor.run(20.0, 0.5, stop=lambda: all(future.done() for future in futures))
+    assert all(future.result().message for future in futures)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+
+
+def test_a_caller_that_leaves_takes_nothing_along(stage):
+    actor = stage()
+    caller = rclpy.create_node("caller")
+    client = caller.create_client(Trigger, "/calibrator/calibrate")
+    assert client.wait_for_service(10.0)
+    client.call_async(Trigger.Request())
+    actor.run(0.5, 0.5)
+    assert actor.status["state"] == "collecting"
+    caller.destroy_node()
+    actor.run(20.0, 0.5, stop=lambda: actor.status["state"] == "calibrated")
+    assert actor.status["answer"]["success"], actor.status["answer"]
+
+
+def test_parameters_changed_during_a_turn_wait_for_the_next(stage, tmp_path):
+    actor = stage()
+    setting = actor.node.create_client(SetParameters, "/calibrator/set_parameters")
+    assert setting.wait_for_service(10.0)
+    future = actor.call("calibrate")
+    actor.run(1.0, 0.5)
+    changes = {
+        "method": "min_max",
+        "reference.strength_ut": 90.0,
+        "window.timeout_s": 2.0,
+        "mount_rpy_deg": [90.0, 0.0, 0.0],
+        "calibration_file": "~nobody_of_this_name/cal.yaml",
+        "report_folder": str(tmp_path / "reports"),
+    }
+    request = SetParameters.Request(
+        parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in changes.items()
+        ]
+    )
+    done = setting.call_async(request)
+    actor.run(60.0, 0.5, stop=lambda: future.done() and done.done())
+    assert all(result.successful for result in done.result().results)
+    answer = future.result()
+    assert answer.success, answer.message
+    # Where to store it is asked when it is stored; that there is no such home ends nothing.
+    assert (
+        "not saved: there is no home folder for '~nobody_of_this_name/cal.yaml'" in answer.message
+    )
+    for service in ("save", "load"):
+        refused = actor.answer(actor.call(service))
+        assert not refused.success
+        assert "no home folder" in refused.message

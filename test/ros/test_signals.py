@@ -1,0 +1,103 @@
+"""SIGINT and SIGTERM whatever the node is doing: a quick and quiet end, and nothing lost."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import rclpy
+from long_form import rounds
+from support import ROBOT, store_calibration
+
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.samples import read_samples
+from magcal_ros.ros.rehearsal import Rehearsal
+
+pytestmark = pytest.mark.faults
+
+NODE = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args"]
+KNOWN = ["-p", "reference.strength_ut:=48.0", "-p", "reference.inclination_deg:=65.0"]
+chance = random.Random(11)
+
+
+@pytest.fixture
+def run_node(graph, ros_home):
+    """Return a function that runs the node's process and brings a robot to it."""
+    processes, nodes = [], []
+
+    def run(*arguments):
+        environment = {**os.environ, "ROS_HOME": str(ros_home)}
+        process = subprocess.Popen(
+            [*NODE, *KNOWN, *arguments], env=environment, stderr=subprocess.PIPE, text=True
+        )
+        processes.append(process)
+        nodes.append(rclpy.create_node("actor"))
+        actor = Rehearsal(nodes[-1], ROBOT, speed=8.0)
+        actor.wait_for_node()
+        return process, actor
+
+    yield run
+    for process in processes:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+    for node in nodes:
+        node.destroy_node()
+
+
+def end(process, how):
+    """End it; returns what it said."""
+    process.send_signal(how)
+    begun = time.monotonic()
+    process.wait(10.0)
+    assert time.monotonic() - begun < 2.0
+    errors = process.stderr.read()
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert "rror" not in errors, errors
+
+
+def wait_for(path, patience=30.0):
+    deadline = time.monotonic() + patience
+    while not path.exists() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    return path.exists()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_while_it_publishes(run_node, tmp_path, how):
+    path = store_calibration(tmp_path / "calibration.yaml")
+    before = path.read_bytes()
+    process, actor = run_node("-p", f"calibration_file:={path}")
+    actor.run(1.0)
+    assert actor.yaws
+    end(process, how)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("attempt", range(rounds(3, 100)))
+def test_at_a_random_moment_of_fitting_saving_and_reporting(run_node, ros_home, attempt):
+    """What the answer promised is there: the calibration, and the report with its samples."""
+    process, actor = run_node()
+    actor.answer(actor.call("start"))
+    actor.run(1.5, 0.5)
+    done = actor.call("finish")
+    actor.run(chance.uniform(0.0, 0.6), 0.5, stop=lambda: attempt % 3 == 0 and done.done())
+    end(process, chance.choice([signal.SIGINT, signal.SIGTERM]))
+    stored = list((ros_home / "magcal").glob("*.yaml"))
+    for path in stored:
+        read_calibration(path)
+    assert not list((ros_home / "magcal").glob(".*unfinished"))
+    if not done.done():
+        return
+    answer = done.result()
+    assert answer.success, answer.message
+    assert stored
+    page = answer.message.rpartition("Report: ")[2].removesuffix(".")
+    (folder,) = (ros_home / "magcal" / "reports").iterdir()
+    assert page == str(folder / "report.html")
+    assert wait_for(folder / "report.html")
+    assert len(read_samples(folder / "samples.csv")) > 50
