@@ -23,7 +23,7 @@ from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.files.places import is_missing
+from magcal_ros.files.places import is_missing, known_as
 from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
@@ -216,8 +216,8 @@ class Calibrator(Node):
             source=f"{field.topic} and {imu.topic}",
             created=now(),
             method=settings.method,
-            magnetometer_frame=field.frame,
-            imu_frame=imu.frame,
+            magnetometer_frame=known_as(field.frame),
+            imu_frame=known_as(imu.frame),
         )
         return self._reporter.begin(settings.report_folder, subject)
 

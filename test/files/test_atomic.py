@@ -7,10 +7,11 @@ import time
 from pathlib import Path
 
 import pytest
+from long_form import rounds
 
-from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.atomic import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
 
-KILLS = 40
+KILLS = rounds(40, 1000)
 
 REWRITER = """
 import sys
@@ -65,6 +66,38 @@ def test_killed_at_any_moment_it_leaves_the_old_or_the_new_one(tmp_path):
         assert content in ("a" * 200_000, "b" * 150_000)
         seen.add(content[0])
     assert seen == {"a", "b"}
+
+
+def test_two_writers_of_one_file_never_mix(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("a" * 200_000)
+    command = [sys.executable, "-c", REWRITER, str(path)]
+    writers = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(2)]
+    try:
+        for writer in writers:
+            assert writer.stdout.readline() == b"ready\n"
+        for _ in range(rounds(300, 30_000)):
+            assert path.read_text() in ("a" * 200_000, "b" * 150_000)
+    finally:
+        for writer in writers:
+            writer.kill()
+            writer.communicate()
+
+
+def test_what_killed_writers_left_is_swept_away_when_nobody_writes_it_any_more(tmp_path):
+    path = tmp_path / "[mag].yaml"
+    old = tmp_path / f".[mag].yaml.abc{UNFINISHED}"
+    fresh = tmp_path / f".[mag].yaml.def{UNFINISHED}"
+    others = tmp_path / f".imu.yaml.abc{UNFINISHED}", tmp_path / ".[mag].yaml.swp"
+    for left in (old, fresh, *others):
+        left.write_text("half")
+    long_ago = time.time() - 2 * LEFT_BEHIND
+    for left in (old, *others):
+        os.utime(left, (long_ago, long_ago))
+    write_atomically(path, "whole")
+    assert path.read_text() == "whole"
+    assert not old.exists()
+    assert all(left.exists() for left in (fresh, *others))
 
 
 def test_a_folder_that_cannot_be_is_trouble_in_words(tmp_path):

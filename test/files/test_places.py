@@ -4,12 +4,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.files.places import default_calibration_path, ros_home, safe_name
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.places import (
+    LONGEST_FRAME,
+    RESERVED,
+    chosen_path,
+    default_calibration_path,
+    is_missing,
+    known_as,
+    ros_home,
+    safe_name,
+)
 
 HOSTILE = [
     "../../x", "..", ".", "", "/", "a/b", "a_b", "/etc/passwd", "x" * 300, "x" * 301, "x" * 80,
     "µ-meter", "磁力計", "a b", "a\0b", "a\nb", "~", "$HOME", "mag.yaml", "unnamed", "-rf", "C:\\x",
-    "\ud800", "?",
+    "\ud800", "?", "con", "NUL", "com1", "LPT9",
 ]  # fmt: skip
 
 
@@ -68,3 +78,32 @@ def test_without_ros_home_it_is_the_users(monkeypatch):
     monkeypatch.setenv("ROS_HOME", "")
     monkeypatch.setenv("HOME", "/somewhere")
     assert ros_home() == Path("/somewhere/.ros")
+
+
+@pytest.mark.parametrize("frame", ["con", "NUL", "Com1", "lpt9"])
+def test_names_that_are_devices_elsewhere_are_no_files(frame):
+    assert not RESERVED.match(safe_name(frame))
+
+
+def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
+    with pytest.raises(FileTrouble, match="no home folder for '~nobody_of_this_name/x'"):
+        chosen_path("~nobody_of_this_name/x")
+    monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
+    with pytest.raises(FileTrouble, match="set ROS_HOME"):
+        default_calibration_path("mag")
+
+
+def test_only_what_is_surely_not_there_is_missing(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert is_missing(tmp_path / "nothing")
+    assert is_missing(tmp_path / "file" / "below")
+    assert not is_missing(tmp_path / "file")
+    # What cannot be looked at is left to whoever reads it, to be said.
+    assert not is_missing(tmp_path / ("x" * 300))
+    assert not is_missing(Path("a\0b"))
+
+
+@given(st.text(max_size=3 * LONGEST_FRAME), st.text(max_size=3 * LONGEST_FRAME))
+def test_a_frame_is_known_by_a_short_name_of_its_own(a, b):
+    assert (known_as(a) == known_as(b)) == (a == b)
+    assert len(known_as(a)) < LONGEST_FRAME + 10

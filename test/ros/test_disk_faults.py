@@ -1,0 +1,70 @@
+"""A disk that is full, read-only or in the way, under a node that calibrates."""
+
+import os
+import subprocess
+
+import pytest
+from support import REFERENCE, store_calibration
+
+pytestmark = pytest.mark.faults
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """Return a file system of its own with a megabyte."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounting = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(place)]
+    if os.geteuid() or subprocess.run(mounting, capture_output=True, check=False).returncode:
+        pytest.skip("a file system of its own needs the right to mount one")
+    yield place
+    subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def fill(place):
+    with (place / "filler").open("wb", buffering=0) as filler:
+        try:
+            while True:
+                filler.write(b"x" * 4096)
+        except OSError:
+            pass
+
+
+def test_a_full_and_a_read_only_disk_leave_what_was_there_and_say_so(stage, small_disk):
+    path = store_calibration(small_disk / "calibration.yaml")
+    before = path.read_bytes()
+    actor = stage(
+        parameters={
+            **REFERENCE,
+            "calibration_file": str(path),
+            "report_folder": str(small_disk / "reports"),
+        },
+        speed=8.0,
+    )
+    fill(small_disk)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert f"In force, but not saved: cannot write {path}: No space left" in answer.message
+    assert path.read_bytes() == before
+    actor.run(0.3)
+    assert actor.yaws
+    (small_disk / "filler").unlink()
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    refused = actor.answer(actor.call("save"))
+    assert not refused.success
+    assert "Read-only file system" in refused.message
+    assert path.read_bytes() == before
+    subprocess.run(["mount", "-o", "remount,rw", str(small_disk)], check=True)
+    assert actor.answer(actor.call("save")).success
+    assert path.read_bytes() != before
+    assert not list(small_disk.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    "chosen", ["~nobody_of_this_name/cal.yaml", "/tmp/" + "x" * 300 + ".yaml", "/proc/self/mem/x"]
+)
+def test_a_path_that_cannot_be_does_not_hold_up_the_start(stage, chosen):
+    actor = stage(parameters={**REFERENCE, "calibration_file": chosen, "report_folder": chosen})
+    assert actor.status["state"] == "uncalibrated"
+    for service in ("load", "save"):
+        assert not actor.answer(actor.call(service)).success

@@ -1,0 +1,86 @@
+"""Names from the network: never a path, never markup, never a command to a terminal."""
+
+import json
+
+import pytest
+from support import REFERENCE
+
+from magcal_ros.cli.live_view import progress_of
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.places import LONGEST_FRAME
+from magcal_ros.ros.preflight import Heard, _describe, _note
+
+pytestmark = pytest.mark.faults
+
+PROGRESS = {
+    "stage": "collecting", "arc_deg": 90.0, "filled": "##..", "advice": "turn left", "samples": 5,
+    "elapsed_s": 1.0, "turn_rate_deg_s": 20.0, "heading_sigma_deg": None,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        "../../../../escaped",
+        "<script>alert(1)</script>\x1b]0;owned\x07[red]" + "x" * 1_000_000,
+    ],
+    ids=["parent", "enormous markup"],
+)
+def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
+    actor = stage(parameters=REFERENCE, speed=8.0)
+    actor.source._field.header.frame_id = frame
+    actor.source._imu.header.frame_id = frame
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert answer.message.isprintable()
+    (path,) = (ros_home / "magcal").glob("*.yaml")
+    assert f"saved to {path}" in answer.message
+    _, origin = read_calibration(path)
+    assert origin.magnetometer_frame[:LONGEST_FRAME] == frame[:LONGEST_FRAME]
+    loaded = actor.answer(actor.call("load"))
+    assert loaded.success, loaded.message
+    (folder,) = (ros_home / "magcal" / "reports").iterdir()
+    actor.run(30.0, stop=(folder / "report.html").exists)
+    page = (folder / "report.html").read_text()
+    assert "<script" not in page
+    assert len(page) < 1_000_000
+    inside = {p for p in ros_home.rglob("*") if p.is_file() and p.suffix != ".log"}
+    assert inside == {path, folder / "report.html", folder / "samples.csv"}
+
+
+def test_what_the_preflight_shows_of_a_frame_is_plain():
+    from sensor_msgs.msg import Imu
+
+    heard = Heard("/imu", "sensor_msgs/msg/Imu")
+    for k in range(100):
+        message = Imu()
+        message.header.frame_id = f"{k}\x1b[2J\n" + "x" * 1000
+        _note(heard, message)
+    line = _describe(heard, 1.0)
+    assert line.isprintable()
+    assert len(line) < 2000
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "{", "[]", "null", "7", '"x"', "{}", '{"state": "collecting"}', "[" * 100_000,
+        '{"state": "collecting", "progress": null}', '{"state": ["collecting"], "progress": {}}',
+        *(
+            json.dumps({"state": "collecting", "progress": {**PROGRESS, name: bad}})
+            for name, bad in (
+                ("arc_deg", float("nan")), ("elapsed_s", float("inf")), ("samples", "many"),
+                ("turn_rate_deg_s", None), ("samples", float("inf")), ("heading_sigma_deg", []),
+            )
+        ),
+    ],
+)  # fmt: skip
+def test_a_status_that_is_none_is_passed_over(text):
+    assert progress_of(text) is None
+
+
+def test_no_text_of_a_status_steers_a_terminal():
+    evil = {**PROGRESS, "advice": "\x1b]0;owned\x07[red]", "filled": "#\x1b[2J", "stage": "\r\n"}
+    shown = progress_of(json.dumps({"state": "collecting", "progress": evil}))
+    assert all(value.isprintable() for value in shown.values() if isinstance(value, str))
+    assert progress_of(json.dumps({"state": "calibrated", "progress": PROGRESS})) is None
