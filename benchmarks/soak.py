@@ -1,0 +1,182 @@
+"""A day of messages, as fast as the node takes them: `python benchmarks/soak.py [--hours 24]`.
+
+The real node runs in a process of its own. It calibrates once an hour of stamps, and its resident
+memory is written down; the exit status is 1 if it grew, or if a calibration or a yaw failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+
+import rclpy
+from sensor_msgs.msg import MagneticField
+
+from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.simulator import Robot
+from magcal_ros.ros.rehearsal import Rehearsal
+
+IMU_RATE, FIELD_RATE = 100, 50
+STEPS_AT_ONCE = 4
+"""IMU samples between two looks at what came back: fewer than a sensor's queue holds."""
+
+PATIENCE = 0.05
+"""Seconds after which what has not come back is lost."""
+
+MOST_GROWTH_MB = 10.0
+WORST_YAW = math.radians(5.0)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How the node stood after some hours of stamps."""
+
+    hours: float
+    messages: int
+    lost: int
+    calibrations: int
+    resident_mb: float
+    yaw_error: float
+
+
+class Feeder:
+    """Publishes what the robot measures, and waits for each corrected field."""
+
+    def __init__(self, actor: Rehearsal) -> None:
+        self._actor = actor
+        self._back = 0
+        self.sent = self.lost = 0
+        node = actor.node
+        node.create_subscription(MagneticField, "imu/mag_unbiased", self._on_field, 50, raw=True)
+        assert node.executor is not None
+        self._executor = node.executor
+
+    def _on_field(self, _: bytes) -> None:
+        self._back += 1
+
+    def step(self, yaw_rate: float = 0.0) -> None:
+        """Let the robot live for a few samples."""
+        awaited = 0
+        for _ in range(STEPS_AT_ONCE):
+            samples = self._actor.ride.step(yaw_rate)
+            awaited += len(samples) - 1
+            self.sent += len(samples)
+            for sample in samples:
+                self._actor.source.publish(sample)
+        self._back, deadline = 0, time.monotonic() + PATIENCE
+        while self._back < awaited and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=PATIENCE)
+        self.lost += max(0, awaited - self._back)
+
+    def calibrate(self) -> bool:
+        """Call the service and turn until it answers."""
+        future = self._actor.call("calibrate")
+        while not future.done():
+            self.step(0.5)
+        return bool(future.result().success)
+
+
+def resident_mb(pid: int) -> float:
+    """Resident memory of a process."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def soak(hours: float, marks: int, tell: Callable[[Mark], None] = lambda _: None) -> list[Mark]:
+    """Feed a node; one calibration and one mark after each of equal parts of the time.
+
+    The first mark is made after the first calibration, when everything is loaded.
+    """
+    robot = Robot()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        command = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args"]
+        command += ["-p", f"reference.strength_ut:={robot.strength * 1e6}"]
+        command += ["-p", f"reference.inclination_deg:={math.degrees(robot.inclination)}"]
+        process = subprocess.Popen(command, env={**os.environ, "ROS_HOME": folder})
+        node = rclpy.create_node("soak")
+        try:
+            actor = Rehearsal(node, robot, imu_rate=float(IMU_RATE), speed=4.0)
+            actor.wait_for_node()
+            assert actor.calibrate().success
+            return _live(actor, process.pid, hours, marks, tell)
+        finally:
+            process.send_signal(signal.SIGINT)
+            status = process.wait(timeout=20)
+            node.destroy_node()
+            assert status == 0
+
+
+def _live(
+    actor: Rehearsal, pid: int, hours: float, marks: int, tell: Callable[[Mark], None]
+) -> list[Mark]:
+    feeder, found = Feeder(actor), []
+    begun, part = actor.ride.stamp, 3600.0 * hours / marks
+    for number in range(marks + 1):
+        while actor.ride.stamp - begun < number * part:
+            feeder.step()
+        calibrated = feeder.calibrate()
+        actor.yaws.clear()
+        for _ in range(100):
+            feeder.step()
+        seen = math.atan2(sum(map(math.sin, actor.yaws)), sum(map(math.cos, actor.yaws)))
+        error = float(wrap_angle(seen - actor.ride.magnetic_yaw))
+        done = (found[-1].calibrations if found else 0) + calibrated
+        lived = (actor.ride.stamp - begun) / 3600.0
+        mark = Mark(lived, feeder.sent, feeder.lost, done, resident_mb(pid), error)
+        found.append(mark)
+        tell(mark)
+    return found
+
+
+def faults(marks: list[Mark], most_growth_mb: float = MOST_GROWTH_MB) -> list[str]:
+    """Return what went wrong, in words."""
+    found = []
+    growth = marks[-1].resident_mb - marks[min(1, len(marks) - 1)].resident_mb
+    if growth > most_growth_mb:
+        found.append(f"resident memory grew by {growth:.1f} MB")
+    if marks[-1].calibrations < len(marks):
+        found.append(f"{len(marks) - marks[-1].calibrations} calibrations failed")
+    worst = max(abs(mark.yaw_error) for mark in marks)
+    if worst > WORST_YAW:
+        found.append(f"the yaw was off by {math.degrees(worst):.1f}°")
+    return found
+
+
+def print_mark(mark: Mark) -> None:
+    print(
+        f"{mark.hours:8.2f}{mark.messages:12d}{mark.lost:8d}{mark.calibrations:14d}"
+        f"{mark.resident_mb:14.1f}{math.degrees(mark.yaw_error):+12.2f}",
+        flush=True,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=float, default=24.0, help="of stamps")
+    arguments = parser.parse_args()
+    rclpy.init()
+    print("   hours    messages    lost  calibrations  resident MB  yaw error°")
+    begun = time.monotonic()
+    marks = soak(arguments.hours, max(1, round(arguments.hours)), print_mark)
+    took = time.monotonic() - begun
+    print(f"{marks[-1].messages / took:.0f} messages a second")
+    for words in (wrong := faults(marks)):
+        print(words)
+    rclpy.try_shutdown()
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
