@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint types unit bench docs clean
+.PHONY: demo test lint types unit bench soak docs clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo
@@ -31,6 +31,11 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/offline.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/honesty.py
+
+# Hours: every fault of doc/faults.md tried for long, then a day of messages.
+soak: $(VENV)/.test
+	MAGCAL_SOAK=1 $(BIN)/python -m pytest -m faults --timeout=14400
+	$(BIN)/python benchmarks/soak.py --hours 24
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)

@@ -11,6 +11,8 @@ from long_form import rounds
 
 from magcal_ros.files.atomic import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
 
+pytestmark = pytest.mark.faults
+
 KILLS = rounds(40, 1000)
 
 REWRITER = """

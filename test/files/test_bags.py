@@ -11,6 +11,8 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.sources import open_recording
 
+pytestmark = pytest.mark.faults
+
 KINDS = ["mcap", "sqlite3", "ros1"]
 
 

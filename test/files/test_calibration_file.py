@@ -21,6 +21,8 @@ from magcal_ros.files.calibration_file import (
     write_calibration,
 )
 
+pytestmark = pytest.mark.faults
+
 ORIGIN = Origin("mag_link", "imu_link", "2024-05-01T12:00:00+00:00")
 
 finite = st.floats(allow_nan=False, allow_infinity=False)

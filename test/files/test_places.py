@@ -16,6 +16,8 @@ from magcal_ros.files.places import (
     safe_name,
 )
 
+pytestmark = pytest.mark.faults
+
 HOSTILE = [
     "../../x", "..", ".", "", "/", "a/b", "a_b", "/etc/passwd", "x" * 300, "x" * 301, "x" * 80,
     "µ-meter", "磁力計", "a b", "a\0b", "a\nb", "~", "$HOME", "mag.yaml", "unnamed", "-rf", "C:\\x",

@@ -8,6 +8,8 @@ from support import REFERENCE
 
 from magcal_ros.core.streams import FieldSample, ImuSample
 
+pytestmark = pytest.mark.faults
+
 IMPATIENT = {**REFERENCE, "window.silence_s": 1.0, "window.timeout_s": 3.0}
 
 

@@ -1,6 +1,7 @@
 """What the code says and what the documents say is the same."""
 
 import json
+import re
 from pathlib import Path
 
 import yaml
@@ -45,3 +46,16 @@ def test_the_layouts_show_the_topics_that_the_node_publishes():
     assert panels["Plot!yaw"]["paths"][0]["value"] == "/compass/yaw.data"
     used = json.dumps(layout["layout"])
     assert all(name in used for name in panels)
+
+
+def test_the_table_of_faults_names_tests_that_are_there_and_leaves_none_out():
+    table = (CHECKOUT / "doc" / "faults.md").read_text()
+    named = set(re.findall(r"`((?:test|benchmarks)/[\w/]+\.py)`", table))
+    assert all((CHECKOUT / name).is_file() for name in named)
+    marked = {
+        str(path.relative_to(CHECKOUT))
+        for path in (CHECKOUT / "test").rglob("test_*.py")
+        if "pytestmark = pytest.mark.faults" in path.read_text().splitlines()
+    }
+    assert marked <= named
+    assert "(doc/faults.md)" in (CHECKOUT / "README.md").read_text()

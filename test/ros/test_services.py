@@ -1,6 +1,9 @@
 """Every service in every state that a user can bring it into."""
 
+import pytest
 from support import REFERENCE
+
+pytestmark = pytest.mark.faults
 
 
 def collect_a_moment(actor, yaw_rate=0.5):
