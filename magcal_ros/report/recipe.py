@@ -31,6 +31,7 @@ knowledge = Knowledge(
         {_belief(reference.strength)},
         {_belief(reference.inclination)},
         {declination!r},
+        {float(reference.declination_sigma)!r},
     ),
     Mounting(
         {_numbers(mounting.gains)},
