@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from magcal_ros.core.geomagnetism import ALTITUDES, Place
 
 MOVED = 10_000.0
-"""Metres after which the field is looked up again: in that way it changes by about 0.1° and
-0.05 µT."""
+"""Metres after which the field is looked up again: in that way it changes by less than
+0.1° and 0.1 µT at most places."""
 
 CONFIRMED = 3
 """Fixes in a row that must agree on a new place: one alone may be wild."""

@@ -81,6 +81,11 @@ class Reference:
     complaints: tuple[str, ...] = ()
 
     @property
+    def north(self) -> str:
+        """Which north a yaw can be counted from: true or magnetic."""
+        return "magnetic" if self.field.declination is None else "true"
+
+    @property
     def facts(self) -> Mapping[str, Any]:
         """Everything in people's units, with stable keys; None for what is not known."""
         facts: dict[str, Any] = {"source": self.source}

@@ -27,7 +27,7 @@ def status_json(control: Control, keeper: Keeper, inputs: Inputs, reference: Ref
     return json.dumps(
         {
             "state": state,
-            "north": "magnetic" if reference.field.declination is None else "true",
+            "north": reference.north,
             "reference": reference.facts,
             "progress": _progress(control.progress),
             "answer": None

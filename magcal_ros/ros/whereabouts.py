@@ -12,6 +12,7 @@ from sensor_msgs.msg import NavSatFix
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.fixes import Fixes
 from magcal_ros.core.geomagnetism import year_of
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.messages import fix_of
 from magcal_ros.core.reference import Reference, made_elsewhere, resolve
 from magcal_ros.ros.parameters import Parameters
@@ -40,7 +41,8 @@ class Whereabouts:
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
         self._said: tuple[str, ...] = ()
-        self._reference = self._resolve()
+        self._reference = Reference(ReferenceField(), "unknown")
+        self.refresh()
         node.create_subscription(NavSatFix, "gps/fix", self._on_fix, qos_profile_sensor_data)
 
     @property
@@ -70,8 +72,9 @@ class Whereabouts:
             if complaint not in self._said:
                 log.warning(complaint)
         self._said = self._reference.complaints
-        if before.field.declination is None and self._reference.field.declination is not None:
-            log.info("compass/yaw counts from true north from now on")
+        north, was = self._reference.north, before.north
+        if self._calibration is not None and north != was:
+            log.warning(f"compass/yaw counts from {north} north from now on, not from {was} north")
         if before.source != self._reference.source:
             log.info(f"reference field: {self._reference.words}")
 
