@@ -169,7 +169,9 @@ def test_the_date_is_the_earliest_that_can_be_one():
 
 
 def test_ten_kilometres_change_little_at_most_places():
-    places = [(lat, lon) for lat in range(-70, 71, 10) for lon in range(-180, 180, 20)]
+    # Even steps of the sine are even in area; this is all but the polar caps beyond 67°.
+    latitudes_even = np.degrees(np.arcsin(np.linspace(-0.92, 0.92, 15))).tolist()
+    places = [(lat, lon) for lat in latitudes_even for lon in range(-180, 180, 20)]
     north = math.degrees(MOVED / geomagnetism.EARTH_RADIUS)
     turned, stronger = [], []
     for lat, lon in places:
