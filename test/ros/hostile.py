@@ -8,7 +8,7 @@ import math
 import numpy as np
 import rclpy.publisher
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Imu, MagneticField
+from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -36,8 +36,19 @@ def fill_stamp(rng, stamp, now):
         stamp.sec, stamp.nanosec = -int(rng.integers(1, 2**31)), 2**32 - 1
 
 
+def hostile_fix(rng, now):
+    message = NavSatFix()
+    fill_stamp(rng, message.header.stamp, now)
+    message.status.status = int(rng.integers(-128, 128))
+    place = [float(rng.choice(NUMBERS)) for _ in range(3)] if rng.random() < 0.5 else (50.0, 8.0, 0)
+    message.latitude, message.longitude, message.altitude = map(float, place)
+    return message
+
+
 def hostile_message(rng, now):
-    """Return one message of either sensor; about half of each one's parts are sound."""
+    """Return one message of a sensor; about half of each one's parts are sound."""
+    if rng.random() < 0.02:
+        return hostile_fix(rng, now)
     is_imu = rng.random() < 0.6
     message = Imu() if is_imu else MagneticField()
     frame = FRAMES[rng.integers(0, len(FRAMES))] if rng.random() < 0.3 else FRAMES[not is_imu]

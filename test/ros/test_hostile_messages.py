@@ -5,7 +5,7 @@ import pytest
 from hostile import HandFed, hostile_message
 from long_form import rounds
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import Imu, MagneticField
+from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 from std_msgs.msg import Float64
 from support import REFERENCE, store_calibration
 
@@ -49,7 +49,11 @@ def test_hostile_messages_over_the_middleware_leave_a_node_that_calibrates(stage
     rng = np.random.default_rng(6)
     out = {
         kind: actor.node.create_publisher(kind, topic, 10)
-        for kind, topic in ((Imu, "imu/data_raw"), (MagneticField, "imu/mag"))
+        for kind, topic in (
+            (Imu, "imu/data_raw"),
+            (MagneticField, "imu/mag"),
+            (NavSatFix, "gps/fix"),
+        )
     }
     for _ in range(rounds(15, 200)):
         for _ in range(50):
