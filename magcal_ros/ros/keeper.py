@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.places import chosen_path, default_calibration_path, known_as
 from magcal_ros.files.plain import plain
+
+LARGEST_GAIN, LARGEST_IRON, LARGEST_COVARIANCE = 1e4, 1.0, 1e8
+"""Dimensionless, tesla, and their squares: far beyond every sensor, far within the floats."""
 
 
 class Keeper:
@@ -73,6 +78,7 @@ class Keeper:
         """
         try:
             calibration, origin = read_calibration(path)
+            require_plausible(path, calibration)
             require_sensor(path, origin, magnetometer_frame)
         except FileTrouble as error:
             self.trouble = str(error)
@@ -99,6 +105,30 @@ class Keeper:
             return f"In force and saved to {path}."
 
         return work
+
+
+def require_plausible(path: Path, calibration: Calibration) -> None:
+    """Refuse numbers that would leave the floats on their way to a yaw.
+
+    Raises
+    ------
+    FileTrouble
+        If the matrix, the hard iron or the covariance is beyond every sensor.
+    """
+    correction = calibration.correction
+    for name, numbers, limit in (
+        ("correction_matrix", correction.matrix, LARGEST_GAIN),
+        ("hard_iron", correction.hard_iron, LARGEST_IRON),
+        ("covariance", calibration.covariance, LARGEST_COVARIANCE),
+        ("noise_field", calibration.noise_field, LARGEST_IRON),
+        ("noise_up", calibration.noise_up, LARGEST_GAIN),
+    ):
+        largest = float(np.abs(numbers).max())
+        if largest > limit:
+            raise FileTrouble(
+                f"{path} is not a usable calibration: {name} reads up to {largest:.0e}, which no "
+                "magnetometer needs. Calibrate again to replace it."
+            )
 
 
 def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:

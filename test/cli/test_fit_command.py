@@ -1,5 +1,7 @@
 import io
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -93,6 +95,14 @@ def test_compare_shows_every_method_and_writes_nothing(fit, bag, tmp_path):
     assert rows["maximum_likelihood"] == rows["design_tip"] == "accepted"
     assert rows["ellipsoid"] == rows["min_max"] == "refused"
     assert not (tmp_path / "found").exists()
+
+
+def test_a_path_of_bytes_that_are_no_text_is_read_and_reported(fit, tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/drive\xff\x1b[2J"))
+    status, out, err = fit(write_csv(folder, drive(400.0)))
+    assert status == 0, out + err
+    page = (tmp_path / "found" / "report.html").read_text()
+    assert "drive??[2J (mag.csv and imu.csv)" in page
 
 
 class TestExits:

@@ -4,7 +4,11 @@ import os
 import subprocess
 
 import pytest
+import yaml
 from support import REFERENCE, store_calibration
+
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.ros.keeper import Keeper
 
 pytestmark = pytest.mark.faults
 
@@ -68,3 +72,22 @@ def test_a_path_that_cannot_be_does_not_hold_up_the_start(stage, chosen):
     assert actor.status["state"] == "uncalibrated"
     for service in ("load", "save"):
         assert not actor.answer(actor.call(service)).success
+
+
+@pytest.mark.parametrize("entry", ["hard_iron", "correction_matrix", "covariance"])
+def test_a_file_with_numbers_beyond_every_sensor_is_not_put_in_force(tmp_path, entry):
+    path = store_calibration(tmp_path / "calibration.yaml")
+    document = yaml.safe_load(path.read_text())
+    if entry == "hard_iron":
+        document[entry] = [1e300, 0.0, 0.0]
+        document |= {"magnetometer_bias_x": 1e300, "magnetometer_bias_y": 0.0}
+        document["magnetometer_bias_z"] = 0.0
+    else:
+        document[entry][0][0] = 1e300
+    path.write_text(yaml.safe_dump(document))
+    applied = []
+    keeper = Keeper("/", lambda *what: applied.append(what))
+    with pytest.raises(FileTrouble, match=f"{entry} reads up to 1e\\+300"):
+        keeper.load(path, "mag_link")
+    assert keeper.trouble
+    assert not applied
