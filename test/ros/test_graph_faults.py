@@ -62,7 +62,7 @@ def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, 
 
 
 def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
-    actor = stage()
+    actor = stage(speed=8.0)
     assert actor.calibrate().success
     actor.run(0.3)
     heard = {String: [], MarkerArray: []}
@@ -75,7 +75,7 @@ def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
 
 
 def test_a_field_at_a_tenth_of_the_imus_rate_calibrates(stage):
-    actor = stage(steps_per_field=10)
+    actor = stage(steps_per_field=10, speed=8.0)
     answer = actor.calibrate()
     assert answer.success, answer.message
 

@@ -15,13 +15,13 @@ SERVICES = ("calibrate", "start", "finish", "cancel", "accept", "save", "load", 
 
 
 def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
-    actor = stage(parameters={**REFERENCE, "report_folder": "none"})
+    actor = stage(parameters={**REFERENCE, "report_folder": "none"}, speed=8.0)
     rng = np.random.default_rng(3)
     clients = {name: actor.node.create_client(Trigger, f"/calibrator/{name}") for name in SERVICES}
     for client in clients.values():
         assert client.wait_for_service(10.0)
     futures = []
-    for _ in range(rounds(10, 200)):
+    for _ in range(rounds(8, 200)):
         futures += [clients[str(name)].call_async(Trigger.Request())
                     for name in rng.choice(SERVICES, 30)]  # fmt: skip
         actor.run(0.2, 0.5)
@@ -34,7 +34,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
 
 
 def test_a_caller_that_leaves_takes_nothing_along(stage):
-    actor = stage()
+    actor = stage(speed=8.0)
     caller = rclpy.create_node("caller")
     client = caller.create_client(Trigger, "/calibrator/calibrate")
     assert client.wait_for_service(10.0)

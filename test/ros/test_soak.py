@@ -8,6 +8,6 @@ pytestmark = pytest.mark.faults
 
 
 def test_messages_as_fast_as_they_are_taken_leave_memory_where_it_was(graph, ros_home):
-    marks = soak(hours=rounds(0.02, 1.0), marks=1)
+    marks = soak(hours=rounds(0.01, 1.0), marks=1)
     assert faults(marks) == []
     assert marks[-1].lost < 0.05 * marks[-1].messages

@@ -21,7 +21,7 @@ def calibrated(stage, tmp_path):
 
 
 def test_simulated_time_that_has_not_begun_or_is_paused_holds_nothing_up(stage):
-    actor = stage(parameters={**REFERENCE, "use_sim_time": True})
+    actor = stage(parameters={**REFERENCE, "use_sim_time": True}, speed=8.0)
     heard = []
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
     answer = actor.calibrate()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import consumers
 import numpy as np
@@ -201,3 +202,14 @@ def test_exporters_need_no_ros():
         "assert not {'rclpy', 'matplotlib'} & set(sys.modules), sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=30)
+
+
+@pytest.mark.parametrize("consumer", EXPORTERS)
+def test_words_of_a_file_do_not_end_the_comment_they_become(consumer):
+    one = calibration(Correction(np.eye(3), np.array([1e-5, 0.0, 0.0])))
+    evil = "good\nevil: 1 */ int evil; **//\x1b[2J"
+    text = EXPORTERS[consumer](replace(one, evidence=replace(one.evidence, method=evil)))
+    assert "\x1b" not in text
+    assert not any(line.startswith("evil") for line in text.splitlines())
+    if consumer == "c-header":
+        assert text.count("*/") == 1
