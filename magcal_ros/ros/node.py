@@ -30,6 +30,7 @@ from magcal_ros.ros.markers import turn_markers
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter, now
+from magcal_ros.ros.rotator import Rotator
 from magcal_ros.ros.services import Services
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.status import (
@@ -68,6 +69,12 @@ class Calibrator(Node):
         self._control = Control(
             streams, self._put_in_force, self._describe_silence, self._begin_report
         )
+        self._rotator = Rotator(
+            self,
+            self._control,
+            (self._inputs.imu, self._inputs.field),
+            lambda: self._table.settings,
+        )
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
@@ -87,7 +94,12 @@ class Calibrator(Node):
 
     def close(self) -> None:
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
+        self.stop_robot()
         self._control.shut_down()
+
+    def stop_robot(self) -> None:
+        """Stop a robot that turns itself, from any thread; it will not move again."""
+        self._rotator.halt()
 
     def _on_imu(self, message: Imu) -> None:
         self._inputs.imu.heard(message.header.frame_id)
@@ -152,7 +164,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._control.start(self._table.settings)
+        opened = self._rotator.begin(self._table.settings)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -257,8 +269,7 @@ class Calibrator(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        declination = self._table.settings.knowledge.reference.declination
-        status = status_json(self._control, self._keeper, self._inputs, declination)
+        status = status_json(self._control, self._keeper, self._inputs, self._table.settings)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

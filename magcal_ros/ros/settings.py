@@ -12,6 +12,28 @@ from magcal_ros.core.session import Limits
 
 
 @dataclass(frozen=True)
+class Rotation:
+    """Whether and how the robot turns itself.
+
+    Parameters
+    ----------
+    enabled : bool
+        Whether it does.
+    speed : float
+        rad/s.
+    stamped : bool
+        Whether velocities are TwistStamped.
+    frame : str
+        Their frame_id then.
+    """
+
+    enabled: bool
+    speed: float
+    stamped: bool
+    frame: str
+
+
+@dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types."""
 
@@ -21,6 +43,7 @@ class Settings:
     knowledge: Knowledge
     limits: Limits
     max_gap: float
+    rotation: Rotation
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -45,4 +68,10 @@ class Settings:
                 target_sigma=math.radians(values["confidence.target_sigma_deg"]),
             ),
             values["window.max_gap_s"],
+            Rotation(
+                values["rotate.enabled"],
+                values["rotate.speed_rad_s"],
+                values["rotate.stamped"],
+                values["rotate.frame_id"],
+            ),
         )

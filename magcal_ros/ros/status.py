@@ -15,11 +15,13 @@ from magcal_ros.ros.control import Control, State
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.outputs import Outputs
+from magcal_ros.ros.settings import Settings
 
 
-def status_json(control: Control, keeper: Keeper, inputs: Inputs, declination: float | None) -> str:
+def status_json(control: Control, keeper: Keeper, inputs: Inputs, settings: Settings) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
+    declination = settings.knowledge.reference.declination
     if control.state is State.IDLE:
         state = "uncalibrated" if keeper.calibration is None else "calibrated"
     outcome, conclusion = control.last_outcome, control.last_conclusion
@@ -27,6 +29,7 @@ def status_json(control: Control, keeper: Keeper, inputs: Inputs, declination: f
         {
             "state": state,
             "north": "magnetic" if declination is None else "true",
+            "turns_itself": settings.rotation.enabled,
             "progress": _progress(control.progress),
             "answer": None
             if conclusion is None
