@@ -17,8 +17,10 @@ from visualization_msgs.msg import MarkerArray
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.gravity import CarriedGravity
+from magcal_ros.core.heading import Triple
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
+from magcal_ros.core.watch import Watch
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
@@ -38,6 +40,7 @@ from magcal_ros.ros.status import (
     field_diagnostic,
     inputs_diagnostic,
     status_json,
+    watch_diagnostic,
 )
 
 TICK = 0.1
@@ -60,6 +63,7 @@ class Calibrator(Node):
         super().__init__("calibrator", **kwargs)
         self._status = ""
         self._gravity: CarriedGravity | None = None
+        self._watch: Watch | None = None
         self._table = Parameters(self)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
@@ -127,8 +131,16 @@ class Calibrator(Node):
             self._outputs.publish(
                 message, sample.field, force, self._body_frame(), reference.declination
             )
+            self._look_on(sample.stamp, force)
         if not streams.is_repeated:
             self._control.add(sample)
+
+    def _look_on(self, stamp: float, force: Triple | None) -> None:
+        field, heading = self._outputs.last_field, self._outputs.last_heading
+        if self._watch is not None and force is not None and field is not None:
+            rate = self._inputs.streams.newest_rate
+            if heading is not None and rate is not None:
+                self._watch.add(stamp, field, force, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -174,6 +186,7 @@ class Calibrator(Node):
         self._outputs.put_in_force(calibration, magnetometer_frame)
         carried = calibration is not None and calibration.wants_carried_up
         self._gravity = CarriedGravity() if carried else None
+        self._watch = None if calibration is None else Watch(calibration)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -263,13 +276,16 @@ class Calibrator(Node):
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
             field_diagnostic(name, self._outputs, self._keeper),
+            watch_diagnostic(name, self._watch),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
         self._diagnostics_out.publish(report)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        status = status_json(self._control, self._keeper, self._inputs, self._table.settings)
+        status = status_json(
+            self._control, self._keeper, self._inputs, self._table.settings, self._watch
+        )
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))
