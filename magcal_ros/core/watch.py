@@ -54,7 +54,7 @@ class Watched:
     findings : tuple of Finding
         Everything measured at the last look; while stale, at the one that showed it.
     minutes : float
-        Since when it does not hold, in minutes before the newest sample.
+        Since when it does not hold, in minutes before the newest look; zero while it holds.
     hard_iron : tuple of float
         Change of the hard iron in the IMU's x and y, tesla.
     was_judged : bool
@@ -213,7 +213,7 @@ class Watch:
             self._watched = Watched(
                 before.is_stale,
                 before.findings,
-                (now - self._stale_since) / 60.0,
+                self._minutes(now, before.is_stale),
                 before.hard_iron,
                 before.was_judged,
                 measured.lacking,
@@ -234,16 +234,19 @@ class Watch:
         is_stale = before.is_stale
         if contradicts != is_stale and now - since >= CONFIRM:
             is_stale = contradicts
-            self._stale_since = onset(records, self._calibration) if is_stale else 0.0
+            self._stale_since = onset(records, self._calibration)
         keeps_words = is_stale and not contradicts
         self._watched = Watched(
             is_stale,
             before.findings if keeps_words else measured.findings,
-            (now - self._stale_since) / 60.0,
+            self._minutes(now, is_stale),
             before.hard_iron if keeps_words else measured.hard_iron,
-            True,
+            before.was_judged or not measured.lacking,
             measured.lacking,
         )
+
+    def _minutes(self, now: float, is_stale: bool) -> float:
+        return (now - self._stale_since) / 60.0 if is_stale else 0.0
 
 
 def _wrap(angle: float) -> float:

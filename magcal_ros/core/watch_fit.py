@@ -163,6 +163,8 @@ def measure(records: FloatArray, calibration: Calibration) -> Measured:
     if not lacking:
         swings, iron = _swings(records, calibration)
         figures |= swings
+    # A swing that does not stand out of its noise is no finding, of zero least of all.
+    figures = {name: figure for name, figure in figures.items() if figure > 0.0}
     bounds = (_as_promised(bound, calibration) for bound in WATCH_BOUNDS)
     findings = tuple(b.find(0.0, figures[b.figure]) for b in bounds if b.figure in figures)
     return Measured(findings, iron, lacking)

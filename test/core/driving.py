@@ -5,9 +5,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from magcal_ros.core.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
 from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.rotations import exp_rotations
 from magcal_ros.core.simulator import Robot
 
 PERIOD = 0.1
@@ -70,10 +72,7 @@ def smooth(rng, moments, seconds):
     """Three columns of smooth noise of size one that changes within so many seconds."""
     share = math.exp(-PERIOD / seconds)
     kicks = rng.standard_normal((moments, 3)) * math.sqrt(1.0 - share**2)
-    out = np.zeros((moments, 3))
-    for k in range(1, moments):
-        out[k] = share * out[k - 1] + kicks[k]
-    return out
+    return lfilter([1.0], [1.0, -share], kicks, axis=0)
 
 
 def drive(watch, calibration, robots, minutes, way=Way(), seed=1, start=1000.0, gyro=True):
@@ -82,38 +81,47 @@ def drive(watch, calibration, robots, minutes, way=Way(), seed=1, start=1000.0, 
     Returns what the watch said, a (stamp, Watched) each half minute.
     """
     rng = np.random.default_rng(seed)
-    said = []
     moments = int(sum(minutes) * 60.0 / PERIOD)
     yaw, rate, stands = yaws(rng, way, moments)
+    driving = np.ones((moments, 1))
+    driving[stands] = 0.0
     lean = way.wobble * smooth(rng, moments, 0.3) + way.slope * smooth(rng, moments, 20.0)
+    body = bodies(yaw, lean * driving)
     steel = way.steel * smooth(rng, moments, 4.0)
-    ends = np.cumsum(minutes) * 60.0
-    for k in range(moments):
-        robot = robots[int(np.searchsorted(ends, k * PERIOD, side="right"))]
-        stamp = start + k * PERIOD
-        driving = not stands.start <= k < stands.stop
-        watch.add(stamp, *moment(robot, calibration, yaw[k], rate[k], lean[k], steel[k], rng,
-                                 driving, gyro))  # fmt: skip
+    ends = np.cumsum(minutes)[:-1] * 60.0 / PERIOD
+    pieces = np.split(np.arange(moments), ends.astype(int))
+    noise = rng.standard_normal((3, moments, 3))
+    field = np.concatenate(
+        [
+            robot.raw_field(np.einsum("nij,nj->ni", body[rows], robot.field_enu + steel[rows]))
+            + robot.noise_field * noise[0, rows]
+            for robot, rows in zip(robots, pieces, strict=True)
+        ]
+    )
+    field = calibration.correction.apply(field)
+    force = STANDARD_GRAVITY * body[:, :, 2] + 0.3 * driving * noise[1]
+    force[:, 1] += SPEED * rate * driving[:, 0]
+    turning = rate[:, None] * body[:, :, 2] + 1e-3 * noise[2] + np.radians([0.05, 0.0, 0.1])
+    turning = turning if gyro else np.full_like(turning, math.nan)
+    heading = yaw_from_up_and_field(force, field)
+    stamps = start + PERIOD * np.arange(moments)
+    return feed(watch, *(rows.tolist() for rows in (stamps, field, force, heading, turning)))
+
+
+def feed(watch, *columns):
+    said = []
+    for k, (stamp, field, force, heading, turning) in enumerate(zip(*columns, strict=True)):
+        watch.add(stamp, tuple(field), tuple(force), heading, tuple(turning))
         if k % 300 == 299:
             said.append((stamp, watch.watched))
     return said
 
 
-def moment(robot, calibration, yaw, rate, lean, steel, rng, driving, gyro):
-    """What the node has in hand at one moment: field, force, yaw, rate."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    body = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    tilt = np.array([[1, 0, -lean[1]], [0, 1, lean[0]], [lean[1], -lean[0], 1.0]])
-    body = tilt @ body if driving else body
-    field = robot.raw_field((body @ (robot.field_enu + steel))[None])[0]
-    field = calibration.correction.apply(field + robot.noise_field * rng.standard_normal(3))
-    force = STANDARD_GRAVITY * body[:, 2] + 0.3 * driving * rng.standard_normal(3)
-    if driving:
-        force[1] += SPEED * rate
-    measured = rate * body[:, 2] + 1e-3 * rng.standard_normal(3) + np.radians([0.05, 0.0, 0.1])
-    measured = measured if gyro else np.full(3, math.nan)
-    heading = float(yaw_from_up_and_field(force, field))
-    return tuple(field), tuple(force), heading, tuple(measured)
+def bodies(yaw, lean):
+    """Rotations ENU to body (n, 3, 3), with small leanings about the body's x and y."""
+    c, s, none, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
+    level = np.array([[c, s, none], [-s, c, none], [none, none, one]]).transpose(2, 0, 1)
+    return exp_rotations(-lean * np.array([1.0, 1.0, 0.0])) @ level
 
 
 def changed(x=0.0, y=0.0, z=0.0, **changes):

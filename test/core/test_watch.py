@@ -9,6 +9,7 @@ from driving import PERIOD, ROBOT, Way, changed, drive, promise
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.heading import Compass
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.streams import FieldSample, ImuSample
 from magcal_ros.core.watch import MOST_RECORDS, Watch
 from magcal_ros.core.window import Window
@@ -57,7 +58,7 @@ def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift,
 
 
 def test_a_small_change_is_not_worth_a_word():
-    watch, said = watched([ROBOT, changed(1.0)], [5, 10])
+    _, said = watched([ROBOT, changed(1.0)], [5, 10])
     assert not any(word.is_stale for _, word in said)
 
 
@@ -105,7 +106,7 @@ def test_parked_beside_a_car_is_no_change_and_later_cannot_be_judged():
 
 
 def test_nothing_is_said_before_enough_was_seen():
-    watch, said = watched([changed(20.0)], [1])
+    watch, _ = watched([changed(20.0)], [1])
     assert not watch.watched.is_stale
     assert watch.watched.summary.startswith("Not judged yet: ")
 
@@ -162,7 +163,7 @@ def test_a_recorded_drive_holds_until_iron_is_added(recording, added):
     imu, mag = (np.loadtxt(folder / f"{n}.csv", delimiter=",", skiprows=1) for n in ("imu", "mag"))
     turn = (imu[:, 0] > 48.0) & (imu[:, 0] < 62.0)
     window = Window(imu[turn, 0], mag[turn, 1:4], imu[turn, 1:4], imu[turn, 4:7])
-    calibration = calibrate(window).calibration
+    calibration = calibrate(window, Knowledge()).calibration
     imu, mag = imu[::4], mag[::4]
     length = float(imu[-1, 0] - imu[0, 0]) + 0.05
     watch = ride_along((imu, mag, length), calibration, np.array([added, 0.0, 0.0]), 6)
