@@ -42,6 +42,7 @@ from magcal_ros.ros.status import (
     status_json,
     watch_diagnostic,
 )
+from magcal_ros.ros.whereabouts import Whereabouts
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
@@ -65,6 +66,7 @@ class Calibrator(Node):
         self._gravity: CarriedGravity | None = None
         self._watch: Watch | None = None
         self._table = Parameters(self)
+        self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
@@ -124,13 +126,11 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
-            reference = self._table.settings.knowledge.reference
+            reference = self._whereabouts.reference.field
             force = streams.force_at(sample.stamp)
             if force is not None and self._gravity is not None:
                 force = self._gravity.up or force
-            self._outputs.publish(
-                message, sample.field, force, self._body_frame(), reference.declination
-            )
+            self._outputs.publish(message, sample.field, force, self._body_frame(), reference)
             self._look_on(sample.stamp, force)
         if not streams.is_repeated:
             self._control.add(sample)
@@ -176,7 +176,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._rotator.begin(self._table.settings)
+        opened = self._rotator.begin(self._whereabouts.settings)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -187,6 +187,7 @@ class Calibrator(Node):
         carried = calibration is not None and calibration.wants_carried_up
         self._gravity = CarriedGravity() if carried else None
         self._watch = None if calibration is None else Watch(calibration)
+        self._whereabouts.use(calibration)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -268,6 +269,7 @@ class Calibrator(Node):
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
+        self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()
@@ -275,7 +277,7 @@ class Calibrator(Node):
         report.header.stamp = now
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
-            field_diagnostic(name, self._outputs, self._keeper),
+            field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             watch_diagnostic(name, self._watch),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
@@ -283,8 +285,9 @@ class Calibrator(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
+        reference, rotation = self._whereabouts.reference, self._table.settings.rotation
         status = status_json(
-            self._control, self._keeper, self._inputs, self._table.settings, self._watch
+            self._control, self._keeper, self._inputs, reference, self._watch, rotation.enabled
         )
         if status != self._status:
             self._status = status
