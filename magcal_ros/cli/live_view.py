@@ -60,6 +60,14 @@ def progress_of(status: str) -> dict[str, Any] | None:
     return shown if all(math.isfinite(shown[name]) for name in NUMBERS) else None
 
 
+def turns_itself(status: str) -> bool:
+    """Whether the text of `~/status` says that the robot will turn by itself."""
+    try:
+        return json.loads(status)["turns_itself"] is True
+    except (ValueError, TypeError, LookupError, RecursionError):
+        return False
+
+
 def best_view() -> View:
     """Return a panel on a terminal where rich is installed, else plain lines."""
     if sys.stdout.isatty():

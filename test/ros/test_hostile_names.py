@@ -5,7 +5,7 @@ import json
 import pytest
 from support import REFERENCE
 
-from magcal_ros.cli.live_view import progress_of
+from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.places import LONGEST_FRAME
 from magcal_ros.ros.preflight import Heard, _describe, _note
@@ -77,6 +77,7 @@ def test_what_the_preflight_shows_of_a_frame_is_plain():
 )  # fmt: skip
 def test_a_status_that_is_none_is_passed_over(text):
     assert progress_of(text) is None
+    assert not turns_itself(text)
 
 
 def test_no_text_of_a_status_steers_a_terminal():
