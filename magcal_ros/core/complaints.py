@@ -23,6 +23,7 @@ WORDS = {
     Drop.ABSENT: "messages carry no acceleration",
     Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
     Drop.BACKWARD_STAMP: "stamps go backward",
+    Drop.UNREADABLE: "messages are damaged: their bytes are not what their type says",
     Drop.UNPAIRED: "samples have no IMU sample near their stamp",
 }
 

@@ -34,6 +34,7 @@ class Drop(str, Enum):
     BACKWARD_STAMP = "backward_stamp"
     REPEATED = "repeated"
     UNPAIRED = "unpaired"
+    UNREADABLE = "unreadable"
 
 
 class ImuSample(NamedTuple):

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 
 from magcal_ros.ros.node import Calibrator
 
@@ -26,9 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     node = None
     try:
         node = Calibrator()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
+        node.executor_of_its_own().spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except Exception:

@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField
@@ -17,7 +18,6 @@ from visualization_msgs.msg import MarkerArray
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.gravity import CarriedGravity
-from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
@@ -38,6 +38,8 @@ from magcal_ros.ros.status import (
     inputs_diagnostic,
     status_json,
 )
+from magcal_ros.ros.straight import executor_for
+from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
@@ -75,8 +77,12 @@ class Calibrator(Node):
         short = {"accept": self._accept, "save": self._save, "load": self._load}
         Services(self, self._control, self._start, {**short, "reset": self._reset})
         sensor_data = qos_profile_sensor_data
-        self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data)
-        self.create_subscription(MagneticField, "imu/mag", self._on_field, sensor_data)
+        self._sensor_subscriptions = (
+            self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data, raw=True),
+            self.create_subscription(
+                MagneticField, "imu/mag", self._on_field, sensor_data, raw=True
+            ),
+        )
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady, autostart=False)
@@ -89,22 +95,35 @@ class Calibrator(Node):
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self._control.shut_down()
 
-    def _on_imu(self, message: Imu) -> None:
-        self._inputs.imu.heard(message.header.frame_id)
-        sample = imu_sample(message)
+    def executor_of_its_own(self) -> Executor:
+        """Return an executor that serves this node, its sensors before all."""
+        return executor_for(self, self._sensor_subscriptions)
+
+    def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
+        try:
+            frame, sample = read_imu(data)
+        except Unreadable:
+            streams.imu_drops[Drop.UNREADABLE] += 1
+            return
+        self._inputs.imu.heard(frame)
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample) and self._gravity is not None:
             self._gravity.add(sample)
 
-    def _on_field(self, message: MagneticField) -> None:
+    def _on_field(self, data: bytes) -> None:
+        streams = self._inputs.streams
+        try:
+            arrived = read_field(data)
+        except Unreadable:
+            streams.field_drops[Drop.UNREADABLE] += 1
+            return
         first = self._inputs.field.last_heard is None
-        self._inputs.field.heard(message.header.frame_id)
+        self._inputs.field.heard(arrived.frame)
         if first:
             self._meet_sensor()
-        sample = field_sample(message)
-        streams = self._inputs.streams
+        sample = arrived.sample
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
@@ -112,9 +131,7 @@ class Calibrator(Node):
             force = streams.force_at(sample.stamp)
             if force is not None and self._gravity is not None:
                 force = self._gravity.up or force
-            self._outputs.publish(
-                message, sample.field, force, self._body_frame(), reference.declination
-            )
+            self._outputs.publish(arrived, force, self._body_frame(), reference.declination)
         if not streams.is_repeated:
             self._control.add(sample)
 
