@@ -8,7 +8,7 @@ without a task. Whatever else is ready is served by rclpy's own executor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from threading import RLock
 from typing import Any
@@ -123,6 +123,7 @@ class StraightExecutor(SingleThreadedExecutor):
                 # rclpy looks at one thing a call, and a coroutine that waits is one of them.
                 for _ in range(1 + len(self._tasks)):
                     super().spin_once(0.0)
+                self._is_stale = True
 
     def _wait(self, timeout_sec: float | None) -> bool:
         """Wait until something is ready or the time is up; False once the executor is shut down."""
@@ -162,20 +163,23 @@ class StraightExecutor(SingleThreadedExecutor):
         return any(is_ready("subscription", index) for index in self._others)
 
     def _gather(self) -> None:
-        """Make the wait set anew of what the nodes own; nothing in it is destroyed meanwhile."""
+        """Make the wait set anew of what may run now; nothing in it is destroyed meanwhile."""
         self._is_stale = False
         self._in_use.close()
         nodes = self.get_nodes()
         others = [each for node in nodes for each in node.subscriptions]
         others = [each for each in others if each not in self._straight]
-        subscriptions = self._alive([*self._straight, *others])
-        guards = self._alive([self._guard, self._sigint_gc, *(g for n in nodes for g in n.guards)])
-        timers = self._alive([each for node in nodes for each in node.timers])
-        clients = self._alive([each for node in nodes for each in node.clients])
-        services = self._alive([each for node in nodes for each in node.services])
-        kinds = (subscriptions, guards, timers, clients, services)
+        alarms = [self._guard, self._sigint_gc]
+        straight = self._handles(self._straight)
+        kinds = (
+            straight + self._handles(filter(self.can_execute, others)),
+            self._handles(filter(None, alarms)) + self._of(nodes, "guards"),
+            self._of(nodes, "timers"),
+            self._of(nodes, "clients"),
+            self._of(nodes, "services"),
+        )
         wait_set = IMPLEMENTATION.WaitSet(*map(len, kinds), 0, self.context.handle)
-        adders: tuple[Callable[..., Any], ...] = (
+        adders = (
             wait_set.add_subscription,
             wait_set.add_guard_condition,
             wait_set.add_timer,
@@ -183,14 +187,19 @@ class StraightExecutor(SingleThreadedExecutor):
             wait_set.add_service,
         )
         self._wait_set = wait_set
-        self._others = range(len(self._straight), len(subscriptions))
+        self._others = range(len(straight), len(kinds[0]))
         self._entries = [
             (add, handle) for add, handles in zip(adders, kinds, strict=True) for handle in handles
         ]
 
-    def _alive(self, entities: Sequence[Any]) -> list[Any]:
+    def _of(self, nodes: Iterable[Node], kind: str) -> list[Any]:
+        entities = [each for node in nodes for each in getattr(node, kind)]
+        return self._handles(filter(self.can_execute, entities))
+
+    def _handles(self, entities: Iterable[Any]) -> list[Any]:
+        """Return the handles of what is alive, held so that they stay it."""
         handles = []
-        for entity in filter(None, entities):
+        for entity in entities:
             with suppress(InvalidHandle):
                 self._in_use.enter_context(entity.handle)
                 handles.append(entity.handle)
