@@ -1,15 +1,14 @@
 """A process beside the node, for what computes long.
 
 A fit in a thread of the node's own takes turns with the messages that arrive meanwhile, and they
-come late. In a process it has a core of its own, or gives way on the only one; it can be ended at
-any moment; and the memory it took goes with it.
+come late. A process of its own does not hold them up, can be ended at any moment, and takes the
+memory that it used with it.
 """
 
 from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
@@ -18,9 +17,6 @@ from threading import Lock
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-
-NICENESS = 10
-"""How far the process gives way to the node where both want the same core."""
 
 
 class Aside:
@@ -76,8 +72,6 @@ class Aside:
 def _serve(line: Connection) -> None:
     """Answer calls until nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(os, "nice"):
-        os.nice(NICENESS)
     with contextlib.suppress(EOFError, OSError):
         while True:
             function, arguments = line.recv()
