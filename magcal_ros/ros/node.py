@@ -22,7 +22,6 @@ from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
@@ -220,6 +219,9 @@ class Calibrator(Node):
         )
 
     def _begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        # A node that never calibrates should not load what draws reports.
+        from magcal_ros.report import Subject
+
         imu, field = self._inputs.imu, self._inputs.field
         subject = Subject(
             window,

@@ -8,10 +8,13 @@ import signal
 from datetime import datetime
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.places import ros_home
-from magcal_ros.report import Subject, new_folder, write_report
+
+if TYPE_CHECKING:
+    from magcal_ros.report import Subject
 
 NO_REPORTS = "none"
 
@@ -39,6 +42,8 @@ class Reporter:
         """
         if parent == NO_REPORTS:
             return ""
+        from magcal_ros.report import new_folder
+
         place = Path(parent).expanduser() if parent else ros_home() / "magcal" / "reports"
         try:
             folder = new_folder(place, subject.created)
@@ -59,6 +64,8 @@ class Reporter:
 def _write(folder: Path, subject: Subject) -> None:
     # Ctrl-C in the node's terminal reaches this process too; a report is quick to finish.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from magcal_ros.report import write_report
+
     with contextlib.suppress(MagcalError):
         write_report(folder, subject)
 
