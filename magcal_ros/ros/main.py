@@ -11,8 +11,8 @@ from rclpy.executors import ExternalShutdownException
 from magcal_ros.ros.node import Calibrator
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a fit in the worker thread gives way to a message that waits. With Python's
-own 5 ms every message that came during a fit would be late by as much."""
+"""Seconds after which the thread that hands over a turn or stores a calibration gives way to a
+message that waits. With Python's own 5 ms a message that came meanwhile would be late by as much."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
