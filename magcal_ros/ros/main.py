@@ -12,7 +12,7 @@ from magcal_ros.ros.node import Calibrator
 
 SWITCH_INTERVAL = 0.0005
 """Seconds after which the thread that hands over a turn or stores a calibration gives way to a
-message that waits. With Python's own 5 ms a message that came meanwhile would be late by as much."""
+message that waits. With Python's own 5 ms a message that came then would be late by as much."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
