@@ -1,9 +1,8 @@
 """Time from a field message to the attitude made of it, as ratios to a bare rclpy relay.
 
 One robot publishes to the relay and to the calibrator in turns, so neither is in the other's way.
-Then the calibrator is asked for a calibration while it goes on, with its previews and its fit; the
-share of these messages is small, so they are also shown alone. Run it as
-`python benchmarks/latency.py [seconds per row]`.
+Then both hear every message at once while the calibrator is asked for a calibration, with its
+previews and its fit. Run it as `python benchmarks/latency.py [seconds per row]`.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import sys
 import tempfile
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,47 +30,52 @@ STAMP = slice(4, 12)
 
 
 class Probe:
-    """Publishes for both and notes when each answer comes."""
+    """Publishes for one or both and notes when each answer comes."""
 
     def __init__(self, node: Node, imu_rate: int, field_rate: int) -> None:
-        self.relay = stage.Load(node, imu_rate, field_rate, APART)
+        self.relay = stage.Load(node, imu_rate, field_rate, (APART,))
         self.calibrator = stage.Load(node, imu_rate, field_rate)
-        self._sent: dict[bytes, int] = {}
-        self._took: list[float] = []
-        for load in (self.relay, self.calibrator):
+        self._both = stage.Load(node, imu_rate, field_rate, (APART, ""))
+        self._sent: dict[tuple[str, bytes], int] = {}
+        self._took: dict[str, list[float]] = {APART: [], "": []}
+        for load in (self.relay, self.calibrator, self._both):
             load.on_field = self._note_sent
+        of_relay, of_calibrator = partial(self._note, APART), partial(self._note, "")
         answers = [
-            node.create_subscription(MagneticField, "relayed/imu/mag", self._note, 10, raw=True),
-            node.create_subscription(Imu, "compass/mag/enu/imu", self._note, 10, raw=True),
+            node.create_subscription(MagneticField, "relayed/imu/mag", of_relay, 10, raw=True),
+            node.create_subscription(Imu, "compass/mag/enu/imu", of_calibrator, 10, raw=True),
         ]
         self._client = node.create_client(Trigger, "calibrator/calibrate")
         self._executor = executor_for(node, answers)
         self._thread = threading.Thread(target=self._executor.spin, daemon=True)
         self._thread.start()
 
-    def _note_sent(self, stamp: bytes) -> None:
-        self._sent[stamp] = time.perf_counter_ns()
+    def _note_sent(self, prefix: str, stamp: bytes) -> None:
+        self._sent[prefix, stamp] = time.perf_counter_ns()
 
-    def _note(self, data: bytes) -> None:
+    def _note(self, prefix: str, data: bytes) -> None:
         now = time.perf_counter_ns()
-        sent = self._sent.pop(data[STAMP], None)
+        sent = self._sent.pop((prefix, data[STAMP]), None)
         if sent is not None:
-            self._took.append((now - sent) * 1e-6)
+            self._took[prefix].append((now - sent) * 1e-6)
 
-    def run(self, load: stage.Load, seconds: float) -> np.ndarray:
-        """Return the milliseconds that each field message took."""
-        self._took.clear()
+    def run(self, load: stage.Load, seconds: float) -> None:
         load.run(seconds)
         time.sleep(0.1)
-        return np.array(self._took)
 
-    def turn(self) -> np.ndarray:
-        """Return the same for a turn from the call of the service to its answer."""
+    def turn(self) -> str:
+        """Let both hear a turn, from the call of the service to its answer; returns the answer."""
         answer = self._client.call_async(Trigger.Request())
-        self._took.clear()
-        self.calibrator.run(60.0, stop=answer.done)
-        print(f"    ({answer.result().message[:60]} ...)")
-        return np.array(self._took)
+        self._both.run(60.0, stop=answer.done)
+        time.sleep(0.1)
+        return str(answer.result().message)
+
+    def taken(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the milliseconds that relay and calibrator took since the last call."""
+        took = np.array(self._took[APART]), np.array(self._took[""])
+        for each in self._took.values():
+            each.clear()
+        return took
 
     def close(self) -> None:
         self._executor.shutdown()
@@ -84,14 +89,15 @@ def measure(imu_rate: int, field_rate: int, seconds: float) -> None:
     probe.calibrator.wait()
     probe.run(probe.relay, 1.0)
     probe.run(probe.calibrator, 1.0)
-    relay, ours = [], []
+    probe.taken()
     for _ in range(ROUNDS):
-        relay.append(probe.run(probe.relay, seconds / ROUNDS))
-        ours.append(probe.run(probe.calibrator, seconds / ROUNDS))
-    bare = np.concatenate(relay)
+        probe.run(probe.relay, seconds / ROUNDS / 2)
+        probe.run(probe.calibrator, seconds / ROUNDS / 2)
     name = f"IMU {imu_rate} Hz, field {field_rate} Hz"
-    print_row(name, bare, np.concatenate(ours))
-    print_row(f"{name}, during a turn", bare, probe.turn())
+    print_row(name, *probe.taken())
+    answer = probe.turn()
+    print_row(f"{name}, during a turn", *probe.taken())
+    assert answer.startswith("Calibrated"), answer
     probe.close()
     node.destroy_node()
 

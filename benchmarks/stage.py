@@ -74,25 +74,31 @@ class Load:
         Where the publishers live.
     imu_rate, field_rate : int
         Hertz.
-    prefix : str
-        What stands before the two topics.
+    prefixes : tuple of str
+        What stands before the two topics, once for each pair of them; all say the same.
     """
 
-    def __init__(self, node: Node, imu_rate: int, field_rate: int, prefix: str = "") -> None:
-        self._imu_out = node.create_publisher(Imu, f"{prefix}imu/data_raw", qos_profile_sensor_data)
-        self._field_out = node.create_publisher(
-            MagneticField, f"{prefix}imu/mag", qos_profile_sensor_data
-        )
+    def __init__(
+        self, node: Node, imu_rate: int, field_rate: int, prefixes: tuple[str, ...] = ("",)
+    ) -> None:
+        sensor_data = qos_profile_sensor_data
+        self._outs = [
+            (
+                prefix,
+                node.create_publisher(Imu, f"{prefix}imu/data_raw", sensor_data),
+                node.create_publisher(MagneticField, f"{prefix}imu/mag", sensor_data),
+            )
+            for prefix in prefixes
+        ]
         self._period = 1.0 / imu_rate
         self._steps = list(_steps(imu_rate, imu_rate // field_rate))
         self._at = 0
-        self.on_field: Callable[[bytes], None] = lambda _: None
+        self.on_field: Callable[[str, bytes], None] = lambda _, __: None
 
     @property
     def is_heard(self) -> bool:
         """Whether both topics have a listener."""
-        outs = (self._imu_out, self._field_out)
-        return all(out.get_subscription_count() for out in outs)
+        return all(out.get_subscription_count() for _, *outs in self._outs for out in outs)
 
     def wait(self) -> None:
         """Wait until somebody listens."""
@@ -100,18 +106,19 @@ class Load:
             time.sleep(0.05)
 
     def run(self, seconds: float, stop: Callable[[], bool] = lambda: False) -> int:
-        """Publish in real time under the stamps of now; returns how many messages."""
+        """Publish in real time, stamped now; returns how many messages a pair of topics had."""
         began, sent, ticks = time.perf_counter(), 0, 0
         while ticks * self._period < seconds and not stop():
             stamp = struct.pack("<iI", *divmod(time.time_ns(), 10**9))
             imu, field = self._steps[self._at]
             self._at = (self._at + 1) % len(self._steps)
-            self._imu_out.publish(_stamped(imu, stamp))
-            sent += 1
-            if field is not None:
-                self.on_field(stamp)
-                self._field_out.publish(_stamped(field, stamp))
-                sent += 1
+            self._outs.reverse()
+            for prefix, imu_out, field_out in self._outs:
+                imu_out.publish(_stamped(imu, stamp))
+                if field is not None:
+                    self.on_field(prefix, stamp)
+                    field_out.publish(_stamped(field, stamp))
+            sent += 1 + (field is not None)
             ticks += 1
             time.sleep(max(0.0, began + ticks * self._period - time.perf_counter()))
         return sent
