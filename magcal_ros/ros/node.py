@@ -38,6 +38,7 @@ from magcal_ros.ros.status import (
     status_json,
 )
 from magcal_ros.ros.straight import executor_for
+from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
@@ -61,6 +62,7 @@ class Calibrator(Node):
         self._status = ""
         self._gravity: CarriedGravity | None = None
         self._table = Parameters(self)
+        self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
@@ -126,11 +128,11 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
-            reference = self._table.settings.knowledge.reference
+            reference = self._whereabouts.reference.field
             force = streams.force_at(sample.stamp)
             if force is not None and self._gravity is not None:
                 force = self._gravity.up or force
-            self._outputs.publish(arrived, force, self._body_frame(), reference.declination)
+            self._outputs.publish(arrived, force, self._body_frame(), reference)
         if not streams.is_repeated:
             self._control.add(sample)
 
@@ -168,7 +170,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._control.start(self._table.settings)
+        opened = self._control.start(self._whereabouts.settings)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -178,6 +180,7 @@ class Calibrator(Node):
         self._outputs.put_in_force(calibration, magnetometer_frame)
         carried = calibration is not None and calibration.wants_carried_up
         self._gravity = CarriedGravity() if carried else None
+        self._whereabouts.use(calibration)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -262,6 +265,7 @@ class Calibrator(Node):
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
+        self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()
@@ -269,15 +273,15 @@ class Calibrator(Node):
         report.header.stamp = now
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
-            field_diagnostic(name, self._outputs, self._keeper),
+            field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
         self._diagnostics_out.publish(report)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        declination = self._table.settings.knowledge.reference.declination
-        status = status_json(self._control, self._keeper, self._inputs, declination)
+        reference = self._whereabouts.reference
+        status = status_json(self._control, self._keeper, self._inputs, reference)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

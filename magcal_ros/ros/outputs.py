@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.heading import Compass, Heading, Triple
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.ros.messages import bias_message
 from magcal_ros.ros.wire.incoming import FieldArrival
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
@@ -76,7 +77,7 @@ class Outputs:
             self._bias_out.publish(self._bias)
 
     def publish(
-        self, arrived: FieldArrival, force: Triple | None, frame: str, declination: float | None
+        self, arrived: FieldArrival, force: Triple | None, frame: str, reference: ReferenceField
     ) -> None:
         """Correct one field message and publish everything that follows from it.
 
@@ -88,14 +89,14 @@ class Outputs:
             Specific force of its moment, m/s²; None leaves only the corrected field.
         frame : str
             The IMU's frame.
-        declination : float or None
-            Radians; None if not known, then there is no true north.
+        reference : ReferenceField
+            Without a declination there is no true north.
         """
         compass = self.compass
         if compass is None:
             return
         field = self.last_field = compass.correct(arrived.sample.field)
-        self._last_force = force
+        self._last_force, declination = force, reference.declination
         if _is_wanted(self._field_out):
             covariance = self._carried(compass, arrived.covariance)
             self._field_out.publish(self._field.fill(arrived.stamp, frame, field, covariance))
@@ -107,9 +108,10 @@ class Outputs:
         if heading is None:
             return
         if magnetic:
-            self._magnetic_out.publish(self._attitude.fill(arrived.stamp, frame, heading, 0.0))
+            self._magnetic_out.publish(self._attitude.fill(arrived.stamp, frame, heading))
         if true:
-            filled = self._attitude.fill(arrived.stamp, frame, heading, declination or 0.0)
+            sigma = reference.declination_sigma
+            filled = self._attitude.fill(arrived.stamp, frame, heading, declination or 0.0, sigma)
             self._true_out.publish(filled)
         if yaw:
             self._yaw_out.publish(self._yaw.fill(true_yaw(heading.yaw, declination or 0.0)))

@@ -93,9 +93,17 @@ class AttitudeTemplate(Template):
         message.linear_acceleration_covariance[0] = ABSENT
         super().__init__(message, 4 + 9)
 
-    def fill(self, stamp: bytes, frame: str, heading: Heading, declination: float) -> Any:
-        """Return what to publish for a heading, to true north if a declination (rad) is given."""
-        quaternion, covariance = heading.quaternion(declination), heading.covariance()
+    def fill(
+        self,
+        stamp: bytes,
+        frame: str,
+        heading: Heading,
+        declination: float = 0.0,
+        declination_sigma: float = 0.0,
+    ) -> Any:
+        """Return what to publish for a heading; without a declination (rad) to magnetic north."""
+        quaternion = heading.quaternion(declination)
+        covariance = heading.covariance(declination_sigma**2)
         data = self._filled(stamp, frame, quaternion + covariance)
         if data is not None:
             return data

@@ -52,11 +52,11 @@ def field_message(stamp, frame, field, covariance):
     return message
 
 
-def attitude_message(stamp, frame, heading, declination):
+def attitude_message(stamp, frame, heading, declination, sigma=0.0):
     message = header(Imu(), stamp, frame)
     q = message.orientation
     q.x, q.y, q.z, q.w = heading.quaternion(declination)
-    message.orientation_covariance = np.array(heading.covariance())
+    message.orientation_covariance = np.array(heading.covariance(sigma**2))
     message.angular_velocity_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
     return message
 
@@ -75,12 +75,12 @@ def test_a_field(stamp, frame, field, covariance):
 
 
 @settings(max_examples=200, deadline=None)
-@given(STAMPS, FRAMES, st.tuples(*[ANGLES] * 3), st.tuples(*[DOUBLES] * 4), ANGLES)
-def test_an_attitude(stamp, frame, angles, variances, declination):
+@given(STAMPS, FRAMES, st.tuples(*[ANGLES] * 3), st.tuples(*[DOUBLES] * 4), ANGLES, ANGLES)
+def test_an_attitude(stamp, frame, angles, variances, declination, sigma):
     heading = Heading(*angles, *variances)
-    filled = ATTITUDE.fill(STAMP.pack(*stamp), frame, heading, declination)
+    filled = ATTITUDE.fill(STAMP.pack(*stamp), frame, heading, declination, sigma)
     assert isinstance(filled, bytes)
-    assert essence(filled) == essence(attitude_message(stamp, frame, heading, declination))
+    assert essence(filled) == essence(attitude_message(stamp, frame, heading, declination, sigma))
 
 
 @given(DOUBLES)
