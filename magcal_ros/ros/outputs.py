@@ -48,22 +48,28 @@ class Outputs:
         self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
         self._last_force: Triple | None = None
+        self._heading: Heading | None = None
+        self._is_heading_known = True
         self.compass: Compass | None = None
         self.last_field: Triple | None = None
 
     @property
     def last_heading(self) -> Heading | None:
         """The attitude at the last field message; None if it had none."""
-        if self.compass is None or self.last_field is None or self._last_force is None:
-            return None
-        return self.compass.heading(self.last_field, self._last_force)
+        if not self._is_heading_known and self.compass is not None:
+            self._is_heading_known = True
+            field, force = self.last_field, self._last_force
+            if field is not None and force is not None:
+                self._heading = self.compass.heading(field, force)
+        return self._heading
 
     def put_in_force(self, calibration: Calibration | None, magnetometer_frame: str = "") -> None:
         """Use a calibration from the next message on; None stops every corrected output."""
         self.compass = None if calibration is None else Compass(calibration)
         self._covariance_in = b""
         self.last_field = None
-        self._last_force = None
+        self._heading = None
+        self._is_heading_known = True
         self._bias = None
         if calibration is not None:
             self._bias = bias_message(calibration.correction, magnetometer_frame)
@@ -97,14 +103,15 @@ class Outputs:
             return
         field = self.last_field = compass.correct(arrived.sample.field)
         self._last_force, declination = force, reference.declination
+        self._heading, self._is_heading_known = None, False
         if _is_wanted(self._field_out):
             covariance = self._carried(compass, arrived.covariance)
             self._field_out.publish(self._field.fill(arrived.stamp, frame, field, covariance))
         magnetic, yaw = _is_wanted(self._magnetic_out), _is_wanted(self._yaw_out)
         true = declination is not None and _is_wanted(self._true_out)
-        if force is None or not (magnetic or yaw or true):
+        if not (magnetic or yaw or true):
             return
-        heading = compass.heading(field, force)
+        heading = self.last_heading
         if heading is None:
             return
         if magnetic:
