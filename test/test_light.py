@@ -67,5 +67,11 @@ def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draw
     write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
     loaded = modules_after(NODE, str(path))
     assert "magcal_ros.ros.node" in loaded
-    for later in ("scipy", "matplotlib", "magcal_ros.report", "magcal_ros.core.methods"):
+    for later in (
+        "scipy",
+        "matplotlib",
+        "magcal_ros.report",
+        "magcal_ros.core.methods",
+        "multiprocessing",
+    ):
         assert not loaded_of(loaded, later), later

@@ -8,13 +8,14 @@ memory that it used with it.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import signal
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from threading import Lock
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.process import BaseProcess
 
 T = TypeVar("T")
 
@@ -26,17 +27,19 @@ class Aside:
     """
 
     def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
         self._lock = Lock()
         self._process: BaseProcess | None = None
         self._line: Connection | None = None
 
     def start(self) -> Connection:
         """Start the process, if it is not there; returns the line to it."""
+        import multiprocessing
+
+        spawned = multiprocessing.get_context("spawn")
         with self._lock:
             if self._line is None or self._process is None or not self._process.is_alive():
-                self._line, end = self._context.Pipe()
-                self._process = self._context.Process(
+                self._line, end = spawned.Pipe()
+                self._process = spawned.Process(
                     target=_serve, args=(end,), name="magcal-fit", daemon=True
                 )
                 with _interrupts_held_back():

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import signal
 from datetime import datetime
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +12,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.places import ros_home
 
 if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+
     from magcal_ros.report import Subject
 
 NO_REPORTS = "none"
@@ -27,7 +27,6 @@ class Reporter:
     """
 
     def __init__(self) -> None:
-        self._context = multiprocessing.get_context("spawn")
         self._process: BaseProcess | None = None
 
     def begin(self, parent: str, subject: Subject) -> str:
@@ -42,6 +41,8 @@ class Reporter:
         """
         if parent == NO_REPORTS:
             return ""
+        import multiprocessing
+
         from magcal_ros.report import new_folder
 
         place = Path(parent).expanduser() if parent else ros_home() / "magcal" / "reports"
@@ -49,7 +50,7 @@ class Reporter:
             folder = new_folder(place, subject.created)
         except MagcalError as error:
             return f"No report: {error}"
-        self._process = self._context.Process(
+        self._process = multiprocessing.get_context("spawn").Process(
             target=_write, args=(folder, subject), name="magcal-report", daemon=True
         )
         self._process.start()
