@@ -26,7 +26,7 @@ unit: $(VENV)/.test
 	$(BIN)/python -m pytest
 
 bench: $(VENV)/.test
-	$(BIN)/python benchmarks/throughput.py
+	$(BIN)/python benchmarks/cost.py
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/offline.py
 	$(BIN)/python benchmarks/accuracy.py

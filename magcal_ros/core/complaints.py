@@ -28,6 +28,7 @@ WORDS = {
     Drop.ZERO_STAMP: "stamps are zero: the driver must stamp its messages",
     Drop.BACKWARD_STAMP: "stamps go backward",
     Drop.UNPAIRED: "samples have no IMU samples within window.max_gap_s around their stamp",
+    Drop.UNREADABLE: "messages are damaged: their bytes are not what their type says",
 }
 
 IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no rate in rad/s"}

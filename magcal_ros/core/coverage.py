@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,11 +163,13 @@ def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     return np.asarray(phase[0] - phase)
 
 
-def thin_to_equal_angles(progress: FloatArray, bins: int = 180) -> IntArray:
+def thin_to_equal_angles(
+    progress: FloatArray, bins: int = 180, most: int | None = None
+) -> IntArray:
     """Choose samples so that a pause does not weigh.
 
     A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
-    spread over the time that was spent in it.
+    spread over the time that was spent in it; fewer if that is still too many in all.
 
     Parameters
     ----------
@@ -174,6 +177,8 @@ def thin_to_equal_angles(progress: FloatArray, bins: int = 180) -> IntArray:
         Yaw of each sample, radians.
     bins : int
         Number of bins on the circle.
+    most : int, optional
+        Samples to keep in all; at least one stays of each filled bin.
 
     Returns
     -------
@@ -183,6 +188,9 @@ def thin_to_equal_angles(progress: FloatArray, bins: int = 180) -> IntArray:
     where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
     counts = np.bincount(where, minlength=bins)
     limit = max(2, int(2 * np.median(counts[counts > 0])))
+    if most is not None:
+        fewer = range(1, limit + 1)
+        limit = max(1, bisect_right(fewer, most, key=lambda n: np.minimum(counts, n).sum()))
     order = np.argsort(where, kind="stable")
     kept = []
     for rows in np.split(order, np.cumsum(counts)[:-1]):

@@ -49,3 +49,7 @@ class Refusal(MagcalError):
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
         self.reason = reason
+
+    def __reduce__(self) -> tuple[type[Refusal], tuple[Reason, str]]:
+        """Let it pass from process to process."""
+        return type(self), (self.reason, str(self))

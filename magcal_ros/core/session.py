@@ -20,7 +20,12 @@ from magcal_ros.core.streams import Pair
 from magcal_ros.core.window import Window
 
 LARGEST_BUFFER = 20_000
-"""Pairs. When it is full it is thinned to equal angles, so an hour of waiting does no harm."""
+"""Pairs. When it is full it is thinned to equal angles, or while none can be told to equal times,
+so neither an hour of waiting nor an hour of turning does harm."""
+
+ENOUGH_FOR_PROGRESS = 2_000
+"""Rows beyond which progress looks at every second, third ... row: it is asked ten times a second,
+between the messages."""
 
 MOST_TURNS = 2.0
 """Full turns after which more of the same hardly makes the answer more certain."""
@@ -191,10 +196,11 @@ class Session:
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
-        angle = self._angle()
+        rows = self._buffer[: self._size : 1 + self._size // ENOUGH_FOR_PROGRESS]
+        angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
         flows = self._last_pair is not None and now - self._last_pair < STANDS_STILL
-        rate = self._turn_rate(angle) if angle is not None and flows else 0.0
+        rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
         if abs(rate) > SLOWEST_TURN:
             self._last_turning = now
         stage = self._stage(coverage, now)
@@ -214,8 +220,8 @@ class Session:
                 Reason.TOO_FEW_SAMPLES,
                 "no pair of field and acceleration samples has arrived; check both topics",
             )
-        angle = self._angle()
         rows = self._rows()
+        angle = self._angle(rows)
         if angle is not None:
             rows = rows[thin_to_equal_angles(angle)]
         rate = _rate_if_any(rows)
@@ -226,8 +232,7 @@ class Session:
     def _rows(self) -> FloatArray:
         return np.array(self._buffer[: self._size])
 
-    def _angle(self) -> FloatArray | None:
-        rows = self._buffer[: self._size]
+    def _angle(self, rows: FloatArray) -> FloatArray | None:
         rate = _rate_if_any(rows)
         if rate is not None:
             rate = np.where(np.isfinite(rate), rate, 0.0)
@@ -252,24 +257,29 @@ class Session:
             or now - self._last_turning > STANDS_STILL
         )
 
-    def _turn_rate(self, angle: FloatArray) -> float:
-        stamps = self._buffer[: self._size, 0]
-        first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
-        span = float(stamps[-1] - stamps[first])
-        return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
-
     def _make_room(self) -> None:
         if self._size < LARGEST_BUFFER:
             more = np.empty((min(self._size, LARGEST_BUFFER - self._size), ROWS))
             self._buffer = np.concatenate([self._buffer, more])
             return
-        angle = self._angle()
-        kept = None if angle is None else thin_to_equal_angles(angle)
-        if kept is None or len(kept) > LARGEST_BUFFER // 2:
-            kept = np.arange(0, self._size, 2)
+        most = LARGEST_BUFFER // 2
+        angle = self._angle(self._buffer)
+        if angle is None:
+            stamps = self._buffer[:, 0]
+            evenly = np.linspace(stamps[0], stamps[-1], most)
+            kept = np.unique(np.searchsorted(stamps, evenly))
+        else:
+            kept = thin_to_equal_angles(angle, most=most)
         rows = self._buffer[kept]
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
+
+
+def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
+    """Return the mean rate over the last two seconds, rad/s; zero if there is no telling."""
+    first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
+    span = float(stamps[-1] - stamps[first])
+    return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:

@@ -43,6 +43,7 @@ class Drop(str, Enum):
     BACKWARD_STAMP = "backward_stamp"
     REPEATED = "repeated"
     UNPAIRED = "unpaired"
+    UNREADABLE = "unreadable"
 
 
 class ImuSample(NamedTuple):
@@ -239,7 +240,7 @@ class Pairer:
 
     def __init__(self, streams: Streams) -> None:
         self._streams = streams
-        self._waiting: deque[FieldSample] = deque(maxlen=HISTORY)
+        self._waiting: deque[FieldSample] = deque()
         self.unpaired = 0
 
     def offer(self, sample: FieldSample) -> None:
@@ -249,6 +250,9 @@ class Pairer:
         """
         while self._waiting and self._waiting[-1].stamp > sample.stamp:
             self._waiting.pop()
+            self._count_unpaired()
+        if len(self._waiting) == HISTORY:
+            self._waiting.popleft()
             self._count_unpaired()
         self._waiting.append(sample)
 

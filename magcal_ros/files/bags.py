@@ -91,7 +91,7 @@ class Bag:
                 if self._reader.is2 and not wire.is_plain_cdr(data):
                     yield self._slowly(connection, data, is_field)
                 elif is_field:
-                    frame, sample = of_field(data)
+                    frame, sample, _ = of_field(data)
                     if frame != field_frame:
                         field_frame, self.field_frame = frame, _text(frame)
                     yield sample

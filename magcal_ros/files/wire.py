@@ -7,13 +7,13 @@ a header with stamp and frame, and doubles after it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from struct import Struct
+from struct import Struct, error
 from typing import NamedTuple
 
 from magcal_ros.core.messages import imu_of
 from magcal_ros.core.streams import FieldSample, ImuSample
 
-LITTLE_ENDIAN_CDR = (0, 1)
+LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
 """Bytes of encapsulation, from which CDR counts its alignment."""
 
@@ -36,11 +36,15 @@ ROS1 = Layout(4, Struct("<III"), 1, False)
 
 # Orientation and its covariance; rate, first of its covariance; force, first of its covariance.
 IMU_BODY = Struct("<104x4d64x4d64x")
-FIELD_BODY = Struct("<3d72x")
+# Field and its covariance.
+FIELD_BODY = Struct("<3d72s")
 
 
 def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | None]]:
-    """Return what takes the bytes of a sensor_msgs/Imu to the frame's bytes and the numbers."""
+    """Return what takes the bytes of a sensor_msgs/Imu to the frame's bytes and the numbers.
+
+    It raises `struct.error` where the bytes are not laid out like that.
+    """
     head, body = _reader(layout), IMU_BODY.unpack_from
 
     def parse(data: bytes) -> tuple[bytes, ImuSample | None]:
@@ -51,20 +55,25 @@ def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | Non
     return parse
 
 
-def field_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, FieldSample]]:
-    """Return what takes the bytes of a sensor_msgs/MagneticField to frame and numbers."""
+def field_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, FieldSample, bytes]]:
+    """Return what takes the bytes of a sensor_msgs/MagneticField to frame, numbers and covariance.
+
+    The covariance stays nine little-endian doubles: hardly any reader needs its numbers. It
+    raises `struct.error` where the bytes are not laid out like that.
+    """
     head, body = _reader(layout), FIELD_BODY.unpack_from
 
-    def parse(data: bytes) -> tuple[bytes, FieldSample]:
+    def parse(data: bytes) -> tuple[bytes, FieldSample, bytes]:
         stamp, frame, place = head(data)
-        return frame, FieldSample(stamp, body(data, place))
+        x, y, z, covariance = body(data, place)
+        return frame, FieldSample(stamp, (x, y, z)), covariance
 
     return parse
 
 
 def is_plain_cdr(data: bytes) -> bool:
     """Whether a ROS 2 message is little-endian CDR, as all recorders on usual machines write."""
-    return (data[0], data[1]) == LITTLE_ENDIAN_CDR
+    return data[:2] == LITTLE_ENDIAN_CDR
 
 
 def _reader(layout: Layout) -> Callable[[bytes], tuple[float, bytes, int]]:
@@ -77,6 +86,8 @@ def _reader(layout: Layout) -> Callable[[bytes], tuple[float, bytes, int]]:
         sec, nanosec, length = unpack(data, start)
         end = first + length
         place = end + (start - end) % alignment
+        if zero and (not length or data[end - 1 : end] != b"\0"):
+            raise error("the frame does not end in a zero")
         return sec + nanosec * 1e-9, data[first : end - zero], place
 
     return read

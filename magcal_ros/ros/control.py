@@ -1,7 +1,7 @@
 """A turn from the service call to the calibration in force.
 
-Collecting happens in the executor's thread, a few microseconds a sample; the fit and the disk
-have a thread of their own, so the corrected field and the yaw keep flowing.
+Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
+its own and the disk a thread, so the corrected field and the yaw keep flowing.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.streams import FieldSample, Pair, Pairer, Streams
 from magcal_ros.core.window import Window
+from magcal_ros.ros.aside import Aside
 from magcal_ros.ros.settings import Settings
 
 PREVIEW_ARC = math.radians(120.0)
@@ -85,6 +86,7 @@ class Control:
         self._describe_silence = describe_silence
         self._report = report
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="magcal-fit")
+        self._aside = Aside()
         self._session: Session | None = None
         self._pairer = Pairer(streams)
         self._settings: Settings | None = None
@@ -127,6 +129,7 @@ class Control:
         self._preview = None
         self._pairer = Pairer(self._streams)
         self._session = Session(settings.limits, settings.knowledge.mounting, time.monotonic())
+        self._worker.submit(self._aside.start)
         self.progress = self._session.progress(time.monotonic())
         return Conclusion(True, "collecting: turn the robot once, a full circle, 0.5 rad/s or less")
 
@@ -196,6 +199,7 @@ class Control:
         if self._saving is not None:
             wait([self._saving], SAVING_PATIENCE)
         self._worker.shutdown(wait=False, cancel_futures=True)
+        self._aside.stop()
 
     def _collect(self, session: Session) -> None:
         now = time.monotonic()
@@ -216,8 +220,10 @@ class Control:
             self._preview_began = time.monotonic()
             assert self._settings is not None
             self.last_window = session.window()
-            work = (self.last_window, self._settings.knowledge, self._settings.method)
-            self._preview = self._worker.submit(predicted_sigma, *work)
+            window, settings = self.last_window, self._settings
+            self._preview = self._worker.submit(
+                self._aside.run, predicted_sigma, window, settings.knowledge, settings.method
+            )
 
     def _end_collection(self, session: Session, progress: Progress) -> None:
         why = {
@@ -243,7 +249,9 @@ class Control:
             self._refuse(refusal)
             return
         settings = self._settings
-        self._job = self._worker.submit(calibrate, window, settings.knowledge, settings.method)
+        self._job = self._worker.submit(
+            self._aside.run, calibrate, window, settings.knowledge, settings.method
+        )
 
     def _use(self, job: Job[Outcome]) -> None:
         try:
@@ -278,6 +286,9 @@ class Control:
             conclusion = Conclusion(conclusion.success, message)
             self._words_of_report = ""
         self.last_conclusion = conclusion
+        if self._preview is not None:
+            self._preview.cancel()
+        self._aside.stop()
         listeners, self._listeners = self._listeners, []
         for listener in listeners:
             listener(conclusion)

@@ -6,15 +6,15 @@ import sys
 from collections.abc import Sequence
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
 from magcal_ros.ros.end_signals import EndSignals
 from magcal_ros.ros.node import Calibrator
 
 SWITCH_INTERVAL = 0.0005
-"""Seconds after which a fit in the worker thread gives way to a message that waits. With Python's
-own 5 ms every message that came during a fit would be late by as much."""
+"""Seconds after which the thread that hands over a turn or stores a calibration gives way to a
+message that waits. With Python's own 5 ms a message that came then would be late by as much."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,8 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _spin(node: Calibrator, signals: EndSignals) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    executor = node.executor_of_its_own()
 
     def end() -> None:
         # From the signals' thread, so that the robot stops even if a callback hangs.

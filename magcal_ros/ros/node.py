@@ -9,6 +9,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField
@@ -19,14 +20,12 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.heading import Triple
-from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
 from magcal_ros.core.watch import Watch
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.places import is_missing, known_as
-from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
@@ -44,7 +43,9 @@ from magcal_ros.ros.status import (
     status_json,
     watch_diagnostic,
 )
+from magcal_ros.ros.straight import executor_for
 from magcal_ros.ros.whereabouts import Whereabouts
+from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
@@ -90,8 +91,12 @@ class Calibrator(Node):
         short = {"accept": self._accept, "save": self._save, "load": self._load}
         Services(self, self._control, self._start, {**short, "reset": self._reset})
         sensor_data = qos_profile_sensor_data
-        self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data)
-        self.create_subscription(MagneticField, "imu/mag", self._on_field, sensor_data)
+        self._sensor_subscriptions = (
+            self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data, raw=True),
+            self.create_subscription(
+                MagneticField, "imu/mag", self._on_field, sensor_data, raw=True
+            ),
+        )
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady, autostart=False)
@@ -109,23 +114,36 @@ class Calibrator(Node):
         """Stop a robot that turns itself, from any thread; it will not move again."""
         self._rotator.halt()
 
-    def _on_imu(self, message: Imu) -> None:
-        self._inputs.imu.heard(message.header.frame_id)
-        sample = imu_sample(message)
+    def executor_of_its_own(self) -> Executor:
+        """Return an executor that serves this node, its sensors before all."""
+        return executor_for(self, self._sensor_subscriptions)
+
+    def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
+        try:
+            frame, sample = read_imu(data)
+        except Unreadable:
+            streams.imu_drops[Drop.UNREADABLE] += 1
+            return
+        self._inputs.imu.heard(frame)
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample) and self._gravity is not None:
             self._gravity.add(sample)
 
-    def _on_field(self, message: MagneticField) -> None:
+    def _on_field(self, data: bytes) -> None:
+        streams = self._inputs.streams
+        try:
+            arrived = read_field(data)
+        except Unreadable:
+            streams.field_drops[Drop.UNREADABLE] += 1
+            return
         # A driver may leave out the frame at first: the sensor is known when it has a name.
         before = self._inputs.field.frame if self._inputs.field.messages else None
-        self._inputs.field.heard(message.header.frame_id)
-        if not before and before != message.header.frame_id:
+        self._inputs.field.heard(arrived.frame)
+        if not before and before != arrived.frame:
             self._meet_sensor()
-        sample = field_sample(message)
-        streams = self._inputs.streams
+        sample = arrived.sample
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
@@ -133,7 +151,7 @@ class Calibrator(Node):
             force = streams.force_at(sample.stamp)
             if force is not None and self._gravity is not None:
                 force = self._gravity.up or force
-            self._outputs.publish(message, sample.field, force, self._body_frame(), reference)
+            self._outputs.publish(arrived, force, self._body_frame(), reference)
             self._look_on(sample.stamp, force)
         if not streams.is_repeated:
             self._control.add(sample)
@@ -234,6 +252,9 @@ class Calibrator(Node):
         )
 
     def _begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        # A node that never calibrates should not load what draws reports.
+        from magcal_ros.report import Subject
+
         imu, field = self._inputs.imu, self._inputs.field
         subject = Subject(
             window,

@@ -16,7 +16,9 @@ from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.heading import Compass, Heading, Triple
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.ros.messages import bias_message, fill_orientation, orientation_only
+from magcal_ros.ros.messages import bias_message
+from magcal_ros.ros.wire.incoming import FieldArrival
+from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = QoSProfile(depth=10)
@@ -25,7 +27,7 @@ RELIABLE = QoSProfile(depth=10)
 class Outputs:
     """Publishes what the calibration in force makes of each field message.
 
-    Messages are made once and filled again: they are serialised before `publish` returns.
+    What nobody listens to is neither computed nor filled in.
 
     Parameters
     ----------
@@ -39,21 +41,35 @@ class Outputs:
         self._true_out = node.create_publisher(Imu, "compass/true/enu/imu", RELIABLE)
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, "imu/mag_bias", LATCHED)
-        self._field = MagneticField()
-        self._attitude = orientation_only()
-        self._yaw = Float64()
+        self._field = FieldTemplate()
+        self._attitude = AttitudeTemplate()
+        self._yaw = NumberTemplate()
         self._covariance_in = b""
+        self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
+        self._last_force: Triple | None = None
+        self._heading: Heading | None = None
+        self._is_heading_known = True
         self.compass: Compass | None = None
-        self.last_heading: Heading | None = None
         self.last_field: Triple | None = None
+
+    @property
+    def last_heading(self) -> Heading | None:
+        """The attitude at the last field message; None if it had none."""
+        if not self._is_heading_known and self.compass is not None:
+            self._is_heading_known = True
+            field, force = self.last_field, self._last_force
+            if field is not None and force is not None:
+                self._heading = self.compass.heading(field, force)
+        return self._heading
 
     def put_in_force(self, calibration: Calibration | None, magnetometer_frame: str = "") -> None:
         """Use a calibration from the next message on; None stops every corrected output."""
         self.compass = None if calibration is None else Compass(calibration)
         self._covariance_in = b""
-        self.last_heading = None
         self.last_field = None
+        self._heading = None
+        self._is_heading_known = True
         self._bias = None
         if calibration is not None:
             self._bias = bias_message(calibration.correction, magnetometer_frame)
@@ -67,21 +83,14 @@ class Outputs:
             self._bias_out.publish(self._bias)
 
     def publish(
-        self,
-        message: MagneticField,
-        field: Triple,
-        force: Triple | None,
-        frame: str,
-        reference: ReferenceField,
+        self, arrived: FieldArrival, force: Triple | None, frame: str, reference: ReferenceField
     ) -> None:
         """Correct one field message and publish everything that follows from it.
 
         Parameters
         ----------
-        message : MagneticField
-            As it arrived; stamp and covariance are taken from it.
-        field : tuple of float
-            Its raw field, tesla.
+        arrived : FieldArrival
+            What the message says; its stamp and covariance are carried over.
         force : tuple of float or None
             Specific force of its moment, m/s²; None leaves only the corrected field.
         frame : str
@@ -92,42 +101,36 @@ class Outputs:
         compass = self.compass
         if compass is None:
             return
-        corrected = compass.correct(field)
-        self.last_field = corrected
-        stamp = message.header.stamp
-        self._publish_field(compass, message, corrected, frame)
-        if force is None:
+        field = self.last_field = compass.correct(arrived.sample.field)
+        self._last_force, declination = force, reference.declination
+        self._heading, self._is_heading_known = None, False
+        if _is_wanted(self._field_out):
+            covariance = self._carried(compass, arrived.covariance)
+            self._field_out.publish(self._field.fill(arrived.stamp, frame, field, covariance))
+        magnetic, yaw = _is_wanted(self._magnetic_out), _is_wanted(self._yaw_out)
+        true = declination is not None and _is_wanted(self._true_out)
+        if not (magnetic or yaw or true):
             return
-        heading = compass.heading(corrected, force)
-        self.last_heading = heading
+        heading = self.last_heading
         if heading is None:
             return
-        attitude = self._attitude
-        attitude.header.stamp, attitude.header.frame_id = stamp, frame
-        if _is_wanted(self._magnetic_out):
-            fill_orientation(attitude, heading)
-            self._magnetic_out.publish(attitude)
-        declination = reference.declination
-        if declination is not None and _is_wanted(self._true_out):
-            fill_orientation(attitude, heading, declination, reference.declination_sigma)
-            self._true_out.publish(attitude)
-        self._yaw.data = true_yaw(heading.yaw, declination or 0.0)
-        self._yaw_out.publish(self._yaw)
+        if magnetic:
+            self._magnetic_out.publish(self._attitude.fill(arrived.stamp, frame, heading))
+        if true:
+            sigma = reference.declination_sigma
+            filled = self._attitude.fill(arrived.stamp, frame, heading, declination or 0.0, sigma)
+            self._true_out.publish(filled)
+        if yaw:
+            self._yaw_out.publish(self._yaw.fill(true_yaw(heading.yaw, declination or 0.0)))
 
-    def _publish_field(
-        self, compass: Compass, message: MagneticField, corrected: Triple, frame: str
-    ) -> None:
-        out = self._field
-        out.header.stamp, out.header.frame_id = message.header.stamp, frame
-        out.magnetic_field.x, out.magnetic_field.y, out.magnetic_field.z = corrected
-        covariance = message.magnetic_field_covariance.tobytes()
+    def _carried(self, compass: Compass, covariance: bytes) -> tuple[float, ...]:
+        """Return the covariance in body axes; drivers send the same with every message."""
         if covariance != self._covariance_in:
-            # Drivers send the same covariance with every message, so it is carried over once.
-            sigma = np.asarray(message.magnetic_field_covariance).reshape(3, 3)
-            carried = compass.calibration.correction.covariance(sigma)
-            out.magnetic_field_covariance = np.nan_to_num(carried).ravel()
+            sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
+            carried = np.nan_to_num(compass.calibration.correction.covariance(sigma))
+            self._covariance = tuple(carried.ravel().tolist())
             self._covariance_in = covariance
-        self._field_out.publish(out)
+        return self._covariance
 
 
 def _is_wanted(publisher: Publisher[Any]) -> bool:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
-import tempfile
-import threading
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.places import chosen_path, ros_home
-from magcal_ros.report import Subject, new_folder
+
+if TYPE_CHECKING:
+    import subprocess
+
+    from magcal_ros.report import Subject
 
 NO_REPORTS = "none"
 
@@ -46,6 +46,10 @@ class Reporter:
         """
         if parent == NO_REPORTS:
             return ""
+        import threading
+
+        from magcal_ros.report import new_folder
+
         try:
             place = chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
             folder = new_folder(place, subject.created)
@@ -65,6 +69,11 @@ class Reporter:
 
 
 def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
+    import pickle
+    import subprocess
+    import sys
+    import tempfile
+
     # A pipe would hold the node up until the other side has started and reads.
     with tempfile.TemporaryFile() as handover:
         pickle.dump((folder, subject), handover)

@@ -220,6 +220,17 @@ class TestThinToEqualAngles:
 
         assert bins(progress[kept]) == bins(progress)
 
+    @given(st.lists(st.floats(-20.0, 20.0), min_size=36, max_size=300), st.integers(36, 300))
+    def test_a_bound_is_kept_and_costs_no_heading(self, headings, most):
+        progress = np.array(headings)
+        kept = thin_to_equal_angles(progress, bins=36, most=most)
+        assert len(kept) <= most
+
+        def bins(values):
+            return set((np.mod(values, math.tau) * (36 / math.tau)).astype(int) % 36)
+
+        assert bins(progress[kept]) == bins(progress)
+
     def test_an_even_turn_is_left_alone(self):
         progress = np.linspace(0.0, math.tau, 720, endpoint=False)
         assert len(thin_to_equal_angles(progress)) == 720

@@ -261,3 +261,14 @@ class TestMemory:
             session.add(Pair(pair.field._replace(stamp=later), pair.imu), 50.0)
         assert session.progress(60.0).coverage.arc == pytest.approx(6.0, abs=0.1)
         assert session.window().time[0] == 100.0
+
+    @pytest.mark.parametrize("gyro", [False, True])
+    def test_one_slow_turn_stays_whole_however_long_it_takes(self, monkeypatch, gyro):
+        """As an hour at 1 kHz in the real buffer: 180 times what it holds."""
+        monkeypatch.setattr("magcal_ros.core.session.LARGEST_BUFFER", 1024)
+        steady = Robot(gyro_bias=np.zeros(3), noise_rate=1e-6)
+        window = simulated(steady, gyro=gyro, arc=math.tau, samples=60_000, duration=60.0)
+        found = session_with(window).window()
+        true_yaw = math.tau * (found.time - 100.0) / 60.0
+        counts = np.bincount((true_yaw * 36 / math.tau).astype(int).clip(0, 35), minlength=36)
+        assert counts.min() > 0.5 * counts.mean()

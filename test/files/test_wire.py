@@ -25,7 +25,8 @@ def test_it_reads_what_the_library_wrote(store, layout, frame):
     found = wire.imu_parser(layout)(packed(store, imu, IMU))
     assert found == (frame.encode(), imu_sample(imu))
     found = wire.field_parser(layout)(packed(store, field, FIELD))
-    assert found == (frame.encode(), field_sample(field))
+    covariance = field.magnetic_field_covariance.tobytes()
+    assert found == (frame.encode(), field_sample(field), covariance)
 
 
 def test_marks_of_absence_are_understood():

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
 from support import REFERENCE, ROBOT, SPEED
 
@@ -48,8 +48,7 @@ def start_node(graph):
     def start(parameters=REFERENCE, arguments=()):
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         node = Calibrator(parameter_overrides=overrides, cli_args=list(arguments) or None)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
+        executor = node.executor_of_its_own()
 
         def spin():
             with contextlib.suppress(ExternalShutdownException):

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu, MagneticField
 from support import REFERENCE
 
 from magcal_ros.core.streams import FieldSample, ImuSample
@@ -59,6 +61,21 @@ def test_an_all_zero_field_is_refused_by_name(stage):
     answer = actor.calibrate()
     assert not answer.success
     assert "all zero" in answer.message
+    assert_alive(actor)
+
+
+def test_bytes_that_are_no_message_are_dropped_and_counted(stage):
+    actor = stage()
+    for kind, topic in ((Imu, "imu/data_raw"), (MagneticField, "imu/mag")):
+        vandal = actor.node.create_publisher(kind, topic, 10)
+        whole = serialize_message(kind())
+        for _ in range(20):
+            for damaged in (b"", b"\0\1", whole[:40], b"\0\1\0\0" + b"\xff" * 300):
+                vandal.publish(damaged)
+            actor.run(0.05)
+    actor.run(1.5)
+    for sensor in ("imu", "field"):
+        assert actor.status["dropped"][sensor]["unreadable"] > 20
     assert_alive(actor)
 
 

@@ -7,9 +7,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, MagneticField
-from support import REFERENCE, rms_deg
+from support import REFERENCE, ROBOT, rms_deg
 
 from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.simulator import measure, turn
+from magcal_ros.files.calibration_file import Origin, write_calibration
 from magcal_ros.ros.outputs import LATCHED
 
 DECLINATION = math.radians(7.0)
@@ -135,6 +138,19 @@ def test_the_bias_is_latched_for_late_joiners_and_repeated(stage, listen):
     assert late[0].header.frame_id == "mag_link"
     actor.run(2.3)
     assert len(late) >= 3
+
+
+def test_who_joins_late_is_served_at_once(start_node, actor, listen, tmp_path):
+    path = tmp_path / "calibration.yaml"
+    outcome = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
+    write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
+    start_node({**REFERENCE, "calibration_file": str(path)})
+    robot = actor()
+    robot.run(0.5)
+    for kind, topic in ((MagneticField, "imu/mag_unbiased"), (Imu, "compass/mag/enu/imu")):
+        late = listen(robot, kind, topic)
+        robot.run(10.0, stop=lambda heard=late: len(heard) > 20)
+        assert len(late) > 20
 
 
 def test_without_declination_there_is_no_true_north(stage, listen):

@@ -1,0 +1,79 @@
+"""Time from exec to the first message, of the calibrator with a saved calibration and of a relay.
+
+The sensors publish all the while, and somebody listens. Run it as
+`python benchmarks/start.py [rounds]`.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import rclpy
+import stage
+from sensor_msgs.msg import MagneticField
+
+PATIENCE = 30.0
+
+
+class Listener:
+    """Waits for the first message of a topic."""
+
+    def __init__(self, topic: str) -> None:
+        self._node = rclpy.create_node(topic.replace("/", "_") + "_listener")
+        self._heard = threading.Event()
+        self._node.create_subscription(MagneticField, topic, self._hear, 10, raw=True)
+        self._executor = rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+
+    def _hear(self, _: bytes) -> None:
+        self._heard.set()
+
+    def _drain(self) -> None:
+        """Take what the program before has left in the queue."""
+        self._heard.set()
+        while self._heard.is_set():
+            self._heard.clear()
+            self._executor.spin_once(timeout_sec=0.2)
+
+    def time_to_hear(self, *program: str) -> float:
+        """Start a program and return the seconds until its first message."""
+        self._drain()
+        began = time.perf_counter()
+        with stage.running(*program):
+            while not self._heard.is_set():
+                assert time.perf_counter() - began < PATIENCE, f"{program} published nothing"
+                self._executor.spin_once(timeout_sec=0.1)
+            return time.perf_counter() - began
+
+
+def main() -> None:
+    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 8
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "calibration.yaml"
+        stage.store_calibration(path)
+        rclpy.init()
+        load = stage.Load(rclpy.create_node("load"), 100, 100)
+        over = threading.Event()
+        thread = threading.Thread(target=load.run, args=(1e9, over.is_set))
+        thread.start()
+        relay, calibrator = Listener("relayed/imu/mag"), Listener("imu/mag_unbiased")
+        options = ("--ros-args", "-p", f"calibration_file:={path}")
+        bare, ours = [], []
+        for _ in range(rounds):
+            bare.append(relay.time_to_hear(*stage.RELAY))
+            ours.append(calibrator.time_to_hear(*stage.CALIBRATOR, *options))
+        over.set()
+        thread.join()
+        rclpy.try_shutdown()
+    a, b = statistics.median(bare), statistics.median(ours)
+    print("exec to first message        relay     calibrator   ratio")
+    print(f"{f'median of {rounds}':26s}{a:7.2f} s  {b:9.2f} s  {b / a:9.2f}")
+
+
+if __name__ == "__main__":
+    main()

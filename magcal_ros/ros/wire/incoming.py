@@ -1,0 +1,110 @@
+"""The numbers of the two sensor messages, from serialized bytes."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu, MagneticField
+
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.messages import field_sample, imu_sample
+from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.files import wire
+
+STAMP = struct.Struct("<iI")
+_STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
+_COVARIANCE = struct.Struct("<9d")
+_parse_imu = wire.imu_parser(wire.CDR)
+_parse_field = wire.field_parser(wire.CDR)
+
+
+class Unreadable(MagcalError):
+    """Bytes that are no message of their topic's type."""
+
+
+class ImuArrival(NamedTuple):
+    """What the node takes from a sensor_msgs/Imu; no sample if it carries no acceleration."""
+
+    frame: str
+    sample: ImuSample | None
+
+
+class FieldArrival(NamedTuple):
+    """What the node takes from a sensor_msgs/MagneticField.
+
+    Parameters
+    ----------
+    frame : str
+        The magnetometer's.
+    sample : FieldSample
+        Its numbers.
+    stamp : bytes
+        Seconds and nanoseconds, little-endian, as every answer to this message carries them.
+    covariance : bytes
+        Nine little-endian doubles, row-major, T².
+    """
+
+    frame: str
+    sample: FieldSample
+    stamp: bytes
+    covariance: bytes
+
+
+def read_imu(data: bytes) -> ImuArrival:
+    """Return what a serialized sensor_msgs/Imu says.
+
+    Raises
+    ------
+    Unreadable
+        If it is none.
+    """
+    if wire.is_plain_cdr(data):
+        try:
+            frame, sample = _parse_imu(data)
+        except struct.error:
+            pass
+        else:
+            return ImuArrival(_text(frame), sample)
+    message = _by_rclpy(data, Imu)
+    return ImuArrival(message.header.frame_id, imu_sample(message))
+
+
+def read_field(data: bytes) -> FieldArrival:
+    """Return what a serialized sensor_msgs/MagneticField says.
+
+    Raises
+    ------
+    Unreadable
+        If it is none.
+    """
+    if wire.is_plain_cdr(data):
+        try:
+            frame, sample, covariance = _parse_field(data)
+        except struct.error:
+            pass
+        else:
+            return FieldArrival(_text(frame), sample, data[_STAMP_PLACE], covariance)
+    message = _by_rclpy(data, MagneticField)
+    stamp = message.header.stamp
+    return FieldArrival(
+        message.header.frame_id,
+        field_sample(message),
+        STAMP.pack(stamp.sec, stamp.nanosec),
+        _COVARIANCE.pack(*message.magnetic_field_covariance),
+    )
+
+
+@lru_cache(maxsize=8)
+def _text(frame: bytes) -> str:
+    """Return a frame as rclpy reads it: to its first zero, and what is no text replaced."""
+    return frame.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def _by_rclpy(data: bytes, kind: type) -> Any:
+    try:
+        return deserialize_message(data, kind)
+    except Exception as error:  # rclpy has several roots, and a message from outside no manners
+        raise Unreadable(f"bytes that are no {kind.__name__}: {error}") from error

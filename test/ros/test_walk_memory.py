@@ -1,0 +1,76 @@
+"""A message leaves nothing behind: the walk from bytes to bytes, tens of thousands of times."""
+
+import struct
+import tracemalloc
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu, MagneticField
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.gravity import CarriedGravity
+from magcal_ros.core.heading import Compass
+from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.core.streams import HISTORY, MAX_GAP, Pairer, Streams
+from magcal_ros.ros.wire.incoming import read_field, read_imu
+from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
+
+WARM = HISTORY + 100
+MESSAGES = 10_000
+LARGEST_GROWTH = 10_000
+"""Bytes: one a message."""
+
+
+class Walk:
+    def __init__(self):
+        robot = Robot()
+        outcome = calibrate(measure(robot, turn(), np.random.default_rng(1)), robot.knowledge())
+        self.compass, self.gravity = Compass(outcome.calibration), CarriedGravity()
+        self.streams = Streams(MAX_GAP)
+        self.pairer = Pairer(self.streams)
+        self.templates = FieldTemplate(), AttitudeTemplate(), NumberTemplate()
+        imu, field = Imu(), MagneticField()
+        imu.header.frame_id, field.header.frame_id = "imu_link", "mag_link"
+        imu.linear_acceleration.z, field.magnetic_field.x = 9.81, 2e-5
+        self.imu, self.field = (
+            bytearray(serialize_message(imu)),
+            bytearray(serialize_message(field)),
+        )
+        self.steps = 0
+
+    def go(self, messages):
+        for _ in range(messages):
+            self.steps += 1
+            stamp = divmod(10**9 + self.steps * 10**6, 10**9)
+            struct.pack_into("<iI", self.imu, 4, *stamp)
+            struct.pack_into("<iI", self.field, 4, *stamp)
+            struct.pack_into("<d", self.field, len(self.field) - 80, -4e-5 - 1e-9 * self.steps)
+            sample = read_imu(bytes(self.imu)).sample
+            assert self.streams.add_imu(sample)
+            self.gravity.add(sample)
+            self.answer(read_field(bytes(self.field)))
+
+    def answer(self, arrived):
+        assert self.streams.add_field(arrived.sample)
+        self.pairer.offer(arrived.sample)
+        self.pairer.take()
+        corrected = self.compass.correct(arrived.sample.field)
+        heading = self.compass.heading(corrected, self.streams.force_at(arrived.sample.stamp))
+        field, attitude, number = self.templates
+        field.fill(arrived.stamp, "imu_link", corrected, (0.0,) * 9)
+        attitude.fill(arrived.stamp, "imu_link", heading, 0.0)
+        number.fill(heading.yaw)
+
+
+def test_the_walk_of_messages_leaves_no_memory_behind():
+    walk = Walk()
+    walk.go(WARM)
+    tracemalloc.start()
+    try:
+        walk.go(WARM)
+        before = tracemalloc.get_traced_memory()[0]
+        walk.go(MESSAGES)
+        after = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    assert after - before < LARGEST_GROWTH

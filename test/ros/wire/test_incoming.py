@@ -1,0 +1,138 @@
+"""What is read from bytes is what rclpy reads, to the last bit."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Imu, MagneticField
+
+from magcal_ros.core.messages import field_sample, imu_sample
+from magcal_ros.ros.wire.incoming import STAMP, Unreadable, read_field, read_imu
+
+DOUBLES = st.floats(width=64)
+NINE = st.lists(DOUBLES, min_size=9, max_size=9)
+FRAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=40)
+SECONDS = st.integers(-(2**31), 2**31 - 1)
+NANOSECONDS = st.integers(0, 2**32 - 1)
+ORDERS = st.sampled_from("<>")
+
+
+def stamped(message, frame, sec, nanosec):
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+    return message
+
+
+def fill(vector, numbers):
+    vector.x, vector.y, vector.z = numbers
+
+
+def by_hand(order, frame, sec, nanosec, doubles):
+    """CDR written from its definition: doubles aligned to eight, counted from after the start."""
+    text = frame.encode() + b"\0"
+    body = struct.pack(f"{order}iII", sec, nanosec, len(text)) + text
+    body += bytes(-len(body) % 8) + struct.pack(f"{order}{len(doubles)}d", *doubles)
+    return bytes([0, order == "<", 0, 0]) + body
+
+
+def same(a, b):
+    """Equal to the last bit: NaN is NaN, and -0.0 is not 0.0."""
+    return np.array(a).tobytes() == np.array(b).tobytes()
+
+
+@settings(max_examples=200, deadline=None)
+@given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=3, max_size=3), NINE, ORDERS)
+def test_a_field_is_what_rclpy_reads(frame, sec, nanosec, field, covariance, order):
+    data = by_hand(order, frame, sec, nanosec, [*field, *covariance])
+    message = deserialize_message(data, MagneticField)
+    found = read_field(data)
+    assert found.frame == message.header.frame_id == frame
+    assert same(found.sample.stamp, field_sample(message).stamp)
+    assert same(found.sample.field, field)
+    assert STAMP.unpack(found.stamp) == (sec, nanosec)
+    assert found.covariance == message.magnetic_field_covariance.tobytes()
+
+
+@settings(max_examples=200, deadline=None)
+@given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=37, max_size=37), ORDERS)
+def test_an_imu_is_what_rclpy_reads(frame, sec, nanosec, doubles, order):
+    data = by_hand(order, frame, sec, nanosec, doubles)
+    message = deserialize_message(data, Imu)
+    found, wanted = read_imu(data), imu_sample(message)
+    assert found.frame == frame
+    assert (found.sample is None) == (wanted is None)
+    if wanted is not None:
+        assert same(found.sample.stamp, wanted.stamp)
+        assert same(found.sample.force, wanted.force)
+        assert same(found.sample.rate, wanted.rate)
+
+
+@pytest.mark.parametrize("length", range(17))
+def test_frames_of_every_length_leave_the_doubles_aligned(length):
+    imu = stamped(Imu(), "f" * length, 7, 5)
+    fill(imu.linear_acceleration, (1.0, 2.0, 3.0))
+    fill(imu.angular_velocity, (4.0, 5.0, 6.0))
+    frame, sample = read_imu(serialize_message(imu))
+    assert (frame, sample) == ("f" * length, imu_sample(imu))
+
+
+@pytest.mark.parametrize(("force", "rate"), [(-1.0, 0.0), (0.0, -1.0), (-1.0, -1.0)])
+def test_marks_of_absence_are_understood_on_both_ways(force, rate):
+    for order in "<>":
+        doubles = [0.0] * 37
+        doubles[13 + 3], doubles[25 + 3] = rate, force
+        sample = read_imu(by_hand(order, "imu", 1, 2, doubles)).sample
+        assert (sample is None) == (force == -1.0)
+        if sample is not None:
+            assert all(map(math.isnan, sample.rate)) == (rate == -1.0)
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"abc", b"a\0b\0", b"\0", b"\xff\xfe\0", b"\xe4\xf6\0", b"x" * 100_000 + b"\0"]
+)
+def test_odd_frames_are_read_as_rclpy_reads_them(text):
+    body = struct.pack("<iII", 3, 4, len(text)) + text
+    body += bytes(-len(body) % 8) + struct.pack("<12d", *range(12))
+    data = b"\0\1\0\0" + body
+    try:
+        frame = deserialize_message(data, MagneticField).header.frame_id
+    except Exception:
+        with pytest.raises(Unreadable):
+            read_field(data)
+        return
+    found = read_field(data)
+    assert found.frame == frame
+    assert found.sample.field == (0.0, 1.0, 2.0)
+
+
+@pytest.mark.parametrize(("kind", "read"), [(Imu, read_imu), (MagneticField, read_field)])
+def test_bytes_cut_short_are_said_to_be_unreadable(kind, read):
+    data = serialize_message(stamped(kind(), "a_frame", 1, 2))
+    whole = read(data)
+    assert whole.frame == "a_frame"
+    for size in range(len(data)):
+        with pytest.raises(Unreadable, match=kind.__name__):
+            read(data[:size])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=400), st.sampled_from([b"", b"\0\1\0\0", b"\0\0\0\0", b"\0\7\0\0"]))
+def test_random_bytes_are_a_message_or_unreadable(data, start):
+    for read in (read_imu, read_field):
+        try:
+            found = read(start + data)
+        except Unreadable:
+            continue
+        assert isinstance(found.frame, str)
+
+
+def test_a_frame_that_claims_to_be_enormous_is_unreadable():
+    data = bytearray(serialize_message(stamped(MagneticField(), "mag", 1, 2)))
+    for length in (2**31 - 1, 2**32 - 1, 97, 200):
+        struct.pack_into("<I", data, 12, length)
+        with pytest.raises(Unreadable):
+            read_field(bytes(data))

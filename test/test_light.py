@@ -1,0 +1,77 @@
+"""What is not loaded before it is needed; each in a process of its own."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.files.calibration_file import Origin, write_calibration
+
+CORE = """
+import importlib, pkgutil, sys
+import magcal_ros.core as core
+for module in pkgutil.{walk}(core.__path__, core.__name__ + "."):
+    importlib.import_module(module.name)
+print(*sys.modules)
+"""
+
+NODE = """
+import sys, time
+import rclpy
+from magcal_ros.ros.main import Calibrator
+rclpy.init(args=["--ros-args", "-p", "calibration_file:=" + sys.argv[1]])
+node = Calibrator()
+executor = node.executor_of_its_own()
+end = time.monotonic() + 1.2
+while time.monotonic() < end:
+    executor.spin_once(timeout_sec=0.1)
+assert node._keeper.calibration is not None
+print(*sys.modules)
+node.close()
+rclpy.shutdown()
+"""
+
+
+def modules_after(script, *arguments):
+    """Return what is loaded after a script that prints it."""
+    done = subprocess.run(
+        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.split())
+
+
+def loaded_of(modules, package):
+    return {name for name in modules if name == package or name.startswith(package + ".")}
+
+
+def test_the_core_loads_no_scipy_before_a_method_is_chosen():
+    loaded = modules_after(CORE.format(walk="iter_modules"))
+    assert "magcal_ros.core.calibrate" in loaded
+    assert not loaded_of(loaded, "scipy")
+
+
+def test_the_methods_load_no_more_of_scipy_than_special_functions():
+    loaded = modules_after(CORE.format(walk="walk_packages"))
+    assert "magcal_ros.core.methods.maximum_likelihood.driver" in loaded
+    for heavy in ("optimize", "stats", "spatial", "sparse", "linalg", "interpolate", "signal"):
+        assert not loaded_of(loaded, f"scipy.{heavy}"), heavy
+
+
+def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draws(tmp_path):
+    pytest.importorskip("rclpy")
+    robot, path = Robot(), tmp_path / "calibration.yaml"
+    outcome = calibrate(measure(robot, turn(), np.random.default_rng(1)), robot.knowledge())
+    write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
+    loaded = modules_after(NODE, str(path))
+    assert "magcal_ros.ros.node" in loaded
+    for later in (
+        "scipy",
+        "matplotlib",
+        "magcal_ros.report",
+        "magcal_ros.core.methods",
+        "multiprocessing",
+    ):
+        assert not loaded_of(loaded, later), later
