@@ -26,6 +26,7 @@ from magcal_ros.core.methods.maximum_likelihood.carried_equations import (
     step,
 )
 from magcal_ros.core.methods.maximum_likelihood.choice import (
+    HONEST_SHARE,
     SOFT_IRON_PRICE,
     keeps_samples,
     lasting_gain,
@@ -58,10 +59,8 @@ accelerometer."""
 OFFSET_PRICE = 30.0
 """By how much, times kappa, the cost must fall for an offset of the accelerometer."""
 FIRST_DRIFT = 2e-3
-USUAL_DRIFT = 5e-4
-HONEST_DRIFT = 1e-3
-HONEST_SHARE = 0.95
-"""Radians per root second."""
+USUAL_DRIFT = 1e-3
+"""Radians per root second; gyros drift less."""
 SOFT_ROUNDS = 5
 SETTLED = 3e-4
 """A step of the globals far below their errors; the last steps come when the gate is held."""
@@ -184,13 +183,13 @@ def choose_carried(
         return CarriedChoice(plain)
     look, gain = _look_at(plain, with_iron), 0.0
     # Where soft iron was taken for drift or outliers, the plain fit no longer shows its slope.
-    honest = plain.drift < HONEST_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
+    honest = plain.drift < USUAL_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
     if always_iron or not honest or look.gain > CHANCE:
         iron = fit_carried(start, carrier, with_iron)
         without = _held_to(iron, carrier, start.problem.prior)
         gain = lasting_gain(without.cost - iron.cost, without.chi_square - iron.chi_square)
         # A gyro that drifts more than gyros do hides errors that last, which kappa does not see.
-        kappa = iron.solution.problem.kappa * max(1.0, iron.drift / USUAL_DRIFT)
+        kappa = iron.solution.problem.kappa * max(1.0, (iron.drift / USUAL_DRIFT) ** 2)
         asked = gain > look.price(SOFT_IRON_PRICE) * kappa
         if always_iron or (asked and keeps_samples(plain.solution, iron.solution)):
             return CarriedChoice(iron, gain)

@@ -42,8 +42,8 @@ HONEST_SHARE = 0.97
 CLEAR_GAIN = 100.0
 """An expected fall of chi-square that leaves little doubt about soft iron."""
 
-FEW_COMMON = 0.95
-FEW_KEPT = 0.965
+FEW_KEPT = 0.95
+"""A model that has to throw more samples away, to fit the rest better, explains nothing."""
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
@@ -145,12 +145,9 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     return Choice(plain, gain, Doubt(look, look.probability(gain)))
 
 
-def keeps_samples(simple: Solution, rich: Solution) -> bool:
-    """Return whether the rich model believes about as many samples as the simple one.
-
-    A model that has to throw samples away to fit the rest better explains nothing.
-    """
-    return bool(rich.believed.sum() > FEW_KEPT * simple.believed.sum())
+def keeps_samples(one: Solution, other: Solution) -> bool:
+    """Return whether the other model believes about as many samples as the one."""
+    return bool(other.believed.sum() >= FEW_KEPT * one.believed.sum())
 
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
@@ -161,7 +158,7 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     first = replace(noise, up=math.hypot(noise.up, noise.wobble))
     problem = replace(wobbling.problem, rigid=True, noise=first)
     rigid = gated(Solution(wobbling.state.upright(), problem))
-    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
+    if not keeps_samples(wobbling, rigid):
         return wobbling
     common = rigid.believed & wobbling.believed
     kappa = wobbling.problem.kappa
