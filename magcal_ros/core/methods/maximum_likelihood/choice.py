@@ -42,8 +42,10 @@ HONEST_SHARE = 0.97
 CLEAR_GAIN = 100.0
 """An expected fall of chi-square that leaves little doubt about soft iron."""
 
-FEW_KEPT = 0.95
-"""A model that has to throw more samples away, to fit the rest better, explains nothing."""
+FEW_COMMON = 0.95
+FEW_KEPT = 0.9
+"""A model that has to throw more samples away, to fit the rest better, explains nothing: a rigid
+axis, and soft iron."""
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
@@ -158,7 +160,7 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     first = replace(noise, up=math.hypot(noise.up, noise.wobble))
     problem = replace(wobbling.problem, rigid=True, noise=first)
     rigid = gated(Solution(wobbling.state.upright(), problem))
-    if not keeps_samples(wobbling, rigid):
+    if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
         return wobbling
     common = rigid.believed & wobbling.believed
     kappa = wobbling.problem.kappa
