@@ -33,6 +33,8 @@ from magcal_ros.core.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.simulator import LEVEL_TILT, UP_ENU, Motion, Robot, trial_attitudes
 
 GYRO_SCALE_SIGMA = 0.02
+SOFT_IRON_ROWS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+"""Where E holds the fit's six soft-iron numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,7 @@ def true_state(scene: Scene) -> State:
         robot.hard_iron / robot.strength,
         1.0,
         robot.inclination,
+        robot.soft_iron[SOFT_IRON_ROWS],
     )
     return State(shared, body_axis.T @ scene.motion.attitude @ world_axis)
 

@@ -15,7 +15,7 @@ from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.simulator import DEGREE, Robot, measure, smooth_wobble, turn
 from magcal_ros.core.window import Window
 
-SIZES = (50, 500, 3000, 20_000, 100_000)
+SIZES = (50, 500, 3000, 20_000, 100_000, 1_000_000)
 
 
 def draw(samples: int, wobble_deg: float, soft_iron: float, gyro: bool) -> tuple[Robot, Window]:

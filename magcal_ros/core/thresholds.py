@@ -288,7 +288,7 @@ THRESHOLDS: tuple[Threshold, ...] = (
         "sideways_pull",
         Aspect.QUALITY,
         1.0,
-        2.0,
+        1.5,
         45.0,
         "°",
         DEGREES,

@@ -24,7 +24,9 @@ TURNS = 4.0
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return rotations from the first sample's body axes to each sample's, shape (n, 3, 3).
 
-    Steps `exp(-[w]x dt)` with the mean rate of both ends, multiplied up by a parallel scan.
+    Steps `exp(-[w]x dt)` with the mean rate between both ends, multiplied up by a parallel scan.
+    The trapezoidal rule with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples
+    a second would lose a hundredth by the plain rule.
 
     Parameters
     ----------
@@ -33,8 +35,11 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     rate : ndarray, shape (n, 3)
         rad/s in body axes.
     """
-    mean = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
-    product = np.concatenate([np.eye(3)[None], exp_rotations(-mean)])
+    step = np.diff(time)[:, None]
+    turned = 0.5 * step * (rate[1:] + rate[:-1])
+    if len(time) > 2:
+        turned -= step**2 / 12.0 * np.diff(np.gradient(rate, time, axis=0), axis=0)
+    product = np.concatenate([np.eye(3)[None], exp_rotations(-turned)])
     reach = 1
     while reach < len(product):
         product[reach:] = product[reach:] @ product[:-reach]

@@ -26,14 +26,13 @@ from magcal_ros.core.methods.maximum_likelihood.carried_equations import (
     step,
 )
 from magcal_ros.core.methods.maximum_likelihood.choice import (
+    HONEST_SHARE,
     SOFT_IRON_PRICE,
-    WORTH_TRYING,
-    Gain,
-    is_steady,
     keeps_samples,
+    lasting_gain,
 )
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
-from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt, Look, look_for_soft_iron
+from magcal_ros.core.methods.maximum_likelihood.doubt import CHANCE, Doubt, Look, look_for_soft_iron
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Problem,
@@ -60,10 +59,8 @@ accelerometer."""
 OFFSET_PRICE = 30.0
 """By how much, times kappa, the cost must fall for an offset of the accelerometer."""
 FIRST_DRIFT = 2e-3
-USUAL_DRIFT = 5e-4
-HONEST_DRIFT = 1e-3
-HONEST_SHARE = 0.95
-"""Radians per root second."""
+USUAL_DRIFT = 1e-3
+"""Radians per root second; gyros drift less."""
 SOFT_ROUNDS = 5
 SETTLED = 3e-4
 """A step of the globals far below their errors; the last steps come when the gate is held."""
@@ -184,20 +181,19 @@ def choose_carried(
     carrier = plain.carrier
     if not with_iron.has_soft_iron:
         return CarriedChoice(plain)
-    look, total = _look_at(plain, with_iron), 0.0
+    look, gain = _look_at(plain, with_iron), 0.0
     # Where soft iron was taken for drift or outliers, the plain fit no longer shows its slope.
-    honest = plain.drift < HONEST_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
-    if always_iron or not honest or look.gain > WORTH_TRYING:
+    honest = plain.drift < USUAL_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
+    if always_iron or not honest or look.gain > CHANCE:
         iron = fit_carried(start, carrier, with_iron)
         without = _held_to(iron, carrier, start.problem.prior)
-        gain = Gain(without.cost - iron.cost, is_steady(without.chi_square - iron.chi_square))
+        gain = lasting_gain(without.cost - iron.cost, without.chi_square - iron.chi_square)
         # A gyro that drifts more than gyros do hides errors that last, which kappa does not see.
-        kappa = iron.solution.problem.kappa * max(1.0, iron.drift / USUAL_DRIFT)
-        asked = gain.asks_for_it(look.price(SOFT_IRON_PRICE) * kappa)
+        kappa = iron.solution.problem.kappa * max(1.0, (iron.drift / USUAL_DRIFT) ** 2)
+        asked = gain > look.price(SOFT_IRON_PRICE) * kappa
         if always_iron or (asked and keeps_samples(plain.solution, iron.solution)):
-            return CarriedChoice(iron, gain.total)
-        total = gain.total
-    return CarriedChoice(plain, total, Doubt(look, look.probability(total)))
+            return CarriedChoice(iron, gain)
+    return CarriedChoice(plain, gain, Doubt(look, look.probability(gain)))
 
 
 def _look_at(plain: Carried, with_iron: Prior) -> Look:

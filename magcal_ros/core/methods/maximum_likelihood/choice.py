@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.methods.maximum_likelihood.covariance import inverse_information
-from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt, Look, look_for_soft_iron
+from magcal_ros.core.methods.maximum_likelihood.doubt import CHANCE, Doubt, Look, look_for_soft_iron
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Linearisation,
     Noise,
@@ -19,9 +19,12 @@ from magcal_ros.core.methods.maximum_likelihood.linearise import (
     cost,
     linearise,
 )
-from magcal_ros.core.methods.maximum_likelihood.logdet import log_determinants
+from magcal_ros.core.methods.maximum_likelihood.logdet import (
+    log_determinant_gradient,
+    log_determinants,
+)
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
-from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, settle
+from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, settle, softened
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
@@ -29,17 +32,20 @@ SOFT_IRON_PRICE = 25.0
 RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
-WORTH_TRYING = 12.5
-"""An expected fall of chi-square for which soft iron is fitted."""
+STRETCHES = 8
+BEST_STRETCHES = 2
+LEAST_SHARE = 1.0 / 3.0
+"""At least this share of soft iron's gain is made outside the best stretches of the turn."""
+
+HONEST_SHARE = 0.97
+"""A smaller share of believed samples may hide soft iron: it is fitted, whatever the rest says."""
 CLEAR_GAIN = 100.0
 """An expected fall of chi-square that leaves little doubt about soft iron."""
 
-STRETCHES = 8
-STEADINESS = 1.75
-"""Sigmas by which soft iron must help, from the spread over so many stretches of the turn."""
-
 FEW_COMMON = 0.95
-FEW_KEPT = 0.965
+FEW_KEPT = 0.9
+"""A model that has to throw more samples away, to fit the rest better, explains nothing: a rigid
+axis, and soft iron."""
 LARGEST_RIGID_WOBBLE = 0.05
 """Radians of wobble beyond which a rigid axis is not tried."""
 
@@ -124,29 +130,26 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     # Where soft iron is plain to see, whether the axis would look rigid without it is idle.
     plain_to_see = look_at(wobbling, with_iron).gain > CLEAR_GAIN
     plain = wobbling if plain_to_see else rigid_or_wobbling(wobbling)
-    look, total = look_at(plain, with_iron), 0.0
-    if always_iron or look.gain > WORTH_TRYING:
+    look, gain = look_at(plain, with_iron), 0.0
+    # Where soft iron was taken for outliers, what is left no longer shows its slope.
+    honest = plain.believed.mean() > HONEST_SHARE
+    if always_iron or not honest or look.gain > CHANCE:
         freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
-        iron = rigid_or_wobbling(gated(Solution(wobbling.state, freed)))
+        iron = rigid_or_wobbling(gated(softened(Solution(wobbling.state, freed))))
         gain = soft_iron_gain(plain, iron)
-        rigid = iron.problem.rigid
-        price = look.price(RIGID_SOFT_IRON_PRICE) if rigid else SOFT_IRON_PRICE
-        asked = gain.asks_for_it(price * iron.problem.kappa, rigid=rigid)
+        price = look.price(RIGID_SOFT_IRON_PRICE) if iron.problem.rigid else SOFT_IRON_PRICE
+        asked = gain > price * iron.problem.kappa
         if always_iron or (asked and keeps_samples(plain, iron)):
-            return Choice(iron, gain.total)
-        total = gain.total
+            return Choice(iron, gain)
     if plain_to_see:
         plain = rigid_or_wobbling(wobbling)
         look = look_at(plain, with_iron)
-    return Choice(plain, total, Doubt(look, look.probability(total)))
+    return Choice(plain, gain, Doubt(look, look.probability(gain)))
 
 
-def keeps_samples(simple: Solution, rich: Solution) -> bool:
-    """Return whether the rich model believes about as many samples as the simple one.
-
-    A model that has to throw samples away to fit the rest better explains nothing.
-    """
-    return bool(rich.believed.sum() > FEW_KEPT * simple.believed.sum())
+def keeps_samples(one: Solution, other: Solution) -> bool:
+    """Return whether the other model believes about as many samples as the one."""
+    return bool(other.believed.sum() >= FEW_KEPT * one.believed.sum())
 
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
@@ -167,31 +170,8 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     return rigid
 
 
-@dataclass(frozen=True)
-class Gain:
-    """What soft iron brings.
-
-    Parameters
-    ----------
-    total : float
-        Fall of the cost, log-determinants included.
-    steady : bool
-        Whether the samples fit better all along the turn.
-    """
-
-    total: float
-    steady: bool
-
-    def asks_for_it(self, price: float, *, rigid: bool = False) -> bool:
-        """Return whether soft iron is worth its price.
-
-        A rigid axis leaves little else that could look like soft iron.
-        """
-        return (rigid or self.steady) and self.total > price
-
-
-def soft_iron_gain(plain: Solution, iron: Solution) -> Gain:
-    """Return what soft iron brings, under the noise and gate found with it.
+def soft_iron_gain(plain: Solution, iron: Solution) -> float:
+    """Return by how much soft iron lowers the cost, under the noise and gate found with it.
 
     Only then are the two nested: noise found by each for itself moves the comparison by more than
     what is to be decided.
@@ -206,7 +186,7 @@ def soft_iron_gain(plain: Solution, iron: Solution) -> Gain:
     )
     lean = log_determinants(without) - log_determinants(with_it)
     total += float(problem.weights.sample @ lean)
-    return Gain(total, is_steady(falls))
+    return lasting_gain(total, falls)
 
 
 def _sample_costs(lin: Linearisation, problem: Problem) -> FloatArray:
@@ -215,20 +195,21 @@ def _sample_costs(lin: Linearisation, problem: Problem) -> FloatArray:
     return np.asarray(problem.weights.sample * each)
 
 
-def is_steady(falls: FloatArray) -> bool:
-    """Return whether a better fit is better all along the turn.
+def lasting_gain(total: float, falls: FloatArray) -> float:
+    """Return the gain as far as it is made all along the turn.
 
-    Soft iron helps everywhere; what fits one stretch of the turn at the expense of others is
-    something else.
+    Soft iron helps everywhere, something that passed by in one place, and what fits one stretch
+    at the expense of others is something else.
 
     Parameters
     ----------
+    total : float
+        Fall of the cost.
     falls : ndarray, shape (n,)
         Each sample's fall of chi-square.
     """
-    parts = np.array([part.sum() for part in np.array_split(falls, STRETCHES)])
-    spread = math.sqrt(STRETCHES) * float(parts.std(ddof=1))
-    return bool(parts.sum() > STEADINESS * spread)
+    parts = np.sort([part.sum() for part in np.array_split(falls, STRETCHES)])
+    return min(total, float(parts[:-BEST_STRETCHES].sum()) / LEAST_SHARE)
 
 
 def look_at(solution: Solution, with_iron: Prior) -> Look:
@@ -237,5 +218,7 @@ def look_at(solution: Solution, with_iron: Prior) -> Look:
     lin = linearise(solution.state, problem)
     pulled = (lin.local_covariance @ lin.local_gradient[:, :, None])[:, :, 0]
     slope = lin.gradient - lin.through_attitudes(pulled)
+    if not problem.rigid:
+        slope -= log_determinant_gradient(lin, problem)
     covariance = inverse_information(lin.reduced_information)
     return look_for_soft_iron(covariance, slope, with_iron, problem.kappa)

@@ -3,7 +3,7 @@
 Seen from the optimum without soft iron, one step towards the optimum with it tells the fall of
 chi-square, where the globals would go, and how much of the belief's room the samples would leave:
 the Occam factor of the marginal likelihood. Where both models remain possible, the covariance is
-the one of their mixture (Hoeting et al., "Bayesian model averaging", 1999).
+that of their mixture about the simpler one (Hoeting et al., "Bayesian model averaging", 1999).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
 
-PRIOR_ODDS = 4.0
-"""Twice the logarithm of the odds against soft iron worth mentioning, about seven to one."""
+PRIOR_ODDS = 1.4
+"""Twice the logarithm of the odds against soft iron worth mentioning, about two to one."""
 LEAST_PRICE = 15.0
 """On short arcs Occam's factor is weak; less than this is asked for by chance too often."""
-CHANCE = 8.0
-"""A fall of chi-square that noise alone brings; below it nothing speaks for soft iron."""
+CHANCE = 4.0
+"""A fall of chi-square that noise alone brings easily; below it nothing speaks for soft iron."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +53,18 @@ class Look:
         """Return by how much, times kappa, chi-square must fall for soft iron to be believed."""
         return min(max(self.occam + PRIOR_ODDS, LEAST_PRICE), most)
 
-    def probability(self, fitted_gain: float = 0.0) -> float:
-        """Return how likely soft iron is although it was not fitted.
+    def probability(self, gain: float) -> float:
+        """Return how likely soft iron is although it was left out.
 
         Parameters
         ----------
-        fitted_gain : float
-            Fall of chi-square where the richer model was tried.
+        gain : float
+            Fall of chi-square that the fit with soft iron found.
         """
-        gain = max(self.gain, fitted_gain) / self.kappa
-        if gain < CHANCE:
+        independent = gain / self.kappa
+        if independent < CHANCE:
             return 0.0
-        against = max(self.occam + PRIOR_ODDS, LEAST_PRICE) - gain
+        against = self.occam + PRIOR_ODDS - independent
         return 1.0 / (1.0 + math.exp(min(0.5 * against, 50.0)))
 
 
@@ -103,7 +103,7 @@ class Doubt:
     probability: float
 
     def widened(self, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
-        """Return the covariance of both models together.
+        """Return the mean square error of the estimate, whichever of the two models is true.
 
         Parameters
         ----------
@@ -114,5 +114,4 @@ class Doubt:
         """
         likely, away = self.probability, jacobian @ self.look.step
         rich = jacobian @ self.look.covariance @ jacobian.T
-        between = likely * (1.0 - likely) * np.outer(away, away)
-        return np.asarray((1.0 - likely) * covariance + likely * rich + between)
+        return np.asarray((1.0 - likely) * covariance + likely * (rich + np.outer(away, away)))

@@ -113,11 +113,13 @@ def carry(window: Window, first: IntArray) -> Carrier:
     knots = min(MOST_KNOTS, math.ceil(float(elapsed[-1]) / KNOT_SPACING))
     spacing = float(elapsed[-1]) / knots
     hats = np.maximum(0.0, 1.0 - np.abs(elapsed[:, None] / spacing - np.arange(1, knots + 1)))
-    by_knot = hats[:, None, :, None] * np.eye(3)[None, :, None, :]
-    n = len(elapsed)
-    start = np.broadcast_to(np.eye(3), (n, 3, 3))
-    basis = np.concatenate([start, by_bias, by_scale, by_knot.reshape(n, 3, -1)], axis=2)
-    return Carrier(_average_rotations(attitude, first), _averages(basis, first), knots, spacing)
+    # Averaged part by part: the whole basis of a million samples would not fit in memory.
+    by_bias, by_scale, hats = (_averages(part, first) for part in (by_bias, by_scale, hats))
+    count = len(first)
+    by_knot = (hats[:, None, :, None] * np.eye(3)[None, :, None, :]).reshape(count, 3, -1)
+    start = np.broadcast_to(np.eye(3), (count, 3, 3))
+    basis = np.concatenate([start, by_bias, by_scale, by_knot], axis=2)
+    return Carrier(_average_rotations(attitude, first), basis, knots, spacing)
 
 
 def _cumulated(values: FloatArray, step: FloatArray) -> FloatArray:
@@ -127,7 +129,8 @@ def _cumulated(values: FloatArray, step: FloatArray) -> FloatArray:
 
 def _averages(values: FloatArray, first: IntArray) -> FloatArray:
     count = np.diff(np.append(first, len(values)))
-    return np.asarray(np.add.reduceat(values, first, axis=0) / count[:, None, None])
+    mean = np.add.reduceat(values, first, axis=0).T / count
+    return np.asarray(mean.T)
 
 
 def _average_rotations(rotations: FloatArray, first: IntArray) -> FloatArray:

@@ -95,6 +95,23 @@ def anneal(start: State, samples: Samples, prior: Prior, rounds: int = 30) -> So
     return Solution(state, _soft(problem, state, prediction))
 
 
+def softened(solution: Solution, rounds: int = 4) -> Solution:
+    """Take a few soft-weighted steps, the noise estimated on the way.
+
+    A gate that is closed before freshly freed globals have moved shuts out the samples that they
+    are to explain.
+    """
+    state, problem, damping = solution.state, solution.problem, 1e-4
+    prediction = predict(state, problem.samples)
+    for _ in range(rounds):
+        problem = _soft(problem, state, prediction)
+        lin = linearise(state, problem, prediction)
+        step = take_step(lin, problem, damping)
+        state, prediction, damping = step.state, step.prediction, step.damping
+        problem = problem.with_noise(estimate_noise(lin, problem, change=2.0))
+    return Solution(state, problem)
+
+
 def gated(solution: Solution, rounds: int = 10) -> Solution:
     """Replace soft weights by a gate and repeat until gate, noise and optimum agree.
 

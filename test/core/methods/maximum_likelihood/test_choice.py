@@ -1,0 +1,45 @@
+"""Which model is chosen, and on what grounds."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.maximum_likelihood.choice import lasting_gain
+from magcal_ros.core.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+
+
+def test_a_gain_all_along_the_turn_counts_in_full():
+    assert lasting_gain(80.0, np.full(400, 0.2)) == pytest.approx(80.0)
+
+
+def test_a_gain_in_one_place_counts_for_nothing():
+    falls = np.full(400, -0.01)
+    falls[120:180] = 1.0
+    assert lasting_gain(float(falls.sum()), falls) < 0.0
+
+
+def test_both_ends_of_a_half_turn_may_gain_more_than_its_middle():
+    falls = np.linspace(-1.0, 1.0, 400) ** 2
+    total = float(falls.sum())
+    assert lasting_gain(total, falls) == pytest.approx(total)
+
+
+@pytest.mark.parametrize("heading", [-2.0, -1.0, 0.0, 1.0])
+def test_soft_iron_on_half_a_turn_is_not_taken_for_outliers(heading):
+    robot = Robot(soft_iron=np.diag([0.05, -0.05, 0.0]))
+    motion = turn(arc=math.pi, start_rpy=(0.0, 0.0, heading))
+    estimate = fit(measure(robot, motion, np.random.default_rng(11)), robot.knowledge())
+    assert estimate.figures["soft_iron"] == 1.0
+    assert estimate.inliers.mean() > 0.95
+
+
+def test_a_wobble_does_not_look_like_soft_iron():
+    robot, doubted = Robot(), []
+    for seed in range(6):
+        rng = np.random.default_rng([12, seed])
+        lean = smooth_wobble(rng, 500, 15.0, 2 * DEGREE)
+        window = measure(robot, turn(arc=math.pi, wobble=lean), rng)
+        doubted.append(fit(window, robot.knowledge()).figures["heading_sigma"])
+    assert np.median(doubted) < 0.13 * DEGREE
