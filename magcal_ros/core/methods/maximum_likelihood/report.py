@@ -63,7 +63,7 @@ def build_estimate(
         method=METHOD,
         correction=correction_from(shared, prepared.all.mounting, scale),
         covariance=covariance,
-        installation=Installation(shared.roll, shared.pitch),
+        installation=Installation(shared.roll, shared.pitch, shared.yaw),
         axis=shared.body_axis[:, 2],
         arc=arc,
         strength=scale * shared.strength,
