@@ -152,7 +152,8 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._control.start(self._table.settings)
+        sensors = f"{self._inputs.field.frame} {self._inputs.imu.frame}"
+        opened = self._control.start(self._table.settings, sensors)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -195,6 +196,7 @@ class Calibrator(Node):
             return Conclusion(False, str(error))
 
     def _reset(self) -> Conclusion:
+        self._control.forget_turns()
         if self._keeper.calibration is None:
             return Conclusion(True, "there was no calibration in force")
         self._keeper.reset()
@@ -243,6 +245,8 @@ class Calibrator(Node):
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
+        if not self._table.settings.accumulate:
+            self._control.forget_turns()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()

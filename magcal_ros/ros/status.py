@@ -32,6 +32,10 @@ def status_json(control: Control, keeper: Keeper, inputs: Inputs, declination: f
             if conclusion is None
             else {"success": conclusion.success, "message": conclusion.message},
             "verdict": None if outcome is None else _verdict(outcome.verdict),
+            "turns_kept": control.turns_kept,
+            "several": None
+            if outcome is None or outcome.several is None
+            else outcome.several.facts(),
             "calibration": _calibration(keeper),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},

@@ -21,7 +21,6 @@ from magcal_ros.core.several.observability import heading_jacobians, relative, r
 from magcal_ros.core.several.survey import Turn
 
 WORST_IS_LARGEST = (
-    "split_half",
     "gyro_compass_rms",
     "field_noise_ratio",
     "up_noise",

@@ -56,6 +56,24 @@ class Shown:
             f"soft iron ±{iron:.1f} % at worst (1σ)"
         )
 
+    def facts(self) -> dict[str, object]:
+        """Return the standard deviations in people's units, rounded."""
+        degrees = {
+            "installation_yaw": self.installation_yaw,
+            "inclination": self.inclination,
+            "heading": self.level,
+            "heading_tilted": self.tilted,
+            "heading_absolute": self.absolute_level,
+            "heading_absolute_tilted": self.absolute_tilted,
+        }
+        facts: dict[str, object] = {
+            f"{name}_deg": round(math.degrees(value), 4) for name, value in degrees.items()
+        }
+        facts["axial_hard_iron_ut"] = round(self.axial_hard_iron * 1e6, 4)
+        facts["strength_ut"] = round(self.strength * 1e6, 4)
+        facts["soft_iron_percent"] = [round(100.0 * value, 4) for value in self.soft_iron]
+        return facts
+
     def brought(self, before: Shown) -> str:
         """Say what a turn brought, from what was shown before it."""
         told = changes(before, self)
@@ -183,6 +201,23 @@ class Several:
             if not fate.joined:
                 words += f" Not joined: {fate.name}: {fate.words}."
         return f"{words} {self.advice_in_words}"
+
+    def facts(self) -> dict[str, object]:
+        """Return everything as plain values in people's units, for JSON."""
+        return {
+            "turns": [
+                {
+                    "name": fate.name,
+                    "joined": fate.joined,
+                    "words": fate.words,
+                    "shown": None if fate.shown is None else fate.shown.facts(),
+                }
+                for fate in self.fates
+            ],
+            "shown": self.shown.facts(),
+            "next": [{"pose": a.pose, "after": a.after.facts()} for a in self.advice],
+            "advice": self.advice_in_words,
+        }
 
 
 def _is_worth_it(before: Shown, after: Shown) -> bool:
