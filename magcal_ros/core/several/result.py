@@ -179,12 +179,13 @@ class Several:
     @property
     def advice_in_words(self) -> str:
         """What the next turn should be, with the numbers before and after."""
-        if not self.advice or not _is_worth_it(self.shown, self.advice[0].after):
-            best = f" (at best ±{_degrees(self.advice[0].after.absolute_tilted)})"
-            return (
-                "Another turn would bring little: absolute heading at 10° of tilt "
-                f"±{_degrees(self.shown.absolute_tilted)}{best if self.advice else ''}."
-            )
+        now = f"absolute heading at 10° of tilt ±{_degrees(self.shown.absolute_tilted)}"
+        if not self.advice:
+            return f"Now {now}."
+        best = self.advice[0].after
+        if not _is_worth_it(self.shown, best):
+            left = _degrees(best.absolute_tilted)
+            return f"Another turn would bring little: {now} (at best ±{left})."
         first = self.advice[0]
         words = f"Next turn {first.pose}: {_change(self.shown, first.after)}."
         other = next((a for a in self.advice[1:] if _kind(a) != _kind(first)), None)

@@ -12,8 +12,10 @@ from magcal_ros.core.methods.maximum_likelihood.model import Samples
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 from magcal_ros.core.rotations import rotation_from_rpy, rpy_from_rotation
 
-FLAT = 0.02
+FLAT = 0.05
 """Share of the sphere that circles on different tilts must leave out of one plane."""
+LEAST_ROUND = 0.5
+"""Cosine and sine of the yaw, found apart, whose squares add up to less show no yaw."""
 LEAST_TURNED = 0.02
 """How much of the level field must lean against up for gravity to show the yaw."""
 
@@ -22,7 +24,7 @@ def sphere_guess(turns: list[Samples], guess: Globals) -> Globals:
     """Return hard iron and strength by the sphere that all turns lie on, and what follows.
 
     The sphere |K^-1 m - K^-1 h| = B is linear in the centre and in B² - |centre|². Where the
-    circles lie in one plane, the guess stays.
+    circles lie in one plane, those of the guess stay.
 
     Parameters
     ----------
@@ -35,17 +37,32 @@ def sphere_guess(turns: list[Samples], guess: Globals) -> Globals:
     inverse = np.linalg.inv(mounting)
     points = np.vstack([turn.field for turn in turns]) @ inverse.T
     up = np.vstack([turn.up for turn in turns])
+    centre, strength = inverse @ guess.hard_iron, guess.strength
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[2] < FLAT * spread[0]:
-        return guess
-    columns = np.column_stack([2.0 * points, np.ones(len(points))])
-    answer = np.linalg.lstsq(columns, np.sum(points**2, axis=1), rcond=None)[0]
-    centre = answer[:3]
-    strength = math.sqrt(max(float(answer[3] + centre @ centre), 1e-6))
+    if spread[2] > FLAT * spread[0]:
+        columns = np.column_stack([2.0 * points, np.ones(len(points))])
+        answer = np.linalg.lstsq(columns, np.sum(points**2, axis=1), rcond=None)[0]
+        centre = answer[:3]
+        strength = math.sqrt(max(float(answer[3] + centre @ centre), 1e-6))
     found = replace(
         guess, hard_iron=mounting @ centre, strength=strength, soft_iron=np.zeros(6), yaw=0.0
     )
-    return turned_to_gravity(found, up, points - centre)
+    field = points - centre
+    return turned_to_gravity(replace(found, yaw=_yaw_by_gravity(found, up, field)), up, field)
+
+
+def _yaw_by_gravity(guess: Globals, up: FloatArray, field: FloatArray) -> float:
+    """Return the yaw under which gravity and field keep their angle; zero where none is shown.
+
+    The angle's cosine is linear in cosine and sine of the yaw. Noise alone draws both to zero.
+    """
+    x, y, z = (field @ guess.installation / guess.strength).T
+    columns = np.column_stack(
+        [up[:, 0] * x + up[:, 1] * y, up[:, 1] * x - up[:, 0] * y, np.ones(len(up))]
+    )
+    cosine, sine, _ = np.linalg.lstsq(columns, -up[:, 2] * z, rcond=None)[0]
+    shown = LEAST_ROUND < math.hypot(cosine, sine) < 1.0 / LEAST_ROUND
+    return math.atan2(sine, cosine) if shown else 0.0
 
 
 def turned_to_gravity(guess: Globals, up: FloatArray, field: FloatArray) -> Globals:
