@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
     gather,
-    knowledge_from,
+    mounting_from,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome
 from magcal_ros.core.errors import Misuse
@@ -53,7 +53,8 @@ class Fitted:
     @property
     def complaints(self) -> list[str]:
         """What is wrong with what was recorded, in words."""
-        return [words for each in self.everything for words in each.gathering.complaints()]
+        found = [words for each in self.everything for words in each.complaints()]
+        return list(dict.fromkeys(found))
 
     @property
     def status(self) -> Exit:
@@ -91,10 +92,11 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, leave the files, and say what came of it."""
     folder = _folder(options.output)
-    knowledge = knowledge_from(options)
     _check_use(options)
-    everything = tuple(gather(options, knowledge, path) for path in options.recordings)
-    fitted = _fit(everything, knowledge, options)
+    mounting = mounting_from(options)
+    everything = tuple(gather(options, mounting, path) for path in options.recordings)
+    fitted = _fit(everything, options)
+    knowledge = fitted.knowledge
     if options.compare:
         print(compare_methods(fitted.window, knowledge))
         return fitted.status
@@ -112,15 +114,16 @@ def _check_use(options: argparse.Namespace) -> None:
         raise Misuse("--from and --to cut one recording: with several, give each whole")
 
 
-def _fit(
-    everything: tuple[Gathered, ...], knowledge: Knowledge, options: argparse.Namespace
-) -> Fitted:
+def _fit(everything: tuple[Gathered, ...], options: argparse.Namespace) -> Fitted:
     frames = sorted({each.field_frame for each in everything if each.field_frame})
     if len(frames) > 1:
         raise Misuse(
             f"the recordings are of different magnetometers ({', '.join(frames)}); join those of "
             "one sensor"
         )
+    # All turns are made in one place: the first recording that knows its field speaks for it.
+    known = next((g for g in everything if g.reference.field.is_complete), everything[0])
+    knowledge = Knowledge(known.reference.field, known.gathering.mounting)
     if len(everything) == 1:
         gathering = everything[0].gathering
         outcome, window = fit_gathered(gathering, knowledge, options.method)
@@ -128,8 +131,8 @@ def _fit(
     names = names_of([str(path) for path in options.recordings])
     gatherings = [each.gathering for each in everything]
     outcome, window, newest = fit_several(gatherings, names, knowledge, options.method)
-    progress = gatherings[newest].progress()
-    return Fitted(everything[newest], knowledge, outcome, window, progress, everything)
+    gathered = replace(everything[newest], reference=known.reference)
+    return Fitted(gathered, knowledge, outcome, window, gatherings[newest].progress(), everything)
 
 
 def _folder(chosen: Path | None) -> Path:
@@ -172,6 +175,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     verdict = fitted.outcome.verdict
     rows = [(name, number, unit) for _, name, number, unit in _numbers(fitted)]
     text = f"{verdict.summary}\n\n{table(rows)}\n"
+    text += f"\nReference field: {fitted.gathered.reference.words}.\n"
     several = fitted.outcome.several
     if several is not None:
         lines = [
@@ -208,6 +212,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
             "mag_topic": gathered.field_topic,
             "complaints": fitted.complaints,
         },
+        "reference": gathered.reference.facts,
         "several": None if outcome.several is None else outcome.several.facts(),
         "files": [str(file) for file in files],
         "exit": int(fitted.status),

@@ -38,6 +38,7 @@ from magcal_ros.ros.status import (
     inputs_diagnostic,
     status_json,
 )
+from magcal_ros.ros.whereabouts import Whereabouts
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
@@ -60,6 +61,7 @@ class Calibrator(Node):
         self._status = ""
         self._gravity: CarriedGravity | None = None
         self._table = Parameters(self)
+        self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
@@ -108,13 +110,11 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
-            reference = self._table.settings.knowledge.reference
+            reference = self._whereabouts.reference.field
             force = streams.force_at(sample.stamp)
             if force is not None and self._gravity is not None:
                 force = self._gravity.up or force
-            self._outputs.publish(
-                message, sample.field, force, self._body_frame(), reference.declination
-            )
+            self._outputs.publish(message, sample.field, force, self._body_frame(), reference)
         if not streams.is_repeated:
             self._control.add(sample)
 
@@ -153,7 +153,7 @@ class Calibrator(Node):
 
     def _start(self) -> Conclusion:
         sensors = f"{self._inputs.field.frame} {self._inputs.imu.frame}"
-        opened = self._control.start(self._table.settings, sensors)
+        opened = self._control.start(self._whereabouts.settings, sensors)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -163,6 +163,7 @@ class Calibrator(Node):
         self._outputs.put_in_force(calibration, magnetometer_frame)
         carried = calibration is not None and calibration.wants_carried_up
         self._gravity = CarriedGravity() if carried else None
+        self._whereabouts.use(calibration)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -247,6 +248,7 @@ class Calibrator(Node):
         self._inputs.streams.max_gap = self._table.settings.max_gap
         if not self._table.settings.accumulate:
             self._control.forget_turns()
+        self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()
@@ -254,15 +256,15 @@ class Calibrator(Node):
         report.header.stamp = now
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
-            field_diagnostic(name, self._outputs, self._keeper),
+            field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
         self._diagnostics_out.publish(report)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        declination = self._table.settings.knowledge.reference.declination
-        status = status_json(self._control, self._keeper, self._inputs, declination)
+        reference = self._whereabouts.reference
+        status = status_json(self._control, self._keeper, self._inputs, reference)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))
