@@ -60,6 +60,7 @@ FIGURES: dict[str, Unit] = {
     "soft_iron_gain": Unit("fall of chi-square by soft iron"),
     "gyro_carried": Unit("gyro carried the attitude (1 yes, 0 no)"),
     "turns": Unit("turns that were joined"),
+    "turn_misfit": Unit("worst turn off the others, as many times as noise explains"),
     "field_scale": Unit("field scale inside the fit", MICRO, " µT"),
 }
 for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
