@@ -80,6 +80,7 @@ class Control:
         self._job: Job[tuple[Outcome, Kept]] | None = None
         self._kept = self._kept_before = Kept()
         self._sensor = ""
+        self._which_sensor: Callable[[], str] = str
         self._saving: Job[str] | None = None
         self._preview: Job[float] | None = None
         self._preview_began = self._next_preview = 0.0
@@ -113,15 +114,16 @@ class Control:
         """Let the next turn start afresh."""
         self._kept = Kept()
 
-    def start(self, settings: Settings, sensor: str = "") -> Conclusion:
+    def start(self, settings: Settings, sensor: Callable[[], str] = str) -> Conclusion:
         """Open a session; refused while another is under way.
 
         Parameters
         ----------
         settings : Settings
             The parameters of the moment.
-        sensor : str
-            Which sensors are there; turns of others are not joined.
+        sensor : callable
+            Says which sensors are there, once they have been heard; turns of others are not
+            joined.
         """
         if self.state is not State.IDLE:
             return Conclusion(
@@ -134,9 +136,9 @@ class Control:
                 f"the method {settings.method} does not join turns: set method to {JOINS}, or "
                 "accumulate to false",
             )
-        if not settings.accumulate or sensor != self._sensor:
+        if not settings.accumulate:
             self.forget_turns()
-        self._settings, self._sensor = settings, sensor
+        self._settings, self._which_sensor = settings, sensor
         self.last_window = None
         self._preview = None
         self._pairer = Pairer(self._streams)
@@ -241,6 +243,9 @@ class Control:
             self._refuse(refusal)
             return
         settings = self._settings
+        if self._which_sensor() != self._sensor:
+            self._sensor = self._which_sensor()
+            self.forget_turns()
         self._kept_before = self._kept
         work = (self._kept, window, settings.knowledge, settings.method)
         self._job = self._worker.submit(take_turn, *work, accumulate=settings.accumulate)

@@ -121,6 +121,9 @@ class Calibrator(Node):
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
 
+    def _sensors(self) -> str:
+        return f"{self._inputs.field.frame} {self._inputs.imu.frame}"
+
     def _body_frame(self) -> str:
         heard = self._inputs.imu.frame
         return heard or (self._keeper.origin.imu_frame if self._keeper.origin else "")
@@ -152,8 +155,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        sensors = f"{self._inputs.field.frame} {self._inputs.imu.frame}"
-        opened = self._control.start(self._whereabouts.settings, sensors)
+        opened = self._control.start(self._whereabouts.settings, self._sensors)
         if opened.success:
             self._tick.reset()
             self._publish_status()
