@@ -20,7 +20,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
 from magcal_ros.core.several.calibrate import JOINS
 from magcal_ros.core.several.keep import Kept, take_turn
-from magcal_ros.core.streams import FieldSample, Pairer, Streams
+from magcal_ros.core.streams import FieldSample, Pair, Pairer, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.ros.settings import Settings
 
@@ -60,6 +60,15 @@ class Control:
         Says which sensor is missing, and what to look at.
     report : callable
         Begins the report on a window and its outcome and returns where it will lie, in words.
+    which_sensor : callable
+        Says which sensors have been heard; turns of others are not joined.
+
+    Attributes
+    ----------
+    on_pair : callable
+        Sees every pair that a session takes.
+    is_held : callable
+        Whether a complete turn is not over yet, because the robot is on its way back.
     """
 
     def __init__(
@@ -68,6 +77,7 @@ class Control:
         put_in_force: Callable[[Calibration], Callable[[], str]],
         describe_silence: Callable[[], str],
         report: Callable[[Window, Settings, Outcome], str],
+        which_sensor: Callable[[], str] = str,
     ) -> None:
         self._streams = streams
         self._put_in_force = put_in_force
@@ -80,13 +90,15 @@ class Control:
         self._job: Job[tuple[Outcome, Kept]] | None = None
         self._kept = self._kept_before = Kept()
         self._sensor = ""
-        self._which_sensor: Callable[[], str] = str
+        self._which_sensor = which_sensor
         self._saving: Job[str] | None = None
         self._preview: Job[float] | None = None
         self._preview_began = self._next_preview = 0.0
         self._why_ended = ""
         self._words = self._words_of_report = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
+        self.on_pair: Callable[[Pair], None] = lambda _: None
+        self.is_held: Callable[[], bool] = lambda: False
         self.progress: Progress | None = None
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
@@ -114,17 +126,8 @@ class Control:
         """Let the next turn start afresh."""
         self._kept = Kept()
 
-    def start(self, settings: Settings, sensor: Callable[[], str] = str) -> Conclusion:
-        """Open a session; refused while another is under way.
-
-        Parameters
-        ----------
-        settings : Settings
-            The parameters of the moment.
-        sensor : callable
-            Says which sensors are there, once they have been heard; turns of others are not
-            joined.
-        """
+    def start(self, settings: Settings) -> Conclusion:
+        """Open a session; refused while another is under way."""
         if self.state is not State.IDLE:
             return Conclusion(
                 False,
@@ -138,7 +141,7 @@ class Control:
             )
         if not settings.accumulate:
             self.forget_turns()
-        self._settings, self._which_sensor = settings, sensor
+        self._settings = settings
         self.last_window = None
         self._preview = None
         self._pairer = Pairer(self._streams)
@@ -174,6 +177,18 @@ class Control:
         self._conclude(Conclusion(False, "cancelled; the calibration in force is unchanged"))
         return Conclusion(True, "cancelled; the calibration in force is unchanged")
 
+    def break_off(self, reason: str) -> None:
+        """Give up the turn that is being collected; the reason is its conclusion."""
+        if self._session is not None:
+            self._session = None
+            self._conclude(Conclusion(False, f"{reason}; the calibration in force is unchanged"))
+
+    def end_turn(self, why: str) -> None:
+        """Fit what was seen of the turn that is being collected, for it will not get longer."""
+        if self._session is not None:
+            self._collect(self._session)
+            self._begin_fit(self._session, why)
+
     def tick(self) -> bool:
         """Move on what is ready to move; returns whether a session or a fit is under way."""
         if self._job is not None:
@@ -187,7 +202,8 @@ class Control:
         elif self._session is not None:
             self._collect(self._session)
             self.progress = self._session.progress(time.monotonic())
-            if self.progress.stage is Stage.COLLECTING:
+            is_held = self.progress.stage is Stage.COMPLETE and self.is_held()
+            if self.progress.stage is Stage.COLLECTING or is_held:
                 self._look_ahead(self._session, self.progress)
             else:
                 self._end_collection(self._session, self.progress)
@@ -202,6 +218,7 @@ class Control:
         now = time.monotonic()
         for pair in self._pairer.take():
             session.add(pair, now)
+            self.on_pair(pair)
 
     def _look_ahead(self, session: Session, progress: Progress) -> None:
         """Let the worker predict, now and then, how certain a fit would be already."""
