@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,13 @@ from magcal_ros.cli.recorded import (
     mounting_from,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome
+from magcal_ros.core.errors import Misuse
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.figures import common_figures
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.offline import LITTLE_DATA, fit_gathered
+from magcal_ros.core.offline import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.core.session import Progress
+from magcal_ros.core.several.keep import names_of
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
@@ -37,13 +39,23 @@ CALIBRATION = "calibration.yaml"
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A recording and what came of it."""
+    """A recording, or several that were joined, and what came of it.
+
+    Of several, `gathered`, `window` and `progress` are those of the last that joined.
+    """
 
     gathered: Gathered
     knowledge: Knowledge
     outcome: Outcome
     window: Window | None
     progress: Progress
+    everything: tuple[Gathered, ...]
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is wrong with what was recorded, in words."""
+        found = [words for each in self.everything for words in each.complaints()]
+        return list(dict.fromkeys(found))
 
     @property
     def status(self) -> Exit:
@@ -59,9 +71,11 @@ def add_to(commands: Any) -> None:
         "fit",
         help="calibrate from a recording",
         description="Calibrate from a recording of a turn, as the node does live. The whole span "
-        "is used. Exit status: 0 good, 2 usage, 3 too little data, 4 refused, 5 file trouble.",
+        "is used. Several recordings of turns on different tilts are joined into one estimate, "
+        "the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data, "
+        "4 refused, 5 file trouble.",
     )
-    add_recording_options(parser)
+    add_recording_options(parser, several=True)
     parser.add_argument(
         "--output",
         type=Path,
@@ -79,16 +93,47 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, leave the files, and say what came of it."""
     folder = _folder(options.output)
-    gathered = gather(options, mounting_from(options))
-    knowledge = Knowledge(gathered.reference.field, gathered.gathering.mounting)
-    outcome, window = fit_gathered(gathered.gathering, knowledge, options.method)
-    fitted = Fitted(gathered, knowledge, outcome, window, gathered.gathering.progress())
+    _check_use(options)
+    mounting = mounting_from(options)
+    everything = tuple(gather(options, mounting, path) for path in options.recordings)
+    fitted = _fit(everything, options)
+    knowledge = fitted.knowledge
     if options.compare:
-        print(compare_methods(window, knowledge))
+        print(compare_methods(fitted.window, knowledge))
         return fitted.status
     files = _write_files(folder, fitted, options)
     print(document(_facts(fitted, files)) if options.json else _words(fitted, files))
     return fitted.status
+
+
+def _check_use(options: argparse.Namespace) -> None:
+    if len(options.recordings) == 1:
+        return
+    if options.compare:
+        raise Misuse("--compare takes one recording: methods differ in what they make of several")
+    if options.start > 0.0 or options.stop < math.inf:
+        raise Misuse("--from and --to cut one recording: with several, give each whole")
+
+
+def _fit(everything: tuple[Gathered, ...], options: argparse.Namespace) -> Fitted:
+    frames = sorted({each.field_frame for each in everything if each.field_frame})
+    if len(frames) > 1:
+        raise Misuse(
+            f"the recordings are of different magnetometers ({', '.join(frames)}); join those of "
+            "one sensor"
+        )
+    # All turns are made in one place: the first recording that knows its field speaks for it.
+    known = next((g for g in everything if g.reference.field.is_complete), everything[0])
+    knowledge = Knowledge(known.reference.field, known.gathering.mounting)
+    if len(everything) == 1:
+        gathering = everything[0].gathering
+        outcome, window = fit_gathered(gathering, knowledge, options.method)
+        return Fitted(everything[0], knowledge, outcome, window, gathering.progress(), everything)
+    names = names_of([str(path) for path in options.recordings])
+    gatherings = [each.gathering for each in everything]
+    outcome, window, newest = fit_several(gatherings, names, knowledge, options.method)
+    gathered = replace(everything[newest], reference=known.reference)
+    return Fitted(gathered, knowledge, outcome, window, gatherings[newest].progress(), everything)
 
 
 def _folder(chosen: Path | None) -> Path:
@@ -118,7 +163,8 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
         window,
         fitted.knowledge,
         fitted.outcome,
-        source=f"{plain(str(options.recording))} ({gathered.field_topic} and {gathered.imu_topic})",
+        source=f"{', '.join(plain(str(path)) for path in options.recordings)} "
+        f"({gathered.field_topic} and {gathered.imu_topic})",
         created=datetime.now().astimezone(),
         method=options.method,
         magnetometer_frame=gathered.field_frame,
@@ -131,8 +177,16 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     rows = [(name, number, unit) for _, name, number, unit in _numbers(fitted)]
     text = f"{verdict.summary}\n\n{table(rows)}\n"
     text += f"\nReference field: {fitted.gathered.reference.words}.\n"
-    text += bullets("Not shown by this turn:", verdict.not_shown)
-    text += bullets("About the recording:", fitted.gathered.complaints())
+    several = fitted.outcome.several
+    if several is not None:
+        lines = [
+            f"{fate.name}: {'' if fate.joined else 'left out: '}{fate.words}"
+            for fate in several.fates
+        ]
+        text += bullets("Turns:", [*lines, several.advice_in_words])
+    which = "this turn" if len(fitted.everything) == 1 else "these turns"
+    text += bullets(f"Not shown by {which}:", verdict.not_shown)
+    text += bullets("About the recording:", fitted.complaints)
     text += bullets("Written:", [str(file) for file in files])
     if not files:
         text += "\nNo calibration was written.\n"
@@ -157,9 +211,10 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "recording": {
             "imu_topic": gathered.imu_topic,
             "mag_topic": gathered.field_topic,
-            "complaints": gathered.complaints(),
+            "complaints": fitted.complaints,
         },
         "reference": gathered.reference.facts,
+        "several": None if outcome.several is None else outcome.several.facts(),
         "files": [str(file) for file in files],
         "exit": int(fitted.status),
     }
@@ -191,6 +246,11 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
     figures = common_figures(estimate) | dict(estimate.figures)
+    if "installation_yaw_sigma" in figures and estimate.installation is not None:
+        yaw = math.degrees(estimate.installation.yaw)
+        sigma = math.degrees(figures["installation_yaw_sigma"])
+        rows.append(("installation_yaw_deg", "installation yaw", f"{yaw:.2f}", "°"))
+        rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", f"{sigma:.2f}", "°"))
     rows += [
         ("strength_ut", "field strength", f"{estimate.strength * 1e6:.1f}", "µT"),
         ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),

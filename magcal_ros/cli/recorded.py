@@ -55,13 +55,19 @@ class Gathered:
         return [*self.gathering.complaints(), *self.reference.complaints]
 
 
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """Add the recording and which part of it to read."""
-    parser.add_argument(
-        "recording",
-        type=Path,
-        help="rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv",
-    )
+def add_recording_options(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+    """Add the recording, or several as `recordings`, and which part of it to read."""
+    kinds = "rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv"
+    if several:
+        parser.add_argument(
+            "recordings",
+            type=Path,
+            nargs="+",
+            metavar="recording",
+            help=f"{kinds}; turns of several recordings are joined",
+        )
+    else:
+        parser.add_argument("recording", type=Path, help=kinds)
     parser.add_argument("--imu", default="", metavar="TOPIC", help="the Imu topic of a bag")
     parser.add_argument("--mag", default="", metavar="TOPIC", help="its MagneticField topic")
     parser.add_argument(
@@ -107,8 +113,12 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
     return knowledge_of(soft_iron_gains=gains, mount_rpy_deg=angles).mounting
 
 
-def gather(options: argparse.Namespace, mounting: Mounting) -> Gathered:
-    """Read the recording, with progress on stderr, and find its reference field.
+def gather(
+    options: argparse.Namespace, mounting: Mounting, recording: Path | None = None
+) -> Gathered:
+    """Read a recording, with progress on stderr, and find its reference field.
+
+    Without `recording` it is the one that the options name.
 
     Raises
     ------
@@ -121,7 +131,8 @@ def gather(options: argparse.Namespace, mounting: Mounting) -> Gathered:
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
-    with open_recording(options.recording, **chosen, **span) as source:
+    path = options.recording if recording is None else recording
+    with open_recording(path, **chosen, **span) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         gathering.take(watched(source, sys.stderr))
         return Gathered(

@@ -15,6 +15,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.figures import predicted_heading_sigma
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.several.result import Several
 from magcal_ros.core.units import likely_field_unit
 from magcal_ros.core.verdict import Verdict, judge, refuse
 from magcal_ros.core.window import Window
@@ -23,6 +24,9 @@ Fit = Callable[[Window, Knowledge], Estimate]
 
 METHODS = ("maximum_likelihood", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
+
+JOINS = METHODS[0]
+"""The method that joins turns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +43,15 @@ class Outcome:
         The method's own result.
     reason : Reason or None
         Why nothing could be found.
+    several : Several or None
+        Where turns were put together: what became of each, what is shown, and what comes next.
     """
 
     verdict: Verdict
     calibration: Calibration | None = None
     estimate: Estimate | None = None
     reason: Reason | None = None
+    several: Several | None = None
 
     @classmethod
     def refused(cls, refusal: Refusal) -> Outcome:
@@ -86,12 +93,17 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(_with_unit(refusal, window))
+        return Outcome.refused(explained(refusal, window))
+    return judged(estimate, knowledge, window)
+
+
+def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
+    """Judge an estimate; `window` holds the samples that its residuals are of."""
     verdict = judge(estimate, knowledge, window)
     return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
 
 
-def _with_unit(refusal: Refusal, window: Window) -> Refusal:
+def explained(refusal: Refusal, window: Window) -> Refusal:
     """Add the field's likely unit to a refusal: a wrong one upsets every check before it shows."""
     if len(window) == 0:
         return refusal

@@ -33,6 +33,7 @@ class Reason(str, Enum):
     AMBIGUOUS = "ambiguous"
     PLANAR = "planar"
     NO_CONVERGENCE = "no_convergence"
+    TURNS_DISAGREE = "turns_disagree"
 
 
 class Refusal(MagcalError):

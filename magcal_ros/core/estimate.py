@@ -18,17 +18,18 @@ from magcal_ros.core.rotations import rotation_angle, rotation_from_rpy
 class Installation:
     """How far the magnetometer is turned from its nominal pose in the IMU's frame.
 
-    Roll and pitch in radians as in a URDF origin; the yaw is zero by convention, because one
-    rotation cannot show it.
+    Radians as in a URDF origin. After one turn the yaw is zero by convention, because one
+    rotation cannot show it; turns on different tilts do.
     """
 
     roll: float
     pitch: float
+    yaw: float = 0.0
 
     @property
     def pose(self) -> FloatArray:
         """Sensor axes to body axes, shape (3, 3)."""
-        return rotation_from_rpy(self.roll, self.pitch)
+        return rotation_from_rpy(self.roll, self.pitch, self.yaw)
 
     @property
     def angle(self) -> float:

@@ -19,6 +19,8 @@ DECLINATION_SIGMA_DEG = 0.5
 SOFT_IRON_SIGMA_DIAGONAL = 0.03
 SOFT_IRON_SIGMA_CROSS = 0.02
 
+MOUNTING_YAW_SIGMA = math.radians(5.0)
+
 
 @dataclass(frozen=True)
 class Belief:
@@ -130,16 +132,22 @@ class Mounting:
     pose : array_like, shape (3, 3)
         Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
         (`rotation_from_rpy` of the URDF's origin).
+    yaw_sigma : float
+        Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and
+        pitch in one turn; yaw shows in turns on different tilts only.
     """
 
     gains: FloatArray = field(default_factory=lambda: np.ones(3))
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
+    yaw_sigma: float = MOUNTING_YAW_SIGMA
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", frozen_array(self.gains, (3,), "soft-iron gains"))
         object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "mounting pose"))
         if (self.gains <= 0.0).any():
             raise ValueError("soft-iron gains must be positive")
+        if not 0.0 < self.yaw_sigma < math.inf:
+            raise ValueError("the sigma of the mounting's yaw must be positive and finite")
 
     @property
     def matrix(self) -> FloatArray:

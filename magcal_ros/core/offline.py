@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
@@ -10,6 +11,7 @@ from magcal_ros.core.complaints import Heard, complaints
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.session import Limits, Progress, Session
+from magcal_ros.core.several.result import TurnFate
 from magcal_ros.core.streams import MAX_GAP, Drop, FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.window import Window
 
@@ -146,3 +148,62 @@ def fit_gathered(
     except Refusal as refusal:
         return Outcome.refused(refusal), None
     return calibrate(window, knowledge, method), window
+
+
+def fit_several(
+    gatherings: Sequence[Gathering],
+    names: Sequence[str],
+    knowledge: Knowledge,
+    method: str = METHODS[0],
+) -> tuple[Outcome, Window | None, int]:
+    """Join the turns of several recordings into one calibration.
+
+    Parameters
+    ----------
+    gatherings : sequence of Gathering
+        One for each recording, after it took it.
+    names : sequence of str
+        What to call them.
+    knowledge : Knowledge
+        What is known beforehand, of all alike.
+    method : str
+        `maximum_likelihood` joins turns, `ellipsoid` and `min_max` pool their samples.
+
+    Returns
+    -------
+    Outcome, Window or None, int
+        The samples that the estimate's residuals are of, and which recording holds them. Never
+        raises for bad data: a recording that is no turn is left out, with the reason.
+
+    Raises
+    ------
+    Misuse
+        If the method can make nothing of several turns.
+    """
+    # What joins turns loads what fits them, which nobody pays for before it is used.
+    from magcal_ros.core.several.calibrate import POOL, calibrate_turns, pooled
+
+    looked = [_window_or_refusal(gathering) for gathering in gatherings]
+    windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
+    left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
+    if not windows:
+        return Outcome.refused(left_out[len(gatherings) - 1]), None, len(gatherings) - 1
+    used = list(windows)
+    turns = [windows[index] for index in used]
+    outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
+    if outcome.several is None:
+        whole = pooled(turns) if method in POOL else turns[-1]
+        return outcome, whole, used[-1]
+    newest = used[outcome.several.newest]
+    fates = dict(zip(used, outcome.several.fates, strict=True))
+    fates |= {k: TurnFate(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
+    ordered = tuple(fates[index] for index in sorted(fates))
+    outcome = replace(outcome, several=replace(outcome.several, fates=ordered))
+    return outcome, windows[newest], newest
+
+
+def _window_or_refusal(gathering: Gathering) -> Window | Refusal:
+    try:
+        return gathering.window()
+    except Refusal as refusal:
+        return refusal

@@ -16,7 +16,13 @@ from magcal_ros.core.attitude import (
 )
 from magcal_ros.core.correction import Correction
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.rotations import rotation_about, rotation_from_rpy, skew
+from magcal_ros.core.rotations import (
+    minimal_rotation,
+    rotation_about,
+    rotation_from_rpy,
+    rpy_from_rotation,
+    skew,
+)
 from magcal_ros.core.window import Window
 
 DEGREE = math.pi / 180.0
@@ -181,6 +187,23 @@ def turn(
         turns = [rotation_about(v, np.array([a]))[0] for v, a in zip(lean, size, strict=True)]
         attitude = np.asarray(turns) @ attitude
     return Motion(duration * share, attitude)
+
+
+def slope_rpy(tilt: float, azimuth: float, heading: float) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a robot that stands on a slope.
+
+    Parameters
+    ----------
+    tilt : float
+        Radians of the slope.
+    azimuth : float
+        ENU direction to which the slope rises, radians.
+    heading : float
+        Turn of the robot on the slope, radians; zero is ENU east before the slope is tilted.
+    """
+    normal = [-math.sin(tilt) * math.cos(azimuth), -math.sin(tilt) * math.sin(azimuth)]
+    slope = minimal_rotation(UP_ENU, np.array([*normal, math.cos(tilt)]))
+    return rpy_from_rotation(slope @ rotation_from_rpy(0.0, 0.0, heading))
 
 
 def smooth_wobble(

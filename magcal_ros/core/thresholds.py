@@ -206,6 +206,17 @@ THRESHOLDS: tuple[Threshold, ...] = (
         "give the sensor's nominal pose with mount_rpy_deg",
     ),
     Threshold(
+        "installation_yaw_sigma",
+        Aspect.CONFIDENCE,
+        0.5,
+        3.0,
+        10.0,
+        "°",
+        DEGREES,
+        "yaw of the installation (1σ)",
+        "turn on a slope",
+    ),
+    Threshold(
         "misalignment",
         Aspect.QUALITY,
         0.5,

@@ -201,7 +201,11 @@ def _check_gravity(window: Window) -> Check:
 def _not_shown(
     estimate: Estimate, figures: Mapping[str, float], knowledge: Knowledge
 ) -> tuple[str, ...]:
-    found = [NO_MOUNTING if estimate.installation is None else NO_YAW]
+    found = []
+    if estimate.installation is None:
+        found.append(NO_MOUNTING)
+    elif "installation_yaw_sigma" not in figures:
+        found.append(NO_YAW)
     level, tilted = figures["heading_sigma"], figures["heading_sigma_tilted"]
     if tilted > 2.0 * level and tilted * DEGREES > 0.5:
         found.append(
@@ -228,6 +232,9 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[str, float])
     if estimate.installation is not None:
         roll, pitch = estimate.installation.roll, estimate.installation.pitch
         words += f", installation roll {roll * DEGREES:.2f}°, pitch {pitch * DEGREES:.2f}°"
+        if "installation_yaw_sigma" in figures:
+            yaw, sigma = estimate.installation.yaw, figures["installation_yaw_sigma"]
+            words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
     warnings = _reasons(verdict, Grade.WARN)
     return f"Calibrated, {words}.{' But ' + warnings + '.' if warnings else ''}"
 

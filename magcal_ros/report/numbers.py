@@ -59,6 +59,8 @@ FIGURES: dict[str, Unit] = {
     "soft_iron": Unit("soft iron was fitted (1 yes, 0 no)"),
     "soft_iron_gain": Unit("fall of chi-square by soft iron"),
     "gyro_carried": Unit("gyro carried the attitude (1 yes, 0 no)"),
+    "turns": Unit("turns that were joined"),
+    "turn_misfit": Unit("worst turn off the others, as many times as noise explains"),
     "field_scale": Unit("field scale inside the fit", MICRO, " µT"),
 }
 for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
@@ -85,6 +87,10 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     if estimate.installation is not None:
         rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
         rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
+    if "installation_yaw_sigma" in figures and estimate.installation is not None:
+        yaw, off = estimate.installation.yaw, figures["installation_yaw_sigma"]
+        words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
+        rows.append(Row("installation yaw (±1σ)", words))
     believed = int(np.count_nonzero(estimate.inliers))
     return [
         *rows,

@@ -14,6 +14,7 @@ from magcal_ros.core.verdict import Check, Grade, Verdict
 from magcal_ros.report.figures.gallery import Picture
 from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
 from magcal_ros.report.recipe import recipe
+from magcal_ros.report.several import several_section
 from magcal_ros.report.style import CSS
 from magcal_ros.report.subject import Subject
 from magcal_ros.report.turn import Turn
@@ -43,6 +44,8 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts = [_head(subject), _verdict(outcome.verdict, by_hand)]
     if estimate is not None:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
+    if outcome.several is not None:
+        parts.append(several_section(outcome.several))
     parts.append(_pictures(pictures))
     parts.append('<div class="tables">')
     parts.append(_not_shown(outcome.verdict, estimate is not None))
@@ -178,8 +181,12 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
 
 
 def _repeat(subject: Subject) -> str:
+    several = subject.outcome.several
+    newest = several is not None and len(several.joined) > 1
+    note = " of the newest turn" if newest else ""
+    alone = " alone; <code>magcal fit</code> joins several recordings" if newest else ""
     return (
-        "<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
-        "sample in SI units; these lines fit it again.</p>"
+        f"<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
+        f"sample{note} in SI units; these lines fit it again{alone}.</p>"
         f"<pre><code>{escape(recipe(subject.knowledge, subject.method))}</code></pre>"
     )

@@ -14,10 +14,11 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from enum import Enum
 
-from magcal_ros.core.calibrate import Outcome, calibrate, predicted_sigma
+from magcal_ros.core.calibrate import JOINS, Outcome, predicted_sigma
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
+from magcal_ros.core.several.keep import Kept, take_turn
 from magcal_ros.core.streams import FieldSample, Pair, Pairer, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.ros.aside import Aside
@@ -65,6 +66,8 @@ class Control:
         Says which sensor is missing, and what to look at.
     report : callable
         Begins the report on a window and its outcome and returns where it will lie, in words.
+    which_sensor : callable
+        Says which sensors have been heard; turns of others are not joined.
 
     Attributes
     ----------
@@ -80,6 +83,7 @@ class Control:
         put_in_force: Callable[[Calibration], Callable[[], str]],
         describe_silence: Callable[[], str],
         report: Callable[[Window, Settings, Outcome], str],
+        which_sensor: Callable[[], str] = str,
     ) -> None:
         self._streams = streams
         self._put_in_force = put_in_force
@@ -90,7 +94,10 @@ class Control:
         self._session: Session | None = None
         self._pairer = Pairer(streams)
         self._settings: Settings | None = None
-        self._job: Job[Outcome] | None = None
+        self._job: Job[tuple[Outcome, Kept]] | None = None
+        self._kept = self._kept_before = Kept()
+        self._sensor = ""
+        self._which_sensor = which_sensor
         self._saving: Job[str] | None = None
         self._preview: Job[float] | None = None
         self._preview_began = self._next_preview = 0.0
@@ -117,6 +124,15 @@ class Control:
         """Call back once with the conclusion of the turn that is under way."""
         self._listeners.append(listener)
 
+    @property
+    def turns_kept(self) -> int:
+        """How many turns the next one would join."""
+        return len(self._kept.windows)
+
+    def forget_turns(self) -> None:
+        """Let the next turn start afresh."""
+        self._kept = Kept()
+
     def start(self, settings: Settings) -> Conclusion:
         """Open a session; refused while another is under way."""
         if self.state is not State.IDLE:
@@ -124,6 +140,14 @@ class Control:
                 False,
                 f"already {self.state.value}: wait for it to end, or call ~/cancel first",
             )
+        if settings.accumulate and settings.method != JOINS:
+            return Conclusion(
+                False,
+                f"the method {settings.method} does not join turns: set method to {JOINS}, or "
+                "accumulate to false",
+            )
+        if not settings.accumulate:
+            self.forget_turns()
         self._settings = settings
         self.last_window = None
         self._preview = None
@@ -249,21 +273,31 @@ class Control:
             self._refuse(refusal)
             return
         settings = self._settings
+        if self._which_sensor() != self._sensor:
+            self._sensor = self._which_sensor()
+            self.forget_turns()
+        self._kept_before = self._kept
+        known, method = settings.knowledge, settings.method
         self._job = self._worker.submit(
-            self._aside.run, calibrate, window, settings.knowledge, settings.method
+            self._aside.run, take_turn, self._kept, window, known, method, settings.accumulate
         )
 
-    def _use(self, job: Job[Outcome]) -> None:
+    def _use(self, job: Job[tuple[Outcome, Kept]]) -> None:
         try:
-            outcome = job.result()
+            outcome, kept = job.result()
         except Exception as error:  # a fault of ours must not take the node down
             self._conclude(Conclusion(False, f"the fit failed unexpectedly: {error!r}"))
             return
+        # Turns that were forgotten while this one was fitted do not come back with it.
+        if self._kept is self._kept_before:
+            self._kept = kept
         self._judge(outcome)
 
     def _judge(self, outcome: Outcome) -> None:
         self.last_outcome = outcome
         self._words = outcome.verdict.summary
+        if outcome.several is not None and outcome.calibration is not None:
+            self._words = f"{self._words} {outcome.several.in_words}"
         if self._why_ended:
             self._words = f"{self._why_ended}; {self._words}"
         if self.last_window is not None and self._settings is not None:

@@ -76,7 +76,11 @@ class Calibrator(Node):
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
         self._reporter = Reporter(self.get_logger().error)
         self._control = Control(
-            streams, self._put_in_force, self._describe_silence, self._begin_report
+            streams,
+            self._put_in_force,
+            self._describe_silence,
+            self._begin_report,
+            self._sensors,
         )
         self._rotator = Rotator(
             self,
@@ -166,6 +170,9 @@ class Calibrator(Node):
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
 
+    def _sensors(self) -> str:
+        return f"{self._inputs.field.frame} {self._inputs.imu.frame}"
+
     def _body_frame(self) -> str:
         heard = self._inputs.imu.frame
         return heard or (self._keeper.origin.imu_frame if self._keeper.origin else "")
@@ -244,6 +251,7 @@ class Calibrator(Node):
             return Conclusion(False, str(error))
 
     def _reset(self) -> Conclusion:
+        self._control.forget_turns()
         if self._keeper.calibration is None:
             return Conclusion(True, "there was no calibration in force")
         self._keeper.reset()
@@ -296,6 +304,8 @@ class Calibrator(Node):
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
         self._inputs.look(self.count_publishers)
+        if not self._table.settings.accumulate:
+            self._control.forget_turns()
         self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)

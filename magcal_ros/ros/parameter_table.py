@@ -27,6 +27,12 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
+        "accumulate",
+        False,
+        "Join the next turns, made on different tilts, into one estimate of the full correction, "
+        "installation yaw included; false: each turn starts afresh",
+    ),
+    Spec(
         "reference.strength_ut",
         UNSET,
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model",

@@ -46,6 +46,7 @@ class Settings:
     calibration_file: str
     report_folder: str
     method: str
+    accumulate: bool
     knowledge: Knowledge
     limits: Limits
     max_gap: float
@@ -73,6 +74,7 @@ class Settings:
             values["calibration_file"],
             values["report_folder"],
             values["method"],
+            values["accumulate"],
             knowledge,
             Limits(
                 values["window.timeout_s"],

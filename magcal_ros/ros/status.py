@@ -44,6 +44,10 @@ def status_json(
             if conclusion is None
             else {"success": conclusion.success, "message": conclusion.message},
             "verdict": None if outcome is None else _verdict(outcome.verdict),
+            "turns_kept": control.turns_kept,
+            "several": None
+            if outcome is None or outcome.several is None
+            else outcome.several.facts(),
             "calibration": _calibration(keeper),
             "watch": None if watch is None else _watch(watch.watched),
             "dropped": {

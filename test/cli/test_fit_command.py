@@ -1,6 +1,9 @@
 import io
 import json
+import math
 import os
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,8 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 
 from magcal_ros.cli.main import main
 from magcal_ros.cli.recorded import watched
+from magcal_ros.core.ride import Ride
+from magcal_ros.core.simulator import slope_rpy
 from magcal_ros.core.streams import ImuSample
 from magcal_ros.files.calibration_file import read_calibration
 
@@ -27,7 +32,9 @@ def fit(tmp_path, capsys):
     def run(recording, *arguments):
         output = [] if "--output" in arguments else ["--output", str(tmp_path / "found")]
         try:
-            status = main(["fit", str(recording), *output, *REFERENCE, *arguments])
+            several = recording if isinstance(recording, list) else [recording]
+            recordings = [str(each) for each in several]
+            status = main(["fit", *recordings, *output, *REFERENCE, *arguments])
         except SystemExit as left:
             status = left.code
         return status, *capsys.readouterr()
@@ -216,3 +223,66 @@ class TestRecordings:
         assert status in (0, 4)
         assert document["numbers"]["arc_deg"] > 340.0
         assert document["numbers"]["imu_messages"] == pytest.approx(1333, abs=2)
+
+
+@pytest.fixture(scope="module")
+def turns(tmp_path_factory):
+    """Recordings of turns on the level, on slopes to the east and to the north, and a short one."""
+    folder, robot = tmp_path_factory.mktemp("turns"), replace(ROBOT, yaw=math.radians(5.0))
+    for seed, (name, tilt, azimuth) in enumerate((("a", 0, 0), ("b", 10, 0), ("c", 10, 90))):
+        ride = Ride(robot, np.random.default_rng(seed), start=1e3, imu_rate=50.0)
+        ride.stand(*slope_rpy(math.radians(tilt), math.radians(azimuth), 0.3))
+        samples = [sample for _ in range(680) for sample in ride.step(0.5)]
+        write_csv(folder / name, samples)
+    write_csv(folder / "short", drive(25.0))
+    return folder
+
+
+class TestSeveralTurns:
+    """Each drive is a turn on a tilt of its own."""
+
+    def test_they_are_joined_and_each_is_accounted_for(self, fit, turns):
+        status, out, _ = fit([turns / name for name in ("a", "b", "c", "short", "a")])
+        assert status == 0
+        assert re.search(r", yaw 4\.\d+° ±0\.\d+°|, yaw 5\.\d+° ±0\.\d+°", out)
+        assert "installation yaw from ±5° to ±0." in out
+        assert "short: left out: too little of a turn" in out
+        assert "a (2): left out: it holds the same samples as " in out
+        assert "Not shown by these turns:" not in out or "yaw of the installation" not in out
+
+    def test_json_has_the_numbers_and_the_advice(self, fit, turns):
+        status, out, _ = fit([turns / "a", turns / "b"], "--json")
+        document = json.loads(out)
+        assert status == document["exit"] == 0
+        assert document["numbers"]["installation_yaw_deg"] == pytest.approx(5.0, abs=1.5)
+        assert document["numbers"]["installation_yaw_sigma_deg"] < 1.0
+        assert [turn["joined"] for turn in document["several"]["turns"]] == [True, True]
+        assert document["several"]["advice"].startswith("Next turn ")
+
+    def test_one_recording_alone_says_nothing_of_several(self, fit, turns):
+        assert json.loads(fit(turns / "a", "--json")[1])["several"] is None
+
+    @pytest.mark.parametrize(
+        ("arguments", "words"),
+        [
+            (["--from", "2"], "--from and --to cut one recording"),
+            (["--compare"], "--compare takes one recording"),
+            (["--method", "design_tip"], "takes one turn; maximum_likelihood joins several"),
+        ],
+    )
+    def test_what_is_meant_for_one_is_said(self, fit, turns, arguments, words):
+        status, out, err = fit([turns / "a", turns / "b"], *arguments)
+        assert (status, out) == (2, "")
+        assert words in err
+
+    def test_two_sensors_are_not_joined(self, fit, tmp_path):
+        one = write_bag(tmp_path / "one", drive(400.0))
+        other = write_bag(tmp_path / "other", drive(400.0, seed=2), frames=("imu_link", "mag_2"))
+        status, _, err = fit([one, other])
+        assert status == 2
+        assert "different magnetometers (mag_2, mag_link)" in err
+
+    def test_nothing_but_short_recordings_is_too_little_data(self, fit, turns):
+        status, out, _ = fit([turns / "short", turns / "short"])
+        assert status == 3
+        assert "too little of a turn" in out

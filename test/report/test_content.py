@@ -10,7 +10,8 @@ import pytest
 from subjects import ROBOT, good, refused, subject_of, troubled
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.core.several.calibrate import calibrate_turns
+from magcal_ros.core.simulator import Robot, measure, slope_rpy, turn
 from magcal_ros.core.verdict import NO_YAW, THRESHOLDS, judge
 from magcal_ros.core.window import Window
 from magcal_ros.report import write_report
@@ -229,3 +230,20 @@ def test_all_thresholds_at_once_still_make_a_page(tmp_path):
     verdict = judge(estimate, subject.knowledge)
     page = page_of(tmp_path, replace(subject, outcome=Outcome(verdict, None, estimate)))
     assert page.count('class="grade refused"') > 3
+
+
+def test_turns_that_were_put_together_have_a_section(tmp_path):
+    robot = replace(ROBOT, yaw=math.radians(5.0))
+    rng = np.random.default_rng(1)
+    rides = [turn(start_rpy=slope_rpy(tilt, 0.0, 0.3)) for tilt in (0.0, math.radians(10.0))]
+    windows = [measure(robot, ride, rng, gyro=True) for ride in rides]
+    names = ["<first>", "second", "copy"]
+    knowledge = robot.knowledge(1e-6, math.radians(1.0))
+    outcome = calibrate_turns([*windows, windows[0]], knowledge, names=names)
+    subject = subject_of(windows[1], knowledge, outcome, method="maximum_likelihood")
+    words = words_of(page_of(tmp_path, subject))
+    assert "Turns put together" in words
+    assert "it holds the same samples as <first>" in words
+    assert outcome.several.advice_in_words in words
+    assert "installation yaw (±1σ)" in words
+    assert "every sample of the newest turn" in words

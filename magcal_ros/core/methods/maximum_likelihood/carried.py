@@ -124,10 +124,10 @@ def fit_carried(start: Solution, carrier: Carrier, prior: Prior, rounds: int = 2
     """
     problem = replace(start.problem, prior=without_axes(prior), rigid=False, kappa=1.0)
     task = Task(problem.with_noise(FIRST_NOISE), carrier, FIRST_DRIFT)
-    place = _begin(start, task)
+    place = begin(start, task)
     for turn in range(rounds):
         soft = turn < SOFT_ROUNDS
-        weights = _weights(place, task.problem, soft=soft)
+        weights = carried_weights(place, task.problem, soft=soft)
         moved = float(np.mean(weights.sample != task.problem.weights.sample))
         task = task.with_weights(weights)
         equations = normal_equations(place, task)
@@ -252,12 +252,12 @@ def _held_to(rich: Carried, carrier: Carrier, prior: Prior) -> Carried:
     if not prior.has_soft_iron:
         shared = shared.without_soft_iron()
     task = Task(problem, carrier, rich.drift)
-    place = _begin(Solution(State(shared, solution.state.attitude), problem), task)
+    place = begin(Solution(State(shared, solution.state.attitude), problem), task)
     return converge_carried(place, task, tolerance=1e-5)
 
 
-def _begin(start: Solution, task: Task) -> Place:
-    """Turn the gyro's attitudes so that they fit the start's on the whole."""
+def begin(start: Solution, task: Task) -> Place:
+    """Return the gyro's attitudes, turned so that they fit the start's on the whole."""
     shared, carrier = start.state.shared, task.carrier
     body = shared.body_axis @ start.state.attitude @ shared.world_axis.T
     counted = start.problem.weights.sample[:, None, None]
@@ -269,7 +269,8 @@ def _begin(start: Solution, task: Task) -> Place:
     return at(State(shared, attitude), np.zeros(carrier.size), task)
 
 
-def _weights(place: Place, problem: Problem, *, soft: bool) -> Weights:
+def carried_weights(place: Place, problem: Problem, *, soft: bool) -> Weights:
+    """Return Student weights on the way, a gate at the end."""
     noise = problem.noise
     chi = chi_squares(place.state, place.prediction, noise)
     if soft:

@@ -168,9 +168,8 @@ def _to_frame(place: Place, carrier: Carrier) -> FloatArray:
 def step(place: Place, equations: Equations, task: Task) -> tuple[Place, float]:
     """Take a damped step that lowers the cost; return where it led and how far."""
     before = cost(place, task)
-    free, carrier = task.problem.prior.free, task.carrier
+    free = task.problem.prior.free
     diagonal = np.diag(np.diag(equations.information) + 1e-9)
-    to_frame = _to_frame(place, carrier)
     for damping in (0.0, 1e-4, 1e-2, 1.0, 100.0):
         if damping == 0.0:
             move = equations.covariance @ equations.gradient
@@ -179,14 +178,19 @@ def step(place: Place, equations: Equations, task: Task) -> tuple[Place, float]:
             move = np.asarray(np.linalg.solve(damped, equations.gradient))
         full = np.zeros(p.COUNT)
         full[free] = move[: len(free)]
-        errors = move[len(free) :]
-        turned = carrier.basis @ errors[: carrier.basis.shape[2]]
-        turns = exp_rotations((to_frame @ turned[:, :, None])[:, :, 0])
-        state = State(place.state.shared.moved(full), turns @ place.state.attitude)
-        moved = at(state, place.coefficients + errors, task)
+        moved = advanced(place, task, full, move[len(free) :])
         if cost(moved, task) <= before * (1.0 + 1e-12) + 1e-9:
             return moved, float(np.abs(move[: len(free)]).max())
     return place, 0.0
+
+
+def advanced(place: Place, task: Task, full: FloatArray, errors: FloatArray) -> Place:
+    """Return the place after a step of all globals (18,) and of the gyro's errors (c,)."""
+    carrier = task.carrier
+    turned = carrier.basis @ errors[: carrier.basis.shape[2]]
+    turns = exp_rotations((_to_frame(place, carrier) @ turned[:, :, None])[:, :, 0])
+    state = State(place.state.shared.moved(full), turns @ place.state.attitude)
+    return at(state, place.coefficients + errors, task)
 
 
 def cost(place: Place, task: Task) -> float:

@@ -17,7 +17,7 @@ def correction_from(shared: Globals, mounting: FloatArray, scale: float) -> Corr
 
 
 def correction_jacobian(shared: Globals, mounting: FloatArray, scale: float) -> FloatArray:
-    """Return the derivative of A (row by row) and h by all globals, shape (12, 17).
+    """Return the derivative of A (row by row) and h by all globals, shape (12, 18).
 
     `A = D^-1`, so `dA = -A dD A`.
     """

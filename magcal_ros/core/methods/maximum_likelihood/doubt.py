@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.prior import Prior
+from magcal_ros.core.methods.maximum_likelihood.prior import SOFT_IRON_INDICES, Prior
 
 PRIOR_ODDS = 1.4
 """Twice the logarithm of the odds against soft iron worth mentioning, about two to one."""
@@ -37,9 +37,9 @@ class Look:
         Twice the logarithm of prior over posterior room of the soft-iron numbers.
     kappa : float
         Samples per independent sample.
-    step : ndarray, shape (17,)
+    step : ndarray, shape (18,)
         To the optimum with soft iron.
-    covariance : ndarray, shape (17, 17)
+    covariance : ndarray, shape (18, 18)
         Of the globals with soft iron, kappa included; zero where not free.
     """
 
@@ -85,7 +85,7 @@ def look_for_soft_iron(
     """
     free = prior.free
     move = covariance @ gradient
-    iron = free >= p.SOFT_IRON.start
+    iron = np.isin(free, SOFT_IRON_INDICES)
     among = covariance[: len(free), : len(free)]
     room = np.linalg.slogdet(kappa * among[np.ix_(iron, iron)])[1]
     occam = -float(np.log(prior.information[free[iron]]).sum()) - float(room)
@@ -109,7 +109,7 @@ class Doubt:
         ----------
         covariance : ndarray, shape (12, 12)
             Without soft iron.
-        jacobian : ndarray, shape (12, 17)
+        jacobian : ndarray, shape (12, 18)
             Of the twelve numbers by the globals.
         """
         likely, away = self.probability, jacobian @ self.look.step

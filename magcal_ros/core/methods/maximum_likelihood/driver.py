@@ -10,7 +10,11 @@ from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.estimate import Estimate
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood.attitudes import attitudes_from_vectors
-from magcal_ros.core.methods.maximum_likelihood.carried import choose_carried, explains_as_well
+from magcal_ros.core.methods.maximum_likelihood.carried import (
+    Carried,
+    choose_carried,
+    explains_as_well,
+)
 from magcal_ros.core.methods.maximum_likelihood.choice import choose_model
 from magcal_ros.core.methods.maximum_likelihood.consistency import gyro_compass_rms
 from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
@@ -73,10 +77,33 @@ def fit(
     Refusal
         If the samples cannot carry a calibration; the message says what to do next.
     """
+    return conclude(solve(window, knowledge, options), knowledge)
+
+
+def solve(
+    window: Window, knowledge: Knowledge = Knowledge(), options: Options = Options()
+) -> Solved:
+    """Find the optimum of one turn, before it is asked whether the turn can carry it.
+
+    Raises
+    ------
+    Refusal
+        If there is nothing to be found in the samples.
+    """
     check_window(window, knowledge)
     prepared = prepare(window.field, window.specific_force, knowledge, options.largest)
-    outcome = _solve(window, prepared, knowledge)
-    solution = outcome.solution
+    return _solve(window, prepared, knowledge)
+
+
+def conclude(outcome: Solved, knowledge: Knowledge) -> Estimate:
+    """Check an optimum and bring it into the package's own form.
+
+    Raises
+    ------
+    Refusal
+        If the turn cannot carry a calibration.
+    """
+    solution, prepared = outcome.solution, outcome.prepared
     arc = seen_arc(solution.state, solution.believed)
     gyro = outcome.gyro_compass_rms is not None
     if outcome.gyro_compass_rms is not None:
@@ -87,7 +114,7 @@ def fit(
     figures.update(rival_gap=outcome.rival_gap, soft_iron_gain=outcome.soft_iron_gain)
     if outcome.gyro_compass_rms is not None:
         figures.update(
-            gyro_carried=float(outcome.gyro_carried),
+            gyro_carried=float(outcome.carried is not None),
             gyro_compass_rms=outcome.gyro_compass_rms,
             steady_pull=outcome.steady_pull,
         )
@@ -95,20 +122,25 @@ def fit(
 
 
 @dataclass(frozen=True, eq=False)
-class _Outcome:
+class Solved:
     """What the fit came to, before anything is believed."""
 
+    prepared: Prepared
     solution: Solution
     information: FloatArray
     rival_gap: float
     soft_iron_gain: float
     doubt: Doubt | None
-    gyro_carried: bool = False
+    carried: Carried | None = None
     gyro_compass_rms: float | None = None
-    steady_pull: float = 0.0
+
+    @property
+    def steady_pull(self) -> float:
+        """Steady pull that was taken off the accelerometer, radians."""
+        return 0.0 if self.carried is None else float(np.linalg.norm(self.carried.offset))
 
 
-def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome:
+def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     samples, scale = prepared.averaged, prepared.scale
     without_iron = prior_from(knowledge, scale, soft_iron=False)
     with_iron = prior_from(knowledge, scale, soft_iron=True)
@@ -120,23 +152,24 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> _Outcome
     if carrier is not None:
         carried = choose_carried(everyone, carrier, with_iron, always_iron=always)
         if explains_as_well(carried.best, found.best):
-            return _Outcome(
+            return Solved(
+                prepared,
                 carried.best.solution,
                 carried.best.information,
                 found.rival_gap,
                 carried.soft_iron_gain,
                 carried.doubt,
-                gyro_carried=True,
+                carried=carried.best,
                 gyro_compass_rms=_consistency(
                     carried.best.solution, carrier, prepared, window, carried.best.offset
                 ),
-                steady_pull=float(np.linalg.norm(carried.best.offset)),
             )
     choice = choose_model(everyone, with_iron, always_iron=always)
     solution = converged(choice.solution)
     information = linearise(solution.state, solution.problem).reduced_information
     consistency = None if carrier is None else _consistency(solution, carrier, prepared, window)
-    return _Outcome(
+    return Solved(
+        prepared,
         solution,
         information,
         found.rival_gap,

@@ -61,7 +61,7 @@ class State:
     attitude: FloatArray
 
     def moved(self, step: FloatArray, local_step: FloatArray) -> State:
-        """Return the state after a global step (17,) and local steps (n, 3) or (n, 1) about z."""
+        """Return the state after a global step (18,) and local steps (n, 3) or (n, 1) about z."""
         turns = exp_rotations(local_step) if local_step.shape[1] == 3 else about_z(local_step[:, 0])
         return State(self.shared.moved(step), turns @ self.attitude)
 
@@ -125,7 +125,7 @@ def local_jacobian(prediction: Prediction) -> FloatArray:
 def global_jacobian(
     state: State, prediction: Prediction, local: FloatArray, samples: Samples
 ) -> FloatArray:
-    """Return the derivative of up and field by the globals, shape (n, 6, 17).
+    """Return the derivative of up and field by the globals, shape (n, 6, 18).
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,10 +18,11 @@ HARD_IRON = slice(6, 9)
 STRENGTH = 9
 INCLINATION = 10
 SOFT_IRON = slice(11, 17)
-COUNT = 17
+YAW = 17
+COUNT = 18
 """Length of a step: the order of the slices above."""
 
-MATRIX_PARAMETERS = np.array([ROLL, PITCH, *range(11, 17)])
+MATRIX_PARAMETERS = np.array([ROLL, PITCH, *range(11, 17), YAW])
 """The parameters that, with the hard iron, make up a correction."""
 
 SOFT_IRON_BASIS: FloatArray = np.zeros((6, 3, 3))
@@ -49,6 +50,8 @@ class Globals:
         Radians.
     soft_iron : ndarray, shape (6,)
         Elements xx, yy, zz, xy, xz, yz of E.
+    yaw : float
+        Of the installation, radians. One turn cannot show it and leaves it at zero.
     """
 
     body_axis: FloatArray
@@ -59,11 +62,12 @@ class Globals:
     strength: float
     inclination: float
     soft_iron: FloatArray = field(default_factory=lambda: np.zeros(6))
+    yaw: float = 0.0
 
     @property
     def installation(self) -> FloatArray:
         """Body to installed axes, shape (3, 3)."""
-        return np.asarray(rotation_from_rpy(self.roll, self.pitch).T)
+        return np.asarray(rotation_from_rpy(self.roll, self.pitch, self.yaw).T)
 
     @property
     def soft_iron_matrix(self) -> FloatArray:
@@ -87,13 +91,15 @@ class Globals:
         return np.asarray(mounting @ self.soft_iron_matrix @ self.installation)
 
     def distortion_derivatives(self, mounting: FloatArray) -> FloatArray:
-        """Return d(distortion) by roll, pitch and the six soft-iron numbers, shape (8, 3, 3)."""
+        """Return d(distortion) by `MATRIX_PARAMETERS`, in their order, shape (9, 3, 3)."""
         turn = self.installation
         iron = self.soft_iron_matrix
         by_roll = -mounting @ iron @ skew(np.array([1.0, 0.0, 0.0])) @ turn
-        by_pitch = -mounting @ iron @ turn @ skew(np.array([0.0, 1.0, 0.0]))
+        about_y = rotation_from_rpy(0.0, 0.0, self.yaw) @ np.array([0.0, 1.0, 0.0])
+        by_pitch = -mounting @ iron @ turn @ skew(about_y)
+        by_yaw = -mounting @ iron @ turn @ skew(np.array([0.0, 0.0, 1.0]))
         by_soft_iron = mounting @ SOFT_IRON_BASIS @ turn
-        return np.concatenate([by_roll[None], by_pitch[None], by_soft_iron])
+        return np.concatenate([by_roll[None], by_pitch[None], by_soft_iron, by_yaw[None]])
 
     def moved(self, step: FloatArray) -> Globals:
         """Return the globals after a step of `COUNT` numbers, on the manifold for both axes."""
@@ -106,8 +112,9 @@ class Globals:
             self.strength + float(step[STRENGTH]),
             self.inclination + float(step[INCLINATION]),
             self.soft_iron + step[SOFT_IRON],
+            self.yaw + float(step[YAW]),
         )
 
     def without_soft_iron(self) -> Globals:
         """Return the same with E = 0."""
-        return self.moved(np.concatenate([np.zeros(11), -self.soft_iron]))
+        return replace(self, soft_iron=np.zeros(6))

@@ -41,6 +41,11 @@ class Prepared:
     first: IntArray
     scale: float
 
+    @property
+    def width(self) -> float:
+        """How many samples of `all` make one averaged sample."""
+        return len(self.all) / len(self.averaged)
+
 
 def field_scale(knowledge: Knowledge) -> float:
     """Return tesla of one field scale: the strength where one is believed."""

@@ -11,6 +11,8 @@ from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 
+SOFT_IRON_INDICES = np.arange(p.SOFT_IRON.start, p.SOFT_IRON.stop)
+
 RUNAWAY_HARD_IRON = 2.0
 """Sigma of the hard iron in field scales where neither strength nor dip is known: one turn about
 an upright axis then shows only their sum, and something has to hold it."""
@@ -24,7 +26,7 @@ class Prior:
     ----------
     free : ndarray of int
         Indices of the parameters that are estimated.
-    information : ndarray, shape (17,)
+    information : ndarray, shape (18,)
         Inverse variances; zero where nothing is known.
     strength, inclination : float
         Their expectations (field scales, radians).
@@ -36,12 +38,13 @@ class Prior:
     inclination: float
 
     def deviation(self, shared: Globals) -> FloatArray:
-        """Return expectation minus value of each parameter, shape (17,)."""
+        """Return expectation minus value of each parameter, shape (18,)."""
         out = np.zeros(p.COUNT)
         out[p.HARD_IRON] = -shared.hard_iron
         out[p.STRENGTH] = self.strength - shared.strength
         out[p.INCLINATION] = self.inclination - shared.inclination
         out[p.SOFT_IRON] = -shared.soft_iron
+        out[p.YAW] = -shared.yaw
         return out
 
     def cost(self, shared: Globals) -> float:
@@ -51,10 +54,10 @@ class Prior:
     @property
     def has_soft_iron(self) -> bool:
         """Whether the fit may find soft iron."""
-        return bool(self.free[-1] >= p.SOFT_IRON.start)
+        return bool(np.isin(SOFT_IRON_INDICES, self.free).any())
 
 
-def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool) -> Prior:
+def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool, yaw: bool = False) -> Prior:
     """Translate knowledge into a prior.
 
     Parameters
@@ -65,6 +68,8 @@ def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool) -> Prior:
         Tesla of one field scale.
     soft_iron : bool
         Whether E is estimated.
+    yaw : bool
+        Whether the installation's yaw is estimated: only several turns show it.
     """
     information = np.zeros(p.COUNT)
     fixed = np.zeros(p.COUNT, dtype=bool)
@@ -83,6 +88,8 @@ def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool) -> Prior:
     movable = (sigmas > 0.0) & soft_iron
     fixed[p.SOFT_IRON] = ~movable
     information[p.SOFT_IRON] = np.where(movable, np.where(sigmas > 0.0, sigmas, 1.0) ** -2, 0.0)
+    fixed[p.YAW] = not yaw
+    information[p.YAW] = knowledge.mounting.yaw_sigma**-2 if yaw else 0.0
     return Prior(
         np.flatnonzero(~fixed),
         information,

@@ -58,12 +58,12 @@ def build_estimate(
     """Put the numbers into the package's own form."""
     shared, noise, scale = solution.state.shared, solution.problem.noise, prepared.scale
     believed, residual = samples_believed(solution, prepared)
-    width = len(prepared.all) / len(prepared.averaged)
+    width = prepared.width
     return Estimate(
         method=METHOD,
         correction=correction_from(shared, prepared.all.mounting, scale),
         covariance=covariance,
-        installation=Installation(shared.roll, shared.pitch),
+        installation=Installation(shared.roll, shared.pitch, shared.yaw),
         axis=shared.body_axis[:, 2],
         arc=arc,
         strength=scale * shared.strength,
@@ -82,7 +82,7 @@ def samples_believed(solution: Solution, prepared: Prepared) -> tuple[BoolArray,
     if prepared.all is prepared.averaged:
         residual = predict(solution.state, prepared.all).field_residual
         return solution.believed, residual
-    width = float(np.sqrt(len(prepared.all) / len(prepared.averaged)))
+    width = float(np.sqrt(prepared.width))
     noise = solution.problem.noise
     single = Noise(noise.up * width, noise.field * width, noise.wobble)
     problem = replace(solution.problem, noise=single)

@@ -34,6 +34,7 @@ def state(rng):
         1.1,
         math.radians(55.0),
         0.02 * rng.standard_normal(6),
+        0.35,
     )
     lean = np.column_stack([0.1 * rng.standard_normal((COUNT, 2)), np.zeros(COUNT)])
     return State(shared, exp_rotations(lean) @ about_z(np.linspace(0.0, 5.0, COUNT)))
@@ -51,7 +52,7 @@ def samples(rng, state):
 
 @pytest.fixture
 def problem(rng, samples):
-    prior = Prior(np.arange(17), np.linspace(1.0, 50.0, 17), 1.0, math.radians(60.0))
+    prior = Prior(np.arange(18), np.linspace(1.0, 50.0, 18), 1.0, math.radians(60.0))
     counted = (rng.random(COUNT) > 0.2).astype(float)
     weights = Weights(rng.uniform(0.3, 1.5, COUNT), rng.uniform(0.3, 1.5, COUNT), counted)
     return Problem(samples, prior, Noise(0.01, 0.012, 0.08), weights)

@@ -21,8 +21,8 @@ def test_gradient_is_that_of_half_the_cost(state, problem, rigid):
     state = state.upright() if rigid else state
     lin = linearise(state, problem)
     still = np.zeros((len(problem.samples), local_numbers(problem)))
-    for index in range(17):
-        step = np.zeros(17)
+    for index in range(18):
+        step = np.zeros(18)
         step[index] = 1e-6
         rise = cost(state.moved(step, still), problem) - cost(state.moved(-step, still), problem)
         assert -lin.gradient[index] == pytest.approx(rise / 4e-6, rel=1e-4, abs=1e-3)
@@ -37,8 +37,8 @@ def test_local_gradient_is_that_of_half_the_cost(state, problem, rigid):
     for column in range(local_numbers(problem)):
         local = np.zeros((len(problem.samples), local_numbers(problem)))
         local[chosen, column] = 1e-6
-        ahead = cost(state.moved(np.zeros(17), local), problem)
-        behind = cost(state.moved(np.zeros(17), -local), problem)
+        ahead = cost(state.moved(np.zeros(18), local), problem)
+        behind = cost(state.moved(np.zeros(18), -local), problem)
         slope = (ahead - behind) / 4e-6
         assert -lin.local_gradient[chosen, column] == pytest.approx(slope, rel=1e-4, abs=1e-3)
 
@@ -60,7 +60,7 @@ def test_elimination_equals_the_dense_solution(state, problem):
 
 
 def test_a_step_never_raises_the_cost(state, problem, rng):
-    start = state.moved(0.1 * rng.standard_normal(17), 0.1 * rng.standard_normal((40, 3)))
+    start = state.moved(0.1 * rng.standard_normal(18), 0.1 * rng.standard_normal((40, 3)))
     step = take_step(linearise(start, problem), problem, 1e-4)
     assert step.accepted
     assert step.fall > 0.0

@@ -25,12 +25,12 @@ def rows_in_body(state, jacobian):
     return turned
 
 
-@pytest.mark.parametrize("parameter", range(17))
+@pytest.mark.parametrize("parameter", range(18))
 def test_global_jacobian_against_differences(state, samples, parameter):
     prediction = predict(state, samples)
     local = local_jacobian(prediction)
     jacobian = rows_in_body(state, global_jacobian(state, prediction, local, samples))
-    step = np.zeros(17)
+    step = np.zeros(18)
     step[parameter] = STEP
     still = np.zeros((len(samples), 3))
     ahead = prediction_in_body(state.moved(step, still), samples)
@@ -43,8 +43,8 @@ def test_local_jacobian_against_differences(state, samples, direction):
     jacobian = rows_in_body(state, local_jacobian(predict(state, samples)))
     local = np.zeros((len(samples), 3))
     local[:, direction] = STEP
-    ahead = prediction_in_body(state.moved(np.zeros(17), local), samples)
-    behind = prediction_in_body(state.moved(np.zeros(17), -local), samples)
+    ahead = prediction_in_body(state.moved(np.zeros(18), local), samples)
+    behind = prediction_in_body(state.moved(np.zeros(18), -local), samples)
     np.testing.assert_allclose(jacobian[:, :, direction], (ahead - behind) / (2 * STEP), atol=1e-8)
 
 

@@ -1,0 +1,167 @@
+"""Several turns joined: heading error against the Cramér-Rao limit, and what is predicted.
+
+Absolute: the yaw of the installation is part of the error. `python benchmarks/several_turns.py`
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from limit import Scene, heading_rms, true_state
+
+from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA, Knowledge
+from magcal_ros.core.methods.maximum_likelihood.covariance import correction_jacobian
+from magcal_ros.core.methods.maximum_likelihood.linearise import Noise, Problem, Weights
+from magcal_ros.core.methods.maximum_likelihood.model import Samples, predict
+from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
+from magcal_ros.core.several.blocks import AXES, SampledBlock, no_belief
+from magcal_ros.core.several.calibrate import calibrate_turns
+from magcal_ros.core.several.joint import Joint
+from magcal_ros.core.simulator import (
+    LEVEL_TILT,
+    UP_ENU,
+    Robot,
+    heading_errors,
+    measure,
+    slope_rpy,
+    turn,
+)
+
+TILT = math.radians(10.0)
+EAST, NORTH, WEST, SOUTH = (k * math.pi / 2 for k in range(4))
+SETS: tuple[tuple[str, tuple[float | None, ...]], ...] = (
+    ("level", (None,)),
+    ("level, 1 ramp", (None, EAST)),
+    ("level, 2 ramps", (None, EAST, NORTH)),
+    ("level, 3 ramps", (None, EAST, NORTH, WEST)),
+    ("4 ramps", (EAST, NORTH, WEST, SOUTH)),
+)
+"""Where the slopes rise to, from a random first direction; None is the level."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Mean squares over the poses, rad²; the yaw's error in its own sigmas; seconds."""
+
+    level: float
+    tilted: float
+    relative: float
+    predicted: float
+    limit: float
+    limit_tilted: float
+    yaw_sigmas: float
+    seconds: float
+
+
+def draw(slopes: Sequence[float | None], soft_iron: float, rng: np.random.Generator) -> list[Scene]:
+    """Draw a robot and its turns: yaw of the installation, soft iron, first headings, and where
+    the first slope rises to are random."""
+    upper = np.triu(soft_iron * rng.standard_normal((3, 3)))
+    robot = replace(
+        Robot(),
+        hard_iron=Robot().strength * np.array([0.6, -0.4, 0.5]),
+        yaw=float(MOUNTING_YAW_SIGMA * rng.standard_normal()),
+        soft_iron=upper + np.triu(upper, 1).T,
+    )
+    first, made = rng.uniform(0.0, math.tau), []
+    for slope in slopes:
+        heading = rng.uniform(0.0, math.tau)
+        tilt, azimuth = (0.0, 0.0) if slope is None else (TILT, first + slope)
+        rpy = slope_rpy(tilt, azimuth, heading)
+        made.append(Scene(robot, turn(start_rpy=rpy), UP_ENU, rpy, 0.0))
+    return made
+
+
+def limit(made: Sequence[Scene], knowledge: Knowledge) -> tuple[float, float]:
+    """Return the smallest heading error, degrees: level poses, all tilts."""
+    robot = made[0].robot
+    prior = prior_from(knowledge, robot.strength, soft_iron=True, yaw=True)
+    joint = Joint(tuple(_true_block(scene) for scene in made), prior)
+    jacobian = correction_jacobian(joint.shared, joint.mounting, robot.strength)
+    return heading_rms(jacobian @ joint.covariance @ jacobian.T, robot)
+
+
+def _true_block(scene: Scene) -> SampledBlock:
+    robot, state = scene.robot, true_state(scene)
+    iron = robot.soft_iron[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    state = replace(state, shared=replace(state.shared, yaw=robot.yaw, soft_iron=iron))
+    n, mounting = len(state.attitude), robot.mounting.matrix
+    said = predict(state, Samples(np.zeros((n, 3)), np.zeros((n, 3)), mounting))
+    samples = Samples(-said.up_residual @ state.shared.body_axis.T, -said.field_residual, mounting)
+    noise = Noise(
+        robot.noise_force / STANDARD_GRAVITY, robot.noise_field / robot.strength, wobble=1.0
+    )
+    blank = no_belief(AXES)
+    return SampledBlock(state, Problem(samples, blank, noise, Weights.ones(n), rigid=True))
+
+
+def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) -> Run:
+    """Draw, join and compare."""
+    rng = np.random.default_rng(seed)
+    made = draw(slopes, options.soft_iron, rng)
+    robot = made[0].robot
+    knowledge = robot.knowledge(0.03 * robot.strength, math.radians(1.0))
+    windows = [measure(robot, scene.motion, rng, gyro=options.gyro) for scene in made]
+    began = time.process_time()
+    outcome = calibrate_turns(windows, knowledge)
+    seconds = time.process_time() - began
+    estimate, several = outcome.estimate, outcome.several
+    assert estimate is not None
+    assert estimate.installation is not None
+    assert several is not None
+    errors = heading_errors(estimate.correction, robot)
+    level = errors[:, LEVEL_TILT]
+    least, least_tilted = limit(made, knowledge)
+    shown = several.shown.installation_yaw
+    return Run(
+        level=float(np.mean(level**2)),
+        tilted=float(np.mean(errors**2)),
+        relative=float(np.var(level)),
+        predicted=several.shown.absolute_level**2,
+        limit=math.radians(least) ** 2,
+        limit_tilted=math.radians(least_tilted) ** 2,
+        yaw_sigmas=(estimate.installation.yaw - robot.yaw) / shown,
+        seconds=seconds,
+    )
+
+
+def row(name: str, runs: Sequence[Run]) -> str:
+    """Return a line of the table."""
+
+    def rms(figure: str) -> float:
+        return math.degrees(math.sqrt(np.mean([getattr(each, figure) for each in runs])))
+
+    nees = float(np.mean([each.yaw_sigmas**2 for each in runs]))
+    worst = math.degrees(math.sqrt(max(each.tilted for each in runs)))
+    seconds = float(np.median([each.seconds for each in runs]))
+    return (
+        f"| {name:14} | {rms('level'):.2f}/{rms('tilted'):.2f} "
+        f"| {rms('limit'):.2f}/{rms('limit_tilted'):.2f} | {rms('predicted'):.2f} "
+        f"| {rms('relative'):.3f} | {worst:.2f} | {nees:.2f} | {seconds:.2f} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--soft-iron", type=float, default=0.0, help="sigma of its elements")
+    parser.add_argument("--gyro", action="store_true")
+    options = parser.parse_args()
+    print(
+        "| turns | absolute, level/all tilts ° | limit ° | predicted ° | relative, level ° "
+        "| worst run ° | NEES of the yaw | CPU s |\n|---|---|---|---|---|---|---|---|"
+    )
+    for name, slopes in SETS:
+        runs = [run(slopes, options, seed) for seed in range(options.runs)]
+        print(row(name, runs), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Several turns on different tilts, joined into one estimate of the full correction."""

@@ -1,0 +1,100 @@
+"""Each turn by itself: what its own fit says, and whether it may meet the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.calibrate import Outcome, explained, judged
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.maximum_likelihood.driver import Solved, conclude, solve
+from magcal_ros.core.several.blocks import Block, block_from
+from magcal_ros.core.verdict import Grade
+from magcal_ros.core.window import Window
+
+SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
+"""Reasons that forbid a turn to stand alone and that other turns may mend."""
+
+COPIED = 0.5
+"""Share of samples in common from which a turn is a copy of another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One turn and its own fit.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    window : Window
+    outcome : Outcome
+        As if it were the only turn.
+    solved : Solved or None
+        Its optimum; None where there is none.
+    unfit : str
+        Why it cannot join; empty if it may.
+    """
+
+    name: str
+    window: Window
+    outcome: Outcome
+    solved: Solved | None
+    unfit: str = ""
+
+    @property
+    def block(self) -> Block:
+        """Its part in a joint fit."""
+        assert self.solved is not None
+        return block_from(self.solved.solution, self.solved.carried)
+
+    def left_out(self, words: str) -> Turn:
+        """Return the turn with a reason not to join."""
+        return replace(self, unfit=words)
+
+
+def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
+    """Fit each turn alone; what cannot join says why."""
+    turns: list[Turn] = []
+    for window, name in zip(windows, names, strict=True):
+        twin = next((t for t in turns if _is_copy(window, t.window)), None)
+        turn = _alone(window, name, knowledge)
+        if twin is not None:
+            turn = turn.left_out(f"it holds the same samples as {twin.name}")
+        turns.append(turn)
+    return turns
+
+
+def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
+    try:
+        solved = solve(window, knowledge)
+    except Refusal as refusal:
+        told = explained(refusal, window)
+        return Turn(name, window, Outcome.refused(told), None, str(told).rstrip("."))
+    try:
+        outcome = judged(conclude(solved, knowledge), knowledge, window)
+    except Refusal as refusal:
+        told = explained(refusal, window)
+        unfit = "" if refusal.reason in SHORT else str(told).rstrip(".")
+        return Turn(name, window, Outcome.refused(told), solved, unfit)
+    unfit = ""
+    if outcome.verdict.quality is Grade.REFUSED:
+        unfit = outcome.verdict.summary.rstrip(".")
+    return Turn(name, window, outcome, solved, unfit)
+
+
+def _is_copy(window: Window, other: Window) -> bool:
+    """Return whether most samples of the shorter window are in the other too."""
+    if not len(window) or not len(other):
+        return False
+    common = np.isin(_keys(window), _keys(other)).sum()
+    return bool(common > COPIED * min(len(window), len(other)))
+
+
+def _keys(window: Window) -> np.ndarray[tuple[int, ...], np.dtype[np.void]]:
+    """Return each sample's field and force as one key; stamps may have been moved."""
+    rows = np.ascontiguousarray(np.hstack([window.field, window.specific_force]))
+    return rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
