@@ -103,10 +103,21 @@ class Compass:
             a[6] * x + a[7] * y + a[8] * z,
         )
 
-    def heading(self, field: Triple, force: Triple) -> Heading | None:
+    def heading(
+        self, field: Triple, force: Triple, tilt_variance: float | None = None
+    ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
         None where gravity or the level part of the field is too small to tell a direction.
+
+        Parameters
+        ----------
+        field : tuple of float
+            Corrected field, tesla.
+        force : tuple of float
+            Specific force, m/s², or up as a unit vector.
+        tilt_variance : float, optional
+            Of up in either direction, rad²; that of a single accelerometer reading unless given.
 
         Notes
         -----
@@ -135,7 +146,7 @@ class Compass:
         rise = mx * ux + my * uy + mz * uz
         by_east = -ex * ux / forward
         by_north = rise / level - nx * ux / forward
-        tilt = self._tilt_variance
+        tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         variance += self._field_variance((ex / level, ey / level, ez / level), field)
         cosine, sine = math.cos(yaw), math.sin(yaw)

@@ -16,9 +16,9 @@ from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
+from magcal_ros.core.up import UpFollower
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
@@ -58,7 +58,7 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
-        self._gravity: CarriedGravity | None = None
+        self._up = UpFollower()
         self._table = Parameters(self)
         self._outputs = Outputs(self)
         self._keeper = Keeper(self.get_namespace(), self._apply)
@@ -95,8 +95,8 @@ class Calibrator(Node):
         streams = self._inputs.streams
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
-        elif streams.add_imu(sample) and self._gravity is not None:
-            self._gravity.add(sample)
+        elif streams.add_imu(sample):
+            self._up.add(sample)
 
     def _on_field(self, message: MagneticField) -> None:
         first = self._inputs.field.last_heard is None
@@ -109,11 +109,9 @@ class Calibrator(Node):
             return
         if self._outputs.compass is not None:
             reference = self._table.settings.knowledge.reference
-            force = streams.force_at(sample.stamp)
-            if force is not None and self._gravity is not None:
-                force = self._gravity.up or force
+            up = self._up.at(sample.stamp, streams.max_gap)
             self._outputs.publish(
-                message, sample.field, force, self._body_frame(), reference.declination
+                message, sample.field, up, self._body_frame(), reference.declination
             )
         if not streams.is_repeated:
             self._control.add(sample)
@@ -160,8 +158,6 @@ class Calibrator(Node):
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
-        carried = calibration is not None and calibration.wants_carried_up
-        self._gravity = CarriedGravity() if carried else None
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:

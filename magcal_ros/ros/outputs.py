@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.heading import Compass, Heading, Triple
+from magcal_ros.core.up import Up
 from magcal_ros.ros.messages import bias_message, fill_orientation, orientation_only
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -69,7 +70,7 @@ class Outputs:
         self,
         message: MagneticField,
         field: Triple,
-        force: Triple | None,
+        up: Up | None,
         frame: str,
         declination: float | None,
     ) -> None:
@@ -81,8 +82,8 @@ class Outputs:
             As it arrived; stamp and covariance are taken from it.
         field : tuple of float
             Its raw field, tesla.
-        force : tuple of float or None
-            Specific force of its moment, m/s²; None leaves only the corrected field.
+        up : Up or None
+            Of its moment; None leaves only the corrected field.
         frame : str
             The IMU's frame.
         declination : float or None
@@ -95,9 +96,9 @@ class Outputs:
         self.last_field = corrected
         stamp = message.header.stamp
         self._publish_field(compass, message, corrected, frame)
-        if force is None:
+        if up is None:
             return
-        heading = compass.heading(corrected, force)
+        heading = compass.heading(corrected, up.direction, up.variance)
         self.last_heading = heading
         if heading is None:
             return
