@@ -24,6 +24,7 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.report import Subject
 from magcal_ros.ros.control import Conclusion, Control, State
+from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
 from magcal_ros.ros.markers import turn_markers
@@ -61,6 +62,7 @@ class Calibrator(Node):
         self._up = UpFollower()
         self._table = Parameters(self)
         self._outputs = Outputs(self)
+        self._fused = FusedOutput(self, self._up)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
@@ -97,6 +99,9 @@ class Calibrator(Node):
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
             self._up.add(sample)
+            self._fused.on_imu(
+                sample.stamp, message.header.stamp, self._body_frame(), self._declination
+            )
 
     def _on_field(self, message: MagneticField) -> None:
         first = self._inputs.field.last_heard is None
@@ -108,13 +113,15 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
-            reference = self._table.settings.knowledge.reference
             up = self._up.at(sample.stamp, streams.max_gap)
-            self._outputs.publish(
-                message, sample.field, up, self._body_frame(), reference.declination
-            )
+            self._outputs.publish(message, sample.field, up, self._body_frame(), self._declination)
+            self._fused.on_field(sample.stamp, sample.field, up)
         if not streams.is_repeated:
             self._control.add(sample)
+
+    @property
+    def _declination(self) -> float | None:
+        return self._table.settings.knowledge.reference.declination
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -158,6 +165,7 @@ class Calibrator(Node):
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
+        self._fused.put_in_force(self._outputs.compass)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -239,6 +247,7 @@ class Calibrator(Node):
 
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
+        self._fused.patience = self._table.settings.patience
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()
@@ -247,14 +256,14 @@ class Calibrator(Node):
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
             field_diagnostic(name, self._outputs, self._keeper),
+            self._fused.diagnostic(name),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
         self._diagnostics_out.publish(report)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        declination = self._table.settings.knowledge.reference.declination
-        status = status_json(self._control, self._keeper, self._inputs, declination)
+        status = status_json(self._control, self._keeper, self._inputs, self._declination)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from magcal_ros.core.calibrate import METHODS
+from magcal_ros.core.field_watch import PATIENCE
 from magcal_ros.core.knowledge import INCLINATION_SIGMA_DEG, STRENGTH_SIGMA_UT
 from magcal_ros.core.streams import MAX_GAP
 from magcal_ros.ros.spec import UNSET, Spec
@@ -106,6 +107,14 @@ PARAMETERS: tuple[Spec, ...] = (
         "IMU samples further apart are not interpolated between",
         0.001,
         5.0,
+        "s",
+    ),
+    Spec(
+        "fused.patience_s",
+        PATIENCE,
+        "A field that departs from the calibrated one for so long is taken for the new one",
+        1.0,
+        3600.0,
         "s",
     ),
 )

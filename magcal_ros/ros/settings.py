@@ -21,6 +21,7 @@ class Settings:
     knowledge: Knowledge
     limits: Limits
     max_gap: float
+    patience: float
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -45,4 +46,5 @@ class Settings:
                 target_sigma=math.radians(values["confidence.target_sigma_deg"]),
             ),
             values["window.max_gap_s"],
+            values["fused.patience_s"],
         )

@@ -157,6 +157,7 @@ def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, liste
     assert set(parts) == {
         "calibrator: Calibration",
         "calibrator: Field",
+        "calibrator: Fused",
         "calibrator: Inputs",
     }
     assert parts["calibrator: Calibration"].level == DiagnosticStatus.WARN

@@ -28,6 +28,10 @@ SMALLEST = 1e-3
 """Sigma of up, radians, that no filter takes away."""
 KNOWN = 1.0
 """Seconds of a settled spell from which bias and length at rest are learnt."""
+MOST_TURNING = 500
+"""Messages of a turning robot over which its accelerometer's length is averaged."""
+TURNING_SIGMA = 1e-3
+"""How well that length, over gravity, is the length at rest."""
 ZERO: Triple = (0.0, 0.0, 0.0)
 
 
@@ -68,6 +72,8 @@ class Carrier:
         Up over gravity, body axes; its length is what the accelerometer reads at rest.
     bias : tuple of float
         The gyro's bias as far as it is known, rad/s.
+    mean_rate : tuple of float
+        Turn rate since the message before, less the bias, rad/s.
     variance : float
         Of up in either direction, rad².
     check : GyroCheck
@@ -81,11 +87,14 @@ class Carrier:
         self._filter = UpFilter()
         self._noise = STARTING_NOISE**2
         self._rest, self._rest_sigma = REST_LENGTH, REST_LENGTH_SIGMA
+        self._is_rest_seen = False
+        self._turning = 0
         self.begin((0.0, 0.0, 1.0), ZERO)
 
     def begin(self, force: Triple, rate: Triple) -> None:
         """Start anew from a force over gravity; the gyro's bias is still known."""
         self._force, self._rate = force, rate
+        self.mean_rate = ZERO
         self._block = Block()
         self._spell = SteadySpell()
         self._is_settled = False
@@ -95,16 +104,24 @@ class Carrier:
         self._filter.begin(np.array(force), self._noise, sigma)
         self._take_over()
 
+    @property
+    def rate(self) -> Triple:
+        """The newest turn rate less the bias, rad/s."""
+        (x, y, z), (p, q, r) = self._rate, self.bias
+        return (x - p, y - q, z - r)
+
     def add(self, force: Triple, rate: Triple, seconds: float) -> None:
         """Take force (over gravity) and rate so many seconds after the ones before."""
         before, old = self._rate, self._force
         self._rate, self._force = rate, force
         p, q, r = self.bias
-        turn = (
-            (0.5 * (rate[0] + before[0]) - p) * seconds,
-            (0.5 * (rate[1] + before[1]) - q) * seconds,
-            (0.5 * (rate[2] + before[2]) - r) * seconds,
+        mean = (
+            0.5 * (rate[0] + before[0]) - p,
+            0.5 * (rate[1] + before[1]) - q,
+            0.5 * (rate[2] + before[2]) - r,
         )
+        self.mean_rate = mean
+        turn = (mean[0] * seconds, mean[1] * seconds, mean[2] * seconds)
         self.up = carried(self.up, turn)
         self._block.add(force, self.up, rate, turn, seconds)
         # Half the square of a difference is the noise; a jump is none.
@@ -126,14 +143,26 @@ class Carrier:
             self._is_settled = False
             following.forget_pull(pull_sigma(length(rate)))
         following.observe_force(np.array(block.mean(block.deviation)), self._noise / block.count)
-        following.observe_length(self._rest, self._rest_sigma**2)
+        if self._is_rest_seen:
+            # Where up is uncertain, its length along the estimate is, to second order, as well.
+            doubt = following.tilt_variance
+            following.observe_length(self._rest, self._rest_sigma**2 + doubt**2)
         if not self._is_settled:
             self._settle(noise)
         elif self._spell.seconds > KNOWN:
             following.observe_bias(np.array(rate))
             self._rest = length(self._spell.force)
             self._rest_sigma = math.hypot(LENGTH_FLOOR, noise / math.sqrt(self._spell.count))
+            self._is_rest_seen = True
+        if not self._is_rest_seen and not self._spell.count:
+            self._guess_rest(force, noise, block.count)
         self._take_over()
+
+    def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
+        """Until the robot was seen at rest, take its length while it turns for that at rest."""
+        self._turning = min(self._turning + count, MOST_TURNING)
+        self._rest += count / self._turning * (length(force) - self._rest)
+        self._rest_sigma = math.hypot(TURNING_SIGMA, noise / math.sqrt(self._turning))
 
     def _settle(self, noise: float) -> None:
         """Believe the accelerometer once it is steady for long enough, or its length speaks."""

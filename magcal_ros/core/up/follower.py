@@ -54,10 +54,12 @@ class UpFollower:
     @property
     def rate(self) -> Triple:
         """The newest turn rate less the gyro's bias, rad/s; zero where up is not carried."""
-        if self._last is None or not self.is_carried:
-            return ZERO
-        (x, y, z), (p, q, r) = self._last.rate, self._carrier.bias
-        return (x - p, y - q, z - r)
+        return self._carrier.rate if self.is_carried else ZERO
+
+    @property
+    def mean_rate(self) -> Triple:
+        """The same as the mean since the message before."""
+        return self._carrier.mean_rate if self.is_carried else ZERO
 
     def add(self, sample: ImuSample) -> None:
         """Take the next IMU sample; one that does not follow the last starts anew."""
