@@ -23,6 +23,9 @@ ROS_WHEELS = [
 BAG_READER = ["rosbags>=0.10"]
 LIVE_VIEW = ["rich>=12"]
 
+# The first with the model of 2025 to 2030.
+WORLD_MAGNETIC_MODEL = ["pygeomag>=1.1"]
+
 REPORT = ["matplotlib>=3.5"]
 
 TEST_TOOLS = [
@@ -54,7 +57,8 @@ setup(
         "live": LIVE_VIEW,
         "report": REPORT,
         "ros": ROS_WHEELS,
-        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *TEST_TOOLS],
+        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *WORLD_MAGNETIC_MODEL, *TEST_TOOLS],
+        "wmm": WORLD_MAGNETIC_MODEL,
     },
     zip_safe=True,
     maintainer="magcal_ros maintainers",

@@ -11,11 +11,13 @@ from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.folders import new_or_named
 from magcal_ros.cli.printing import bullets, document, table
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
+from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.applied import applied
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.holds import Check, State, check, up_of
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.reference import made_elsewhere
 from magcal_ros.core.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.plain import plain
@@ -41,15 +43,18 @@ def add_to(commands: Any) -> None:
         metavar="DIR",
         help="folder for the report (default: a new magcal_check_DATE_TIME here)",
     )
+    add_reference_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
-    gathered = gather(options, Knowledge())
+    gathered = gather(options, Mounting())
     folder = new_or_named(options.output, "magcal_check")
-    notes = [*_other_sensor(origin, gathered), *gathered.gathering.complaints()]
+    elsewhere = made_elsewhere(calibration, gathered.reference.field)
+    notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
+    notes += [elsewhere] if elsewhere else []
     try:
         window = gathered.gathering.window()
         result = check(window, calibration)
@@ -61,7 +66,8 @@ def run(options: argparse.Namespace) -> int:
     arc = gathered.gathering.progress().coverage.arc
     outcome = applied(window, up_of(window), arc, calibration, result)
     report = write_report(folder, _subject(window, outcome, options, gathered))
-    facts = {**_facts(result, notes), "report": str(report)}
+    reference = gathered.reference.facts
+    facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     print(document(facts) if options.json else f"{_words(result, notes)}\n\nReport: {report}")
     return Exit.REFUSED if result.state is State.STALE else Exit.GOOD
 
@@ -72,7 +78,7 @@ def _subject(
     assert outcome.estimate is not None
     return Subject(
         window,
-        Knowledge(),
+        Knowledge(gathered.reference.field),
         outcome,
         source=f"{options.recording}, checked against {options.calibration}",
         created=datetime.now().astimezone(),

@@ -18,7 +18,7 @@ from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
     gather,
-    knowledge_from,
+    mounting_from,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome
 from magcal_ros.core.estimate import Estimate
@@ -78,8 +78,8 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read, fit, leave the files, and say what came of it."""
     folder = _folder(options.output)
-    knowledge = knowledge_from(options)
-    gathered = gather(options, knowledge)
+    gathered = gather(options, mounting_from(options))
+    knowledge = Knowledge(gathered.reference.field, gathered.gathering.mounting)
     outcome, window = fit_gathered(gathered.gathering, knowledge, options.method)
     fitted = Fitted(gathered, knowledge, outcome, window, gathered.gathering.progress())
     if options.compare:
@@ -129,8 +129,9 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
     verdict = fitted.outcome.verdict
     rows = [(name, number, unit) for _, name, number, unit in _numbers(fitted)]
     text = f"{verdict.summary}\n\n{table(rows)}\n"
+    text += f"\nReference field: {fitted.gathered.reference.words}.\n"
     text += bullets("Not shown by this turn:", verdict.not_shown)
-    text += bullets("About the recording:", fitted.gathered.gathering.complaints())
+    text += bullets("About the recording:", fitted.gathered.complaints())
     text += bullets("Written:", [str(file) for file in files])
     if not files:
         text += "\nNo calibration was written.\n"
@@ -155,8 +156,9 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "recording": {
             "imu_topic": gathered.imu_topic,
             "mag_topic": gathered.field_topic,
-            "complaints": gathered.gathering.complaints(),
+            "complaints": gathered.complaints(),
         },
+        "reference": gathered.reference.facts,
         "files": [str(file) for file in files],
         "exit": int(fitted.status),
     }

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
+from magcal_ros.cli.numbers import number
+from magcal_ros.cli.reference import add_reference_options, reference_in_use
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.knowledge import (
-    INCLINATION_SIGMA_DEG,
-    STRENGTH_SIGMA_UT,
-    Knowledge,
-    knowledge_of,
-)
+from magcal_ros.core.knowledge import Mounting, knowledge_of
 from magcal_ros.core.offline import Gathering, Reading
+from magcal_ros.core.reference import Reference
 from magcal_ros.files.sources import Source, open_recording
 
 LOOK_EVERY = 2000
@@ -41,6 +39,8 @@ class Gathered:
         As recorded, fit to be shown.
     imu_frame, field_frame : str
         `frame_id` of the two sensors; empty if there is none.
+    reference : Reference
+        The reference field at its place and date.
     """
 
     gathering: Gathering
@@ -48,6 +48,11 @@ class Gathered:
     field_topic: str
     imu_frame: str
     field_frame: str
+    reference: Reference
+
+    def complaints(self) -> list[str]:
+        """Return everything that is wrong with it, or with what was said about it."""
+        return [*self.gathering.complaints(), *self.reference.complaints]
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +67,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--from",
         dest="start",
-        type=_number(0.0, math.inf),
+        type=number(0.0, math.inf),
         default=0.0,
         metavar="SECONDS",
         help="leave out what comes before, counted from the recording's beginning",
@@ -70,7 +75,7 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--to",
         dest="stop",
-        type=_number(0.0, math.inf),
+        type=number(0.0, math.inf),
         default=math.inf,
         metavar="SECONDS",
         help="leave out what comes after",
@@ -80,25 +85,15 @@ def add_recording_options(parser: argparse.ArgumentParser) -> None:
 
 def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
     """Add what may be known beforehand; ranges and defaults are the node's."""
-    group = parser.add_argument_group("what is known (each may be left out)")
-
-    def add(name: str, low: float, high: float, default: float, words: str) -> None:
-        group.add_argument(
-            name, type=_number(low, high), default=default, metavar="NUMBER", help=words
-        )
-
-    add("--reference-strength-ut", 15.0, 100.0, math.nan, "strength of the Earth's field, µT")
-    add("--reference-strength-sigma-ut", 0.0, 100.0, STRENGTH_SIGMA_UT, "how sure (1 σ), µT")
-    add("--reference-inclination-deg", -90.0, 90.0, math.nan, "inclination, positive down, °")
-    add("--reference-inclination-sigma-deg", 0.0, 90.0, INCLINATION_SIGMA_DEG, "how sure, °")
-    add("--reference-declination-deg", -180.0, 180.0, math.nan, "declination, positive east, °")
+    add_reference_options(parser)
+    group = parser.add_argument_group("the sensor (each may be left out)")
     for name, low, high, default, words in (
         ("--soft-iron-gains", 0.1, 10.0, 1.0, "known gains of the magnetometer's axes"),
         ("--mount-rpy-deg", -360.0, 360.0, 0.0, "its nominal pose in the IMU's frame, °"),
     ):
         group.add_argument(
             name,
-            type=_number(low, high),
+            type=number(low, high),
             nargs=3,
             default=[default] * 3,
             metavar=("X", "Y", "Z") if "gains" in name else ("ROLL", "PITCH", "YAW"),
@@ -106,21 +101,14 @@ def add_knowledge_options(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def knowledge_from(options: argparse.Namespace) -> Knowledge:
-    """Build what is known from the options."""
-    return knowledge_of(
-        options.reference_strength_ut,
-        options.reference_strength_sigma_ut,
-        options.reference_inclination_deg,
-        options.reference_inclination_sigma_deg,
-        options.reference_declination_deg,
-        options.soft_iron_gains,
-        options.mount_rpy_deg,
-    )
+def mounting_from(options: argparse.Namespace) -> Mounting:
+    """Return how the sensor is built in, by the options."""
+    gains, angles = options.soft_iron_gains, options.mount_rpy_deg
+    return knowledge_of(soft_iron_gains=gains, mount_rpy_deg=angles).mounting
 
 
-def gather(options: argparse.Namespace, knowledge: Knowledge) -> Gathered:
-    """Read the recording, with progress on stderr.
+def gather(options: argparse.Namespace, mounting: Mounting) -> Gathered:
+    """Read the recording, with progress on stderr, and find its reference field.
 
     Raises
     ------
@@ -134,7 +122,7 @@ def gather(options: argparse.Namespace, knowledge: Knowledge) -> Gathered:
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
     with open_recording(options.recording, **chosen, **span) as source:
-        gathering = Gathering(knowledge.mounting, source.imu_topic, source.field_topic)
+        gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         gathering.take(watched(source, sys.stderr))
         return Gathered(
             gathering,
@@ -142,6 +130,7 @@ def gather(options: argparse.Namespace, knowledge: Knowledge) -> Gathered:
             source.field_topic,
             source.imu_frame,
             source.field_frame,
+            reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
         )
 
 
@@ -165,16 +154,3 @@ def watched(
         yield reading
     if drawn and terminal:
         print("\r\x1b[K", end="", file=out, flush=True)
-
-
-def _number(low: float, high: float) -> Callable[[str], float]:
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"must lie between {low:g} and {high:g}, not {text}")
-        return value
-
-    return parse

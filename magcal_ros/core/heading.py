@@ -48,11 +48,17 @@ class Heading(NamedTuple):
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
         return quaternion_from_rpy(self.roll, self.pitch, true_yaw(self.yaw, declination))
 
-    def covariance(self) -> tuple[float, ...]:
-        """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad²."""
+    def covariance(self, north_variance: float = 0.0) -> tuple[float, ...]:
+        """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad².
+
+        Parameters
+        ----------
+        north_variance : float
+            Of the north that yaw counts from: the declination's for true north, rad².
+        """
         t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
         roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
-        return (roll, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance)
+        return (roll, 0.0, ry, 0.0, t, py, ry, py, self.yaw_variance + north_variance)
 
 
 def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:

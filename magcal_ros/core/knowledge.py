@@ -13,7 +13,8 @@ from magcal_ros.core.rotations import rotation_from_rpy
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
-"""What a world magnetic model leaves open outdoors; indoors rather 7 µT and 5°."""
+DECLINATION_SIGMA_DEG = 0.5
+"""What crust and iron near by add outdoors; indoors rather 7 µT, 5° and 5°."""
 
 SOFT_IRON_SIGMA_DIAGONAL = 0.03
 SOFT_IRON_SIGMA_CROSS = 0.02
@@ -66,16 +67,31 @@ class ReferenceField:
         Radians, positive where the field points down.
     declination : float or None
         Radians, positive where magnetic north lies east of true north; None if not known.
+    declination_sigma : float
+        Standard deviation of the declination, radians; it is part of a yaw to true north.
     """
 
     strength: Belief = field(default_factory=Belief.unknown)
     inclination: Belief = field(default_factory=Belief.unknown)
     declination: float | None = None
+    declination_sigma: float = 0.0
 
     @property
     def is_complete(self) -> bool:
         """Whether both strength and inclination say something."""
         return not (self.strength.is_unknown or self.inclination.is_unknown)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the declination is known as well."""
+        return self.is_complete and self.declination is not None
+
+    @property
+    def declination_belief(self) -> Belief:
+        """The declination with its sigma, radians."""
+        if self.declination is None:
+            return Belief.unknown()
+        return Belief(self.declination, self.declination_sigma)
 
 
 @dataclass(frozen=True)
@@ -157,6 +173,7 @@ def knowledge_of(
     declination_deg: float = math.nan,
     soft_iron_gains: Sequence[float] = (1.0, 1.0, 1.0),
     mount_rpy_deg: Sequence[float] = (0.0, 0.0, 0.0),
+    declination_sigma_deg: float = DECLINATION_SIGMA_DEG,
 ) -> Knowledge:
     """Build from the numbers that people write; NaN stands for what is not known.
 
@@ -170,6 +187,8 @@ def knowledge_of(
         Known gains of the magnetometer's axes.
     mount_rpy_deg : sequence of three float
         Nominal roll, pitch and yaw of the magnetometer in the IMU's frame, degrees.
+    declination_sigma_deg : float
+        Degrees.
 
     Returns
     -------
@@ -183,4 +202,6 @@ def knowledge_of(
     declination = None if math.isnan(declination_deg) else math.radians(declination_deg)
     roll, pitch, yaw = (math.radians(angle) for angle in mount_rpy_deg)
     mounting = Mounting(np.array(soft_iron_gains), rotation_from_rpy(roll, pitch, yaw))
-    return Knowledge(ReferenceField(strength, inclination, declination), mounting)
+    declination_sigma = 0.0 if declination is None else math.radians(declination_sigma_deg)
+    reference = ReferenceField(strength, inclination, declination, declination_sigma)
+    return Knowledge(reference, mounting)

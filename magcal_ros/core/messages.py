@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 from typing import Any, TypeAlias
 
+from magcal_ros.core.fixes import Fix
 from magcal_ros.core.streams import FieldSample, ImuSample
 
 Triple: TypeAlias = tuple[float, float, float]
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""
+
+
+STATUS_FIX = 0
+"""Lowest status of a sensor_msgs/NavSatStatus that has a fix."""
 
 
 def seconds(stamp: Any) -> float:
@@ -53,3 +58,14 @@ def field_sample(message: Any) -> FieldSample:
     """Return the numbers of a sensor_msgs/MagneticField."""
     field = message.magnetic_field
     return FieldSample(seconds(message.header.stamp), (field.x, field.y, field.z))
+
+
+def fix_of(message: Any) -> Fix:
+    """Return the numbers of a sensor_msgs/NavSatFix."""
+    return Fix(
+        message.status.status >= STATUS_FIX,
+        message.latitude,
+        message.longitude,
+        message.altitude,
+        seconds(message.header.stamp),
+    )

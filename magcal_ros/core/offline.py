@@ -28,7 +28,7 @@ class Gathering:
     Parameters
     ----------
     mounting : Mounting
-        How the magnetometer is meant to sit.
+        How the magnetometer is meant to sit; kept as `mounting`.
     imu_topic, field_topic : str
         What to call the two streams in words.
     max_gap : float
@@ -42,6 +42,7 @@ class Gathering:
         field_topic: str = "the field",
         max_gap: float = MAX_GAP,
     ) -> None:
+        self.mounting = mounting
         self.streams = Streams(max_gap)
         self._session = Session(Limits(), mounting, 0.0)
         self._pairer = Pairer(self.streams)

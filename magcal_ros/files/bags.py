@@ -5,11 +5,14 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.messages import field_sample, imu_sample
+from magcal_ros.core.fixes import place_of
+from magcal_ros.core.geomagnetism import Place
+from magcal_ros.core.messages import field_sample, fix_of, imu_sample
 from magcal_ros.core.offline import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
@@ -20,7 +23,11 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
+MOST_FIXES = 10_000
+"""Messages without a fix after which none is looked for any more."""
+
 LATEST = 2**63 - 1
 """Nanoseconds: after every message."""
 
@@ -93,6 +100,25 @@ class Bag:
                     if frame != imu_frame:
                         imu_frame, self.imu_frame = frame, _text(frame)
                     yield reading
+
+    def place(self) -> Place | None:
+        """Return the place of the first good fix of the span; None if there is none.
+
+        Raises
+        ------
+        FileTrouble
+            Where the bag is damaged.
+        """
+        receivers = [c for c in self._reader.connections if c.msgtype == FIX_TYPE and c.msgcount]
+        if not receivers:
+            return None
+        with _damage_in_words(self._path):
+            messages = self._reader.messages(receivers, self._first, self._end)
+            for connection, _, data in islice(messages, MOST_FIXES):
+                found = place_of(fix_of(self._reader.deserialize(data, connection.msgtype)))
+                if isinstance(found, Place):
+                    return found
+        return None
 
     def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
         """Let the library take apart what is not in the usual byte order."""

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geomagnetism import Place
 from magcal_ros.core.offline import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
@@ -42,6 +43,9 @@ class Source(Protocol):
     def share(self) -> float:
         """How much of it has been read, 0 to 1."""
 
+    def place(self) -> Place | None:
+        """Return where it was recorded, by its first good fix; None if it holds none."""
+
     def readings(self) -> Iterator[Reading]:
         """Yield what the sensors said in the order in which it was recorded."""
 
@@ -68,6 +72,10 @@ class CsvDrive:
     def share(self) -> float:
         """How much of it has been read, 0 to 1."""
         return self._read / max(len(self._recording.imu) + len(self._recording.field), 1)
+
+    def place(self) -> Place | None:
+        """Return None: a CSV folder holds no fixes."""
+        return None
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both sensors in the order of their stamps."""

@@ -133,17 +133,13 @@ def matrix_rows(estimate: Estimate) -> list[list[str]]:
 def known_before(knowledge: Knowledge) -> list[Row]:
     """Return what the method was told."""
     reference, mounting = knowledge.reference, knowledge.mounting
-    declination = reference.declination
     iron = knowledge.soft_iron
     pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
     believed = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
     return [
         Row("reference strength", _belief(reference.strength, MICRO, " µT")),
         Row("reference inclination", _belief(reference.inclination, DEGREES, "°")),
-        Row(
-            "declination, positive east",
-            "not known" if declination is None else f"{declination * DEGREES:.2f}°",
-        ),
+        Row("declination, positive east", _belief(reference.declination_belief, DEGREES, "°")),
         Row("known soft-iron gains x, y, z", ", ".join(f"{gain:g}" for gain in mounting.gains)),
         Row("nominal mounting, rows of the pose", pose),
         Row("soft iron beyond the gains (1σ)", believed),

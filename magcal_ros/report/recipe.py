@@ -30,7 +30,7 @@ knowledge = Knowledge(
     ReferenceField(
         {_belief(reference.strength)},
         {_belief(reference.inclination)},
-        {declination!r},
+        {declination!r}, {float(reference.declination_sigma)!r},
     ),
     Mounting(
         {_numbers(mounting.gains)},

@@ -12,6 +12,7 @@ from sensor_msgs.msg import Imu
 from magcal_ros.core.field_watch import PATIENCE, Trust
 from magcal_ros.core.fusion import FusedYaw
 from magcal_ros.core.heading import Compass, Triple
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.ros.messages import fill_orientation, orientation_only
 from magcal_ros.ros.outputs import RELIABLE
@@ -43,7 +44,7 @@ class FusedOutput:
         self._compass = compass
         self._fused = None
 
-    def on_imu(self, seconds: float, stamp: Time, frame: str, declination: float | None) -> None:
+    def on_imu(self, seconds: float, stamp: Time, frame: str, reference: ReferenceField) -> None:
         """Carry the yaw to an IMU message, and publish it there.
 
         Parameters
@@ -52,8 +53,8 @@ class FusedOutput:
             The message's stamp.
         frame : str
             The IMU's frame.
-        declination : float or None
-            Radians; None publishes the yaw to magnetic north.
+        reference : ReferenceField
+            Without a declination the yaw is to magnetic north, else to true north.
         """
         if self._compass is None:
             return
@@ -70,7 +71,9 @@ class FusedOutput:
         heading = fused.heading()
         if heading is not None:
             self._message.header.stamp, self._message.header.frame_id = stamp, frame
-            fill_orientation(self._message, heading, declination or 0.0)
+            declination = reference.declination
+            sigma = 0.0 if declination is None else reference.declination_sigma
+            fill_orientation(self._message, heading, declination or 0.0, sigma)
             self._out.publish(self._message)
 
     def on_field(self, seconds: float, field: Triple, up: Up | None) -> None:

@@ -21,11 +21,13 @@ def bias_message(correction: Correction, frame: str) -> MagneticField:
     return message
 
 
-def fill_orientation(message: Imu, heading: Heading, declination: float) -> None:
-    """Write an attitude and its covariance into an Imu."""
+def fill_orientation(
+    message: Imu, heading: Heading, declination: float = 0.0, declination_sigma: float = 0.0
+) -> None:
+    """Write an attitude and its covariance into an Imu; without a declination to magnetic north."""
     q = message.orientation
     q.x, q.y, q.z, q.w = heading.quaternion(declination)
-    message.orientation_covariance = np.array(heading.covariance())
+    message.orientation_covariance = np.array(heading.covariance(declination_sigma**2))
 
 
 def orientation_only() -> Imu:

@@ -39,6 +39,7 @@ from magcal_ros.ros.status import (
     inputs_diagnostic,
     status_json,
 )
+from magcal_ros.ros.whereabouts import Whereabouts
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
@@ -61,6 +62,7 @@ class Calibrator(Node):
         self._status = ""
         self._up = UpFollower()
         self._table = Parameters(self)
+        self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
         self._fused = FusedOutput(self, self._up)
         self._keeper = Keeper(self.get_namespace(), self._apply)
@@ -99,9 +101,8 @@ class Calibrator(Node):
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
             self._up.add(sample)
-            self._fused.on_imu(
-                sample.stamp, message.header.stamp, self._body_frame(), self._declination
-            )
+            reference = self._whereabouts.reference.field
+            self._fused.on_imu(sample.stamp, message.header.stamp, self._body_frame(), reference)
 
     def _on_field(self, message: MagneticField) -> None:
         first = self._inputs.field.last_heard is None
@@ -113,15 +114,12 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         if self._outputs.compass is not None:
+            reference = self._whereabouts.reference.field
             up = self._up.at(sample.stamp, streams.max_gap)
-            self._outputs.publish(message, sample.field, up, self._body_frame(), self._declination)
+            self._outputs.publish(message, sample.field, up, self._body_frame(), reference)
             self._fused.on_field(sample.stamp, sample.field, up)
         if not streams.is_repeated:
             self._control.add(sample)
-
-    @property
-    def _declination(self) -> float | None:
-        return self._table.settings.knowledge.reference.declination
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -157,7 +155,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._control.start(self._table.settings)
+        opened = self._control.start(self._whereabouts.settings)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -166,6 +164,7 @@ class Calibrator(Node):
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
         self._fused.put_in_force(self._outputs.compass)
+        self._whereabouts.use(calibration)
         self._publish_status()
 
     def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
@@ -248,6 +247,7 @@ class Calibrator(Node):
     def _on_heartbeat(self) -> None:
         self._inputs.streams.max_gap = self._table.settings.max_gap
         self._fused.patience = self._table.settings.patience
+        self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         name = self.get_name()
@@ -255,7 +255,7 @@ class Calibrator(Node):
         report.header.stamp = now
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper),
-            field_diagnostic(name, self._outputs, self._keeper),
+            field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
@@ -263,7 +263,8 @@ class Calibrator(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        status = status_json(self._control, self._keeper, self._inputs, self._declination)
+        reference = self._whereabouts.reference
+        status = status_json(self._control, self._keeper, self._inputs, reference)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

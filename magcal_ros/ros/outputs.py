@@ -15,6 +15,7 @@ from std_msgs.msg import Float64
 from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.heading import Compass, Heading, Triple
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.up import Up
 from magcal_ros.ros.messages import bias_message, fill_orientation, orientation_only
 
@@ -72,7 +73,7 @@ class Outputs:
         field: Triple,
         up: Up | None,
         frame: str,
-        declination: float | None,
+        reference: ReferenceField,
     ) -> None:
         """Correct one field message and publish everything that follows from it.
 
@@ -86,8 +87,8 @@ class Outputs:
             Of its moment; None leaves only the corrected field.
         frame : str
             The IMU's frame.
-        declination : float or None
-            Radians; None if not known, then there is no true north.
+        reference : ReferenceField
+            Without a declination there is no true north.
         """
         compass = self.compass
         if compass is None:
@@ -105,10 +106,11 @@ class Outputs:
         attitude = self._attitude
         attitude.header.stamp, attitude.header.frame_id = stamp, frame
         if _is_wanted(self._magnetic_out):
-            fill_orientation(attitude, heading, 0.0)
+            fill_orientation(attitude, heading)
             self._magnetic_out.publish(attitude)
+        declination = reference.declination
         if declination is not None and _is_wanted(self._true_out):
-            fill_orientation(attitude, heading, declination)
+            fill_orientation(attitude, heading, declination, reference.declination_sigma)
             self._true_out.publish(attitude)
         self._yaw.data = true_yaw(heading.yaw, declination or 0.0)
         self._yaw_out.publish(self._yaw)

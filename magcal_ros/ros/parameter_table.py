@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.field_watch import PATIENCE
-from magcal_ros.core.knowledge import INCLINATION_SIGMA_DEG, STRENGTH_SIGMA_UT
+from magcal_ros.core.geomagnetism import ALTITUDES
+from magcal_ros.core.knowledge import (
+    DECLINATION_SIGMA_DEG,
+    INCLINATION_SIGMA_DEG,
+    STRENGTH_SIGMA_UT,
+)
 from magcal_ros.core.streams import MAX_GAP
 from magcal_ros.ros.spec import UNSET, Spec
 
@@ -25,7 +30,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.strength_ut",
         UNSET,
-        "Strength of the Earth's field here; .nan if not known",
+        "Strength of the Earth's field here; .nan to take it from the World Magnetic Model",
         15.0,
         100.0,
         "µT",
@@ -33,7 +38,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.strength_sigma_ut",
         STRENGTH_SIGMA_UT,
-        "How far the true strength may be from it (1 σ); indoors rather 7",
+        "What crust and iron near by do to the strength (1 σ); indoors rather 7",
         0.0,
         100.0,
         "µT",
@@ -41,7 +46,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.inclination_deg",
         UNSET,
-        "Inclination (dip) of the Earth's field here, positive down; .nan if not known",
+        "Inclination (dip) of the Earth's field here, positive down; .nan for the model's",
         -90.0,
         90.0,
         "°",
@@ -49,7 +54,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.inclination_sigma_deg",
         INCLINATION_SIGMA_DEG,
-        "How far the true inclination may be from it (1 σ); indoors rather 5",
+        "What crust and iron near by do to the inclination (1 σ); indoors rather 5",
         0.0,
         90.0,
         "°",
@@ -57,10 +62,41 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "reference.declination_deg",
         UNSET,
-        "Declination here, positive east; .nan if not known, then no true north is published",
+        "Declination here, positive east; .nan for the model's",
         -180.0,
         180.0,
         "°",
+    ),
+    Spec(
+        "reference.declination_sigma_deg",
+        DECLINATION_SIGMA_DEG,
+        "What crust and iron near by do to the declination (1 σ); indoors rather 5",
+        0.0,
+        90.0,
+        "°",
+    ),
+    Spec(
+        "reference.latitude_deg",
+        UNSET,
+        "Where the robot is, for the model, positive north; .nan to take it from gps/fix",
+        -90.0,
+        90.0,
+        "°",
+    ),
+    Spec(
+        "reference.longitude_deg",
+        UNSET,
+        "The same, positive east",
+        -180.0,
+        180.0,
+        "°",
+    ),
+    Spec(
+        "reference.altitude_m",
+        0.0,
+        "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%",
+        *ALTITUDES,
+        "m",
     ),
     Spec(
         "soft_iron_gains",

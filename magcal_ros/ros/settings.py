@@ -7,13 +7,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from magcal_ros.core.geomagnetism import Place
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.reference import Local
 from magcal_ros.core.session import Limits
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The parameters' values in SI units and in the core's own types."""
+    """The parameters' values in SI units and in the core's own types.
+
+    `knowledge` is what was given by hand; `place`, `local` and the World Magnetic Model fill in
+    what its reference field lacks. `half_place` tells that only one of two coordinates was given.
+    """
 
     calibration_file: str
     report_folder: str
@@ -22,6 +28,9 @@ class Settings:
     limits: Limits
     max_gap: float
     patience: float
+    place: Place | None
+    half_place: bool
+    local: Local
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -34,7 +43,10 @@ class Settings:
             values["reference.declination_deg"],
             values["soft_iron_gains"],
             values["mount_rpy_deg"],
+            values["reference.declination_sigma_deg"],
         )
+        spot = (values["reference.latitude_deg"], values["reference.longitude_deg"])
+        unset = [math.isnan(angle) for angle in spot]
         return cls(
             values["calibration_file"],
             values["report_folder"],
@@ -47,4 +59,11 @@ class Settings:
             ),
             values["window.max_gap_s"],
             values["fused.patience_s"],
+            None if any(unset) else Place(*spot, values["reference.altitude_m"]),
+            unset[0] is not unset[1],
+            Local(
+                values["reference.strength_sigma_ut"] * 1e-6,
+                math.radians(values["reference.inclination_sigma_deg"]),
+                math.radians(values["reference.declination_sigma_deg"]),
+            ),
         )

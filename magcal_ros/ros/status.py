@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from magcal_ros.core.reference import Reference
 from magcal_ros.core.session import Progress
 from magcal_ros.core.verdict import Verdict
 from magcal_ros.ros.control import Control, State
@@ -17,7 +18,7 @@ from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.outputs import Outputs
 
 
-def status_json(control: Control, keeper: Keeper, inputs: Inputs, declination: float | None) -> str:
+def status_json(control: Control, keeper: Keeper, inputs: Inputs, reference: Reference) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
     if control.state is State.IDLE:
@@ -26,7 +27,8 @@ def status_json(control: Control, keeper: Keeper, inputs: Inputs, declination: f
     return json.dumps(
         {
             "state": state,
-            "north": "magnetic" if declination is None else "true",
+            "north": reference.north,
+            "reference": reference.facts,
             "progress": _progress(control.progress),
             "answer": None
             if conclusion is None
@@ -121,8 +123,19 @@ def calibration_diagnostic(name: str, control: Control, keeper: Keeper) -> Diagn
     return status
 
 
-def field_diagnostic(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticStatus:
-    """Say whether the corrected field still looks like the one that was calibrated."""
+def field_diagnostic(
+    name: str, outputs: Outputs, keeper: Keeper, reference: Reference
+) -> DiagnosticStatus:
+    """Say whether the field looks like the calibrated one, and what it is compared with."""
+    status = _corrected_field(name, outputs, keeper)
+    status.values = [*status.values, KeyValue(key="reference", value=reference.words)]
+    if reference.complaints:
+        status.level = max(status.level, DiagnosticStatus.WARN)
+        status.message = "; ".join([status.message, *reference.complaints])
+    return status
+
+
+def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticStatus:
     status = _named(name, "Field")
     calibration, heading = keeper.calibration, outputs.last_heading
     if calibration is None:

@@ -1,0 +1,102 @@
+"""Where and when the robot is, and with that the reference field in use."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import NavSatFix
+
+from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.fixes import Fixes
+from magcal_ros.core.geomagnetism import year_of
+from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.messages import fix_of
+from magcal_ros.core.reference import Reference, made_elsewhere, resolve
+from magcal_ros.ros.parameters import Parameters
+from magcal_ros.ros.settings import Settings
+
+HALF_A_PLACE = (
+    "only one of reference.latitude_deg and reference.longitude_deg is given: give both, or leave "
+    "both out"
+)
+
+
+class Whereabouts:
+    """Listens to gps/fix and keeps the reference field up to date.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the subscription lives.
+    table : Parameters
+        What the user gave; it wins over fix and model.
+    """
+
+    def __init__(self, node: Node, table: Parameters) -> None:
+        self._node, self._table = node, table
+        self._fixes = Fixes()
+        self._calibration: Calibration | None = None
+        self._settings: Settings | None = None
+        self._said: tuple[str, ...] = ()
+        self._reference = Reference(ReferenceField(), "unknown")
+        self.refresh()
+        node.create_subscription(NavSatFix, "gps/fix", self._on_fix, qos_profile_sensor_data)
+
+    @property
+    def reference(self) -> Reference:
+        """The reference field in use, by the parameters of this moment."""
+        if self._table.settings is not self._settings:
+            self.refresh()
+        return self._reference
+
+    @property
+    def settings(self) -> Settings:
+        """The parameters, with the reference field in use in place of the one given by hand."""
+        settings = self._table.settings
+        knowledge = replace(settings.knowledge, reference=self.reference.field)
+        return replace(settings, knowledge=knowledge)
+
+    def use(self, calibration: Calibration | None) -> None:
+        """Compare the place where a calibration was made with this one from now on."""
+        self._calibration = calibration
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Look at parameters, place and date again, and say what is new."""
+        before, self._reference = self._reference, self._resolve()
+        log = self._node.get_logger()
+        for complaint in self._reference.complaints:
+            if complaint not in self._said:
+                log.warning(complaint)
+        self._said = self._reference.complaints
+        north, was = self._reference.north, before.north
+        if self._calibration is not None and north != was:
+            log.warning(f"compass/yaw counts from {north} north from now on, not from {was} north")
+        if before.source != self._reference.source:
+            log.info(f"reference field: {self._reference.words}")
+
+    def _resolve(self) -> Reference:
+        settings = self._settings = self._table.settings
+        given = settings.knowledge.reference
+        place = settings.place or self._fixes.place
+        found = resolve(given, settings.local, place, None if place is None else self._year())
+        notes = list(found.complaints)
+        if settings.place is not None or not given.is_known:
+            notes += self._fixes.complaints(settings.place)
+        if settings.half_place:
+            notes.append(HALF_A_PLACE)
+        if self._calibration is not None:
+            notes.append(made_elsewhere(self._calibration, found.field))
+        return replace(found, complaints=tuple(note for note in notes if note))
+
+    def _year(self) -> float:
+        """Return the date to a tenth of a year; a clock of its own has simulated time."""
+        clock = self._node.get_clock().now().nanoseconds * 1e-9
+        return round(year_of((self._fixes.stamp, clock), time.time()), 1)
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        if self._fixes.add(fix_of(message)):
+            self.refresh()
