@@ -31,6 +31,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/offline.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/honesty.py
+	$(BIN)/python benchmarks/moving.py
 
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)

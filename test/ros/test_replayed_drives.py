@@ -77,11 +77,11 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
         folder / "truth.csv", delimiter=",", names=True, dtype=("f8", "f8", "f8", "f8", "f8", "S5")
     )
     start_node(BOSTON)
-    answer = audience.during_replay(folder, 8.0, "calibrate")
+    answer = audience.during_replay(folder, 4.0, "calibrate")
     assert answer.success, answer.message
     audience.headings.clear()
     audience.fused.clear()
-    audience.during_replay(folder, 8.0)
+    audience.during_replay(folder, 4.0)
     rms = heading_rms_against_course(audience.headings, truth)
     fused = heading_rms_against_course(audience.fused, truth)
     print(f"car circles: RMS against GPS course {rms:.2f}, fused {fused:.2f} deg; {answer.message}")
