@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from typing import Any
 
 from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.graph import joined
 from magcal_ros.cli.live_view import View, best_view
 from magcal_ros.core.errors import MagcalError
+
+STATUS_WITHIN = 1.0
+"""Seconds within which a running node tells its status."""
 
 
 def add_to(commands: Any) -> None:
@@ -56,12 +60,14 @@ class _Turn:
         self._node = node
         self._calibrator = calibrator
         self._trigger = Trigger
+        self._status: dict[str, Any] | None = None
         self._progress: dict[str, Any] | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(node)
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
 
     def run(self, view: View) -> Any:
+        self._warn_if_it_moves()
         future = self._call("calibrate")
         try:
             with view:
@@ -75,8 +81,15 @@ class _Turn:
             raise
         return future.result()
 
+    def _warn_if_it_moves(self) -> None:
+        deadline = time.monotonic() + STATUS_WITHIN
+        while self._status is None and time.monotonic() < deadline:
+            self._executor.spin_once(timeout_sec=0.1)
+        if self._status is not None and self._status.get("turns_itself"):
+            print("The robot will turn itself, once each way: keep clear.", flush=True)
+
     def _on_status(self, message: Any) -> None:
-        status = json.loads(message.data)
+        status = self._status = json.loads(message.data)
         busy = status["state"] in ("collecting", "fitting")
         self._progress = status["progress"] if busy else None
 

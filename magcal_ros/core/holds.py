@@ -257,30 +257,53 @@ def _spread(values: FloatArray, around: IntArray) -> float:
 def _gyro_compass_rms(
     window: Window, up: FloatArray, yaw: FloatArray, heading: FloatArray, pieces: list[IntArray]
 ) -> float:
-    """Return the rms of compass less gyro, one offset a piece and one steady bias removed.
+    """Return the rms of compass less gyro."""
+    assert window.angular_rate is not None
+    across = np.maximum(1.0 - up[:, 0] ** 2, 1.0 - STEEPEST_NOSE)
+    rate = np.sum(window.angular_rate[:, 1:] * up[:, 1:], axis=1) / across
+    steps = 0.5 * np.diff(window.time) * (rate[1:] + rate[:-1])
+    turned = np.concatenate([[0.0], np.cumsum(steps)])
+    error = compass_less_gyro(window.time, yaw, turned, heading, pieces)
+    return math.sqrt(float(np.mean(error**2)))
+
+
+def compass_less_gyro(
+    time: FloatArray,
+    yaw: FloatArray,
+    turned: FloatArray,
+    heading: FloatArray,
+    pieces: list[IntArray],
+) -> FloatArray:
+    """Return compass less gyro, one offset a piece and one steady bias removed.
 
     Over a single turn an error that comes and goes with the heading looks like a bias in part:
     the bias is found beside two harmonics of the heading, and only the bias is removed. Less
     than a turn cannot tell them apart.
+
+    Parameters
+    ----------
+    time, yaw, turned, heading : ndarray, shape (n,)
+        Seconds; radians by the compass, by the gyro, and where the robot looked as far as known.
+    pieces : list of ndarray of int
+        Rows over which the gyro was carried.
+
+    Returns
+    -------
+    ndarray
+        Radians in (-pi, pi], the pieces one after another.
     """
-    assert window.angular_rate is not None
-    across = np.maximum(1.0 - up[:, 0] ** 2, 1.0 - STEEPEST_NOSE)
-    rate = np.sum(window.angular_rate[:, 1:] * up[:, 1:], axis=1) / across
     orders = (1, 2) if Coverage.of(heading).is_complete else ()
     waves = [wave(k * heading) for k in orders for wave in (np.cos, np.sin)]
-    basis = np.column_stack([window.time, *waves])
+    basis = np.column_stack([time, *waves])
     design, residuals = [], []
     for rows in pieces:
-        time, turning = window.time[rows], rate[rows]
-        steps = 0.5 * np.diff(time) * (turning[1:] + turning[:-1])
-        turned = np.concatenate([[0.0], np.cumsum(steps)])
-        residual = np.unwrap(yaw[rows] - turned)
+        residual = np.unwrap(yaw[rows] - turned[rows])
         residuals.append(residual - residual.mean())
         design.append(basis[rows] - basis[rows].mean(axis=0))
     a, b = np.concatenate(design), np.concatenate(residuals)
     bias = float(np.linalg.lstsq(a, b, rcond=None)[0][0])
     bias = min(max(bias, -LARGEST_GYRO_BIAS), LARGEST_GYRO_BIAS)
-    return math.sqrt(float(np.mean(wrap_angle(b - bias * a[:, 0]) ** 2)))
+    return wrap_angle(b - bias * a[:, 0])
 
 
 def _pieces(window: Window, up: FloatArray) -> list[IntArray]:

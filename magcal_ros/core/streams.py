@@ -167,6 +167,11 @@ class Streams:
             later = sample
         return None
 
+    @property
+    def newest_rate(self) -> tuple[float, float, float] | None:
+        """Angular rate of the newest IMU sample, rad/s; None before the first."""
+        return self._imu[-1].rate if self._imu else None
+
     def imu_has_passed(self, stamp: float) -> bool:
         """Whether waiting longer can bring no IMU sample before `stamp`."""
         return bool(self._imu) and self._imu[-1].stamp >= stamp

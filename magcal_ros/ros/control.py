@@ -18,7 +18,7 @@ from magcal_ros.core.calibrate import Outcome, calibrate, predicted_sigma
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.session import Progress, Session, Stage
-from magcal_ros.core.streams import FieldSample, Pairer, Streams
+from magcal_ros.core.streams import FieldSample, Pair, Pairer, Streams
 from magcal_ros.core.window import Window
 from magcal_ros.ros.settings import Settings
 
@@ -58,6 +58,13 @@ class Control:
         Says which sensor is missing, and what to look at.
     report : callable
         Begins the report on a window and its outcome and returns where it will lie, in words.
+
+    Attributes
+    ----------
+    on_pair : callable
+        Sees every pair that a session takes.
+    is_held : callable
+        Whether a complete turn is not over yet, because the robot is on its way back.
     """
 
     def __init__(
@@ -82,6 +89,8 @@ class Control:
         self._why_ended = ""
         self._words = self._words_of_report = ""
         self._listeners: list[Callable[[Conclusion], None]] = []
+        self.on_pair: Callable[[Pair], None] = lambda _: None
+        self.is_held: Callable[[], bool] = lambda: False
         self.progress: Progress | None = None
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
@@ -143,6 +152,18 @@ class Control:
         self._conclude(Conclusion(False, "cancelled; the calibration in force is unchanged"))
         return Conclusion(True, "cancelled; the calibration in force is unchanged")
 
+    def break_off(self, reason: str) -> None:
+        """Give up the turn that is being collected; the reason is its conclusion."""
+        if self._session is not None:
+            self._session = None
+            self._conclude(Conclusion(False, f"{reason}; the calibration in force is unchanged"))
+
+    def end_turn(self, why: str) -> None:
+        """Fit what was seen of the turn that is being collected, for it will not get longer."""
+        if self._session is not None:
+            self._collect(self._session)
+            self._begin_fit(self._session, why)
+
     def tick(self) -> bool:
         """Move on what is ready to move; returns whether a session or a fit is under way."""
         if self._job is not None:
@@ -156,7 +177,8 @@ class Control:
         elif self._session is not None:
             self._collect(self._session)
             self.progress = self._session.progress(time.monotonic())
-            if self.progress.stage is Stage.COLLECTING:
+            is_held = self.progress.stage is Stage.COMPLETE and self.is_held()
+            if self.progress.stage is Stage.COLLECTING or is_held:
                 self._look_ahead(self._session, self.progress)
             else:
                 self._end_collection(self._session, self.progress)
@@ -171,6 +193,7 @@ class Control:
         now = time.monotonic()
         for pair in self._pairer.take():
             session.add(pair, now)
+            self.on_pair(pair)
 
     def _look_ahead(self, session: Session, progress: Progress) -> None:
         """Let the worker predict, now and then, how certain a fit would be already."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -26,6 +27,10 @@ class Sensor:
         self.frame = frame
         self.messages += 1
         self.last_heard = time.monotonic()
+
+    def age(self, now: float) -> float:
+        """Return seconds since the last message; infinite if none came."""
+        return math.inf if self.last_heard is None else now - self.last_heard
 
     def complaint(self) -> str:
         """Say that nothing comes, and what to look at; empty if messages flow."""

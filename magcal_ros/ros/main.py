@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 
+from magcal_ros.ros.end_signals import EndSignals
 from magcal_ros.ros.node import Calibrator
 
 SWITCH_INTERVAL = 0.0005
@@ -17,8 +19,10 @@ own 5 ms every message that came during a fit would be late by as much."""
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
+    signals = EndSignals()
+    given = list(sys.argv if arguments is None else arguments)
     try:
-        rclpy.init(args=list(sys.argv if arguments is None else arguments))
+        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has several roots: a bad argument or parameter file
         print(f"calibrator: {' '.join(str(error).split())}", file=sys.stderr)  # noqa: T201
         return 2
@@ -26,13 +30,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     node = None
     try:
         node = Calibrator()
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+        _spin(node, signals)
+    except ExternalShutdownException:
         pass
     except Exception:
-        # A signal can take the context away in the middle of a callback: that is an end, no fault.
+        # The context may go away in the middle of a callback: that is an end, no fault.
         if rclpy.ok():
             raise
     finally:
@@ -40,6 +42,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             node.close()
         rclpy.try_shutdown()
     return 0
+
+
+def _spin(node: Calibrator, signals: EndSignals) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def end() -> None:
+        # From the signals' thread, so that the robot stops even if a callback hangs.
+        executor.wake()
+        node.stop_robot()
+
+    signals.when_given(end)
+    while not signals.were_given:
+        executor.spin_once()
 
 
 if __name__ == "__main__":

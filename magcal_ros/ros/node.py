@@ -18,7 +18,8 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.streams import Drop, Streams
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up import Up, UpFollower
+from magcal_ros.core.watch import Watch
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
@@ -31,6 +32,7 @@ from magcal_ros.ros.markers import turn_markers
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter, now
+from magcal_ros.ros.rotator import Rotator
 from magcal_ros.ros.services import Services
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.status import (
@@ -38,6 +40,7 @@ from magcal_ros.ros.status import (
     field_diagnostic,
     inputs_diagnostic,
     status_json,
+    watch_diagnostic,
 )
 from magcal_ros.ros.whereabouts import Whereabouts
 
@@ -61,6 +64,7 @@ class Calibrator(Node):
         super().__init__("calibrator", **kwargs)
         self._status = ""
         self._up = UpFollower()
+        self._watch: Watch | None = None
         self._table = Parameters(self)
         self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
@@ -71,6 +75,12 @@ class Calibrator(Node):
         self._reporter = Reporter()
         self._control = Control(
             streams, self._put_in_force, self._describe_silence, self._begin_report
+        )
+        self._rotator = Rotator(
+            self,
+            self._control,
+            (self._inputs.imu, self._inputs.field),
+            lambda: self._table.settings,
         )
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
@@ -91,7 +101,12 @@ class Calibrator(Node):
 
     def close(self) -> None:
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
+        self.stop_robot()
         self._control.shut_down()
+
+    def stop_robot(self) -> None:
+        """Stop a robot that turns itself, from any thread; it will not move again."""
+        self._rotator.halt()
 
     def _on_imu(self, message: Imu) -> None:
         self._inputs.imu.heard(message.header.frame_id)
@@ -118,8 +133,16 @@ class Calibrator(Node):
             up = self._up.at(sample.stamp, streams.max_gap)
             self._outputs.publish(message, sample.field, up, self._body_frame(), reference)
             self._fused.on_field(sample.stamp, sample.field, up)
+            self._look_on(sample.stamp, up)
         if not streams.is_repeated:
             self._control.add(sample)
+
+    def _look_on(self, stamp: float, up: Up | None) -> None:
+        field, heading = self._outputs.last_field, self._outputs.last_heading
+        if self._watch is not None and up is not None and field is not None:
+            rate = self._inputs.streams.newest_rate
+            if heading is not None and rate is not None:
+                self._watch.add(stamp, field, up.direction, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -155,7 +178,7 @@ class Calibrator(Node):
             self.get_logger().error(f"{error} Running uncalibrated.")
 
     def _start(self) -> Conclusion:
-        opened = self._control.start(self._whereabouts.settings)
+        opened = self._rotator.begin(self._whereabouts.settings)
         if opened.success:
             self._tick.reset()
             self._publish_status()
@@ -164,6 +187,7 @@ class Calibrator(Node):
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
         self._fused.put_in_force(self._outputs.compass)
+        self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
         self._publish_status()
 
@@ -257,14 +281,17 @@ class Calibrator(Node):
             calibration_diagnostic(name, self._control, self._keeper),
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
+            watch_diagnostic(name, self._watch),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]
         self._diagnostics_out.publish(report)
         self._publish_status()
 
     def _publish_status(self) -> None:
-        reference = self._whereabouts.reference
-        status = status_json(self._control, self._keeper, self._inputs, reference)
+        reference, rotation = self._whereabouts.reference, self._table.settings.rotation
+        status = status_json(
+            self._control, self._keeper, self._inputs, reference, self._watch, rotation.enabled
+        )
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

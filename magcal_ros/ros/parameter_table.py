@@ -153,6 +153,14 @@ PARAMETERS: tuple[Spec, ...] = (
         3600.0,
         "s",
     ),
+    Spec(
+        "rotate.enabled",
+        False,
+        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for",
+    ),
+    Spec("rotate.speed_rad_s", 0.4, "How fast it turns", 0.1, 1.0, "rad/s"),
+    Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),
+    Spec("rotate.frame_id", "base_link", "Frame of the TwistStamped"),
 )
 
 

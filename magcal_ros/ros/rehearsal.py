@@ -103,14 +103,21 @@ class Rehearsal:
         self.answer(self.call("reset"))
 
     def run(
-        self, seconds: float, yaw_rate: float = 0.0, stop: Callable[[], bool] = lambda: False
+        self,
+        seconds: float,
+        yaw_rate: float | Callable[[], float] = 0.0,
+        stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Let the robot live for so many wall-clock seconds, or until `stop` says so."""
+        """Let the robot live for so many wall-clock seconds, or until `stop` says so.
+
+        Its yaw rate (rad/s) is given, or asked for at each step.
+        """
+        rate = yaw_rate if callable(yaw_rate) else lambda: yaw_rate
         started = time.monotonic()
         step = self.ride.period / self.speed
         ticks = 0
         while not stop() and time.monotonic() - started < seconds:
-            for sample in self.ride.step(yaw_rate):
+            for sample in self.ride.step(rate()):
                 for published in [sample] if self.mangle is None else self.mangle(sample):
                     self.source.publish(published)
             ticks += 1

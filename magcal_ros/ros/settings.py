@@ -14,6 +14,28 @@ from magcal_ros.core.session import Limits
 
 
 @dataclass(frozen=True)
+class Rotation:
+    """Whether and how the robot turns itself.
+
+    Parameters
+    ----------
+    enabled : bool
+        Whether it does.
+    speed : float
+        rad/s.
+    stamped : bool
+        Whether velocities are TwistStamped.
+    frame : str
+        Their frame_id then.
+    """
+
+    enabled: bool
+    speed: float
+    stamped: bool
+    frame: str
+
+
+@dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types.
 
@@ -31,6 +53,7 @@ class Settings:
     place: Place | None
     half_place: bool
     local: Local
+    rotation: Rotation
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -65,5 +88,11 @@ class Settings:
                 values["reference.strength_sigma_ut"] * 1e-6,
                 math.radians(values["reference.inclination_sigma_deg"]),
                 math.radians(values["reference.declination_sigma_deg"]),
+            ),
+            Rotation(
+                values["rotate.enabled"],
+                values["rotate.speed_rad_s"],
+                values["rotate.stamped"],
+                values["rotate.frame_id"],
             ),
         )

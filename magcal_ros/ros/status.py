@@ -12,13 +12,21 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from magcal_ros.core.reference import Reference
 from magcal_ros.core.session import Progress
 from magcal_ros.core.verdict import Verdict
+from magcal_ros.core.watch import Watch, Watched
 from magcal_ros.ros.control import Control, State
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.outputs import Outputs
 
 
-def status_json(control: Control, keeper: Keeper, inputs: Inputs, reference: Reference) -> str:
+def status_json(
+    control: Control,
+    keeper: Keeper,
+    inputs: Inputs,
+    reference: Reference,
+    watch: Watch | None,
+    turns_itself: bool,
+) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
     if control.state is State.IDLE:
@@ -29,12 +37,14 @@ def status_json(control: Control, keeper: Keeper, inputs: Inputs, reference: Ref
             "state": state,
             "north": reference.north,
             "reference": reference.facts,
+            "turns_itself": turns_itself,
             "progress": _progress(control.progress),
             "answer": None
             if conclusion is None
             else {"success": conclusion.success, "message": conclusion.message},
             "verdict": None if outcome is None else _verdict(outcome.verdict),
             "calibration": _calibration(keeper),
+            "watch": None if watch is None else _watch(watch.watched),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},
@@ -74,6 +84,14 @@ def _verdict(verdict: Verdict) -> Mapping[str, Any]:
         "summary": verdict.summary,
         "reasons": [check.words for check in verdict.checks],
         "not_shown": list(verdict.not_shown),
+    }
+
+
+def _watch(watched: Watched) -> Mapping[str, Any]:
+    return {
+        "stale": watched.is_stale,
+        "summary": watched.summary,
+        "findings": {f.figure: round(f.after, 2) for f in watched.findings},
     }
 
 
@@ -157,6 +175,20 @@ def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticS
         status.level = DiagnosticStatus.WARN
         status.message += ": something magnetic is near, or the calibration is another sensor's"
     status.values = _key_values(values)
+    return status
+
+
+def watch_diagnostic(name: str, watch: Watch | None) -> DiagnosticStatus:
+    """Say whether the calibration has held over the last minutes of driving."""
+    status = _named(name, "Watch")
+    if watch is None:
+        status.message = "nothing to watch before a calibration is in force"
+        return status
+    watched = watch.watched
+    status.message = watched.summary
+    if watched.is_stale:
+        status.level = DiagnosticStatus.WARN
+    status.values = _key_values({f.name: f"{f.after:.1f}{f.unit}" for f in watched.findings})
     return status
 
 
