@@ -31,6 +31,7 @@ bench: $(VENV)/.test
 	$(BIN)/python benchmarks/offline.py
 	$(BIN)/python benchmarks/accuracy.py
 	$(BIN)/python benchmarks/honesty.py
+	$(BIN)/python benchmarks/moving.py
 
 # Hours: every fault of doc/faults.md tried for long, then a day of messages.
 soak: $(VENV)/.test

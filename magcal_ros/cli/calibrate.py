@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
+import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from magcal_ros.cli.exits import Exit
@@ -72,17 +76,17 @@ class _Turn:
     def run(self, view: View) -> Any:
         self._warn_if_it_moves()
         future = self._call("calibrate")
-        try:
+        with _interrupts_noted() as interrupted:
             with view:
-                while not future.done():
+                while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
                     if self._progress is not None:
                         view.show(self._progress)
-        except KeyboardInterrupt:
+            if future.done():
+                return future.result()
             print("\ncancelling", flush=True)
             self._executor.spin_until_future_complete(self._call("cancel"), timeout_sec=3.0)
-            raise
-        return future.result()
+        raise KeyboardInterrupt
 
     def _warn_if_it_moves(self) -> None:
         deadline = time.monotonic() + STATUS_WITHIN
@@ -103,3 +107,14 @@ class _Turn:
                 "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
             )
         return client.call_async(self._trigger.Request())
+
+
+@contextlib.contextmanager
+def _interrupts_noted() -> Iterator[threading.Event]:
+    """Note Ctrl-C instead of raising it wherever the program stands, which may be inside rclpy."""
+    noted = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda *_: noted.set())
+    try:
+        yield noted
+    finally:
+        signal.signal(signal.SIGINT, before)

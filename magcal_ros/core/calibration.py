@@ -100,14 +100,6 @@ class Calibration:
             evidence,
         )
 
-    @property
-    def wants_carried_up(self) -> bool:
-        """Whether its yaw is right for an up that the gyro carries past a pull, and only for that.
-
-        The fit then took a steady pull off the accelerometer; the raw one would bring it back.
-        """
-        return self.evidence.figures.get("steady_pull", 0.0) > 0.0
-
     def on_users_word(self) -> Calibration:
         """Return the same calibration, marked as accepted by a person."""
         return replace(self, evidence=replace(self.evidence, accepted_by_user=True))

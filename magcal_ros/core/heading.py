@@ -30,7 +30,8 @@ class Heading(NamedTuple):
 
     `yaw` is ENU to magnetic north, radians. `tilt_variance` (rad²) is the up vector's in either
     direction: it holds for pitch as it stands, and for roll over cos² pitch. `roll_yaw` and
-    `pitch_yaw` are the covariances that a tilt error causes.
+    `pitch_yaw` are the covariances that a tilt error causes. `noise_variance` is the part of the
+    yaw's variance that is new with each field sample, `lasting_variance` the calibration's.
     """
 
     roll: float
@@ -40,6 +41,8 @@ class Heading(NamedTuple):
     yaw_variance: float
     roll_yaw: float
     pitch_yaw: float
+    noise_variance: float = 0.0
+    lasting_variance: float = 0.0
 
     def quaternion(self, declination: float = 0.0) -> Quaternion:
         """Return x, y, z, w of the attitude body to ENU, to true north if declination is given."""
@@ -109,10 +112,21 @@ class Compass:
             a[6] * x + a[7] * y + a[8] * z,
         )
 
-    def heading(self, field: Triple, force: Triple) -> Heading | None:
+    def heading(
+        self, field: Triple, force: Triple, tilt_variance: float | None = None
+    ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
         None where gravity or the level part of the field is too small to tell a direction.
+
+        Parameters
+        ----------
+        field : tuple of float
+            Corrected field, tesla.
+        force : tuple of float
+            Specific force, m/s², or up as a unit vector.
+        tilt_variance : float, optional
+            Of up in either direction, rad²; that of a single accelerometer reading unless given.
 
         Notes
         -----
@@ -141,20 +155,21 @@ class Compass:
         rise = mx * ux + my * uy + mz * uz
         by_east = -ex * ux / forward
         by_north = rise / level - nx * ux / forward
-        tilt = self._tilt_variance
+        tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
-        variance += self._field_variance((ex / level, ey / level, ez / level), field)
+        lasting, noise = self._field_variances((ex / level, ey / level, ez / level), field)
+        variance += lasting + noise
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
-        return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw)
+        return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw, noise, lasting)
 
-    def _field_variance(self, gradient: Triple, field: Triple) -> float:
-        """Return the yaw variance from calibration and field noise, rad²."""
+    def _field_variances(self, gradient: Triple, field: Triple) -> tuple[float, float]:
+        """Return the yaw variances from calibration and field noise, rad²."""
         g = np.array(gradient)
         q = np.array((field[0], field[1], field[2], -1.0))
         v = (g[:, None] * q).ravel()
-        return float(v @ self._certainty @ v + g @ self._noise @ g)
+        return float(v @ self._certainty @ v), float(g @ self._noise @ g)
 
 
 def _body_covariance(calibration: Calibration) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -17,7 +17,7 @@ from magcal_ros.core.attitude import unit, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.correction import Correction
 from magcal_ros.core.coverage import LARGEST_GYRO_BIAS, Coverage
-from magcal_ros.core.up import carried_up, correction_time
+from magcal_ros.core.up import carried_up
 from magcal_ros.core.window import Window
 
 BINS = 36
@@ -26,9 +26,6 @@ LARGEST_GAP = 0.5
 
 LONGEST_PIECE = 60.0
 """Seconds over which the gyro's drift is taken as steady."""
-
-LONGEST_AVERAGE = 15.0
-"""Seconds: a robot that mostly stands must not average its up vector over everything."""
 
 STEEPEST_NOSE = 0.75
 """Squared share of up along body x (60°) beyond which yaw is not compared."""
@@ -241,10 +238,9 @@ def up_of(window: Window) -> FloatArray:
     """Return up at each sample, carried by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
         return unit(window.specific_force)
-    reach = min(correction_time(window), LONGEST_AVERAGE)
     gaps = np.flatnonzero(np.diff(window.time) > LARGEST_GAP)
     pieces = np.split(np.arange(len(window)), gaps + 1)
-    return np.concatenate([carried_up(window.take(rows), reach) for rows in pieces])
+    return np.concatenate([carried_up(window.take(rows)) for rows in pieces])
 
 
 def _spread(values: FloatArray, around: IntArray) -> float:

@@ -10,6 +10,8 @@ from magcal_ros.core.rotations import exp_rotation, rotation_from_rpy
 from magcal_ros.core.simulator import UP_ENU, Robot
 from magcal_ros.core.streams import FieldSample, ImuSample
 
+REST: FloatArray = np.zeros(3)
+
 
 class Ride:
     """Moves a robot in small steps and lets its sensors watch.
@@ -63,14 +65,33 @@ class Ride:
         """Set the robot down with this attitude (ENU, radians)."""
         self.attitude = rotation_from_rpy(roll, pitch, yaw).T
 
-    def step(self, yaw_rate: float = 0.0) -> list[ImuSample | FieldSample]:
-        """Turn about `axis` for one period, rad/s, and return what the sensors report."""
-        rate = yaw_rate * self.axis
+    def step(
+        self,
+        yaw_rate: float = 0.0,
+        *,
+        acceleration: FloatArray = REST,
+        tipping: FloatArray = REST,
+        disturbance: FloatArray = REST,
+    ) -> list[ImuSample | FieldSample]:
+        """Move on for one period and return what the sensors report.
+
+        Parameters
+        ----------
+        yaw_rate : float
+            rad/s about `axis`.
+        acceleration : ndarray, shape (3,)
+            m/s² in body axes, as of a start, a stop or a circle.
+        tipping : ndarray, shape (3,)
+            rad/s in body axes on top of the yaw rate, as at the foot of a ramp.
+        disturbance : ndarray, shape (3,)
+            Tesla in ENU that iron nearby adds to the Earth's field.
+        """
+        rate = yaw_rate * self.axis + tipping
         self.attitude = exp_rotation(-rate * self.period) @ self.attitude
         self.stamp += self.period
-        samples: list[ImuSample | FieldSample] = [self._imu(rate)]
+        samples: list[ImuSample | FieldSample] = [self._imu(rate, acceleration)]
         if self._steps % self._steps_per_field == 0:
-            samples.append(self._field())
+            samples.append(self._field(disturbance))
         self._steps += 1
         return samples
 
@@ -80,16 +101,19 @@ class Ride:
         forward = self.attitude[0]
         return float(np.arctan2(forward[1], forward[0]) + self.robot.declination)
 
-    def _imu(self, rate: FloatArray) -> ImuSample:
+    def _imu(self, rate: FloatArray, acceleration: FloatArray) -> ImuSample:
         noise = self._rng.standard_normal((2, 3))
-        force = STANDARD_GRAVITY * (self.attitude @ UP_ENU) + self.robot.noise_force * noise[0]
+        force = STANDARD_GRAVITY * (self.attitude @ UP_ENU) + acceleration
+        force = force + self.robot.noise_force * noise[0]
         measured = rate + self.robot.gyro_bias + self.robot.noise_rate * noise[1]
         if not self._gyro:
             measured = np.full(3, np.nan)
         return ImuSample(self.stamp, _triple(force), _triple(measured))
 
-    def _field(self) -> FieldSample:
-        field = self.robot.raw_field((self.attitude @ self.robot.field_enu)[None])[0]
+    def _field(self, disturbance: FloatArray) -> FieldSample:
+        field = self.robot.raw_field((self.attitude @ (self.robot.field_enu + disturbance))[None])[
+            0
+        ]
         field = field + self.robot.noise_field * self._rng.standard_normal(3)
         return FieldSample(self.stamp, _triple(field))
 

@@ -180,19 +180,6 @@ class Streams:
         self._last_field = sample.field
         return True
 
-    def force_at(self, stamp: float) -> tuple[float, float, float] | None:
-        """Return the specific force at a stamp, m/s²; None if no IMU sample is near enough.
-
-        Between two samples it is interpolated; after the newest, that one is held.
-        """
-        if not self._imu:
-            return None
-        newest = self._imu[-1]
-        if stamp >= newest.stamp:
-            return newest.force if stamp - newest.stamp <= self.max_gap else None
-        between = self.imu_at(stamp)
-        return None if between is None else between.force
-
     def imu_at(self, stamp: float) -> ImuSample | None:
         """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
         later = None

@@ -18,15 +18,15 @@ from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.gravity import CarriedGravity
-from magcal_ros.core.heading import Triple
 from magcal_ros.core.streams import Drop, Streams
+from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.core.watch import Watch
 from magcal_ros.core.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.places import is_missing, known_as
 from magcal_ros.ros.control import Conclusion, Control, State
+from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper, require_sensor
 from magcal_ros.ros.markers import turn_markers
@@ -66,11 +66,12 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
-        self._gravity: CarriedGravity | None = None
+        self._up = UpFollower()
         self._watch: Watch | None = None
         self._table = Parameters(self)
         self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
+        self._fused = FusedOutput(self, self._up)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
@@ -125,15 +126,17 @@ class Calibrator(Node):
     def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
         try:
-            frame, sample = read_imu(data)
+            frame, sample, stamp = read_imu(data)
         except Unreadable:
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
         self._inputs.imu.heard(frame)
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
-        elif streams.add_imu(sample) and self._gravity is not None:
-            self._gravity.add(sample)
+        elif streams.add_imu(sample):
+            self._up.add(sample)
+            reference = self._whereabouts.reference.field
+            self._fused.on_imu(sample.stamp, stamp, self._body_frame(), reference)
 
     def _on_field(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -152,20 +155,19 @@ class Calibrator(Node):
             return
         if self._outputs.compass is not None:
             reference = self._whereabouts.reference.field
-            force = streams.force_at(sample.stamp)
-            if force is not None and self._gravity is not None:
-                force = self._gravity.up or force
-            self._outputs.publish(arrived, force, self._body_frame(), reference)
-            self._look_on(sample.stamp, force)
+            up = self._up.at(sample.stamp, streams.max_gap)
+            self._outputs.publish(arrived, up, self._body_frame(), reference)
+            self._fused.on_field(sample.stamp, sample.field, up)
+            self._look_on(sample.stamp, up)
         if not streams.is_repeated:
             self._control.add(sample)
 
-    def _look_on(self, stamp: float, force: Triple | None) -> None:
+    def _look_on(self, stamp: float, up: Up | None) -> None:
         field, heading = self._outputs.last_field, self._outputs.last_heading
-        if self._watch is not None and force is not None and field is not None:
+        if self._watch is not None and up is not None and field is not None:
             rate = self._inputs.streams.newest_rate
             if heading is not None and rate is not None:
-                self._watch.add(stamp, field, force, heading.yaw, rate)
+                self._watch.add(stamp, field, up.direction, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -212,8 +214,7 @@ class Calibrator(Node):
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
-        carried = calibration is not None and calibration.wants_carried_up
-        self._gravity = CarriedGravity() if carried else None
+        self._fused.put_in_force(self._outputs.compass)
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
         self._publish_status()
@@ -306,6 +307,7 @@ class Calibrator(Node):
         self._inputs.look(self.count_publishers)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
+        self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
@@ -315,6 +317,7 @@ class Calibrator(Node):
         report.status = [
             calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
+            self._fused.diagnostic(name),
             watch_diagnostic(name, self._watch),
             inputs_diagnostic(name, self._inputs, self._table.complaints),
         ]

@@ -16,6 +16,7 @@ from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.heading import Compass, Heading, Triple
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.up import Up
 from magcal_ros.ros.messages import bias_message
 from magcal_ros.ros.wire.incoming import FieldArrival
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
@@ -47,7 +48,7 @@ class Outputs:
         self._covariance_in = b""
         self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
-        self._last_force: Triple | None = None
+        self._last_up: Up | None = None
         self._heading: Heading | None = None
         self._is_heading_known = True
         self.compass: Compass | None = None
@@ -58,9 +59,9 @@ class Outputs:
         """The attitude at the last field message; None if it had none."""
         if not self._is_heading_known and self.compass is not None:
             self._is_heading_known = True
-            field, force = self.last_field, self._last_force
-            if field is not None and force is not None:
-                self._heading = self.compass.heading(field, force)
+            field, up = self.last_field, self._last_up
+            if field is not None and up is not None:
+                self._heading = self.compass.heading(field, up.direction, up.variance)
         return self._heading
 
     def put_in_force(self, calibration: Calibration | None, magnetometer_frame: str = "") -> None:
@@ -83,7 +84,7 @@ class Outputs:
             self._bias_out.publish(self._bias)
 
     def publish(
-        self, arrived: FieldArrival, force: Triple | None, frame: str, reference: ReferenceField
+        self, arrived: FieldArrival, up: Up | None, frame: str, reference: ReferenceField
     ) -> None:
         """Correct one field message and publish everything that follows from it.
 
@@ -91,8 +92,8 @@ class Outputs:
         ----------
         arrived : FieldArrival
             What the message says; its stamp and covariance are carried over.
-        force : tuple of float or None
-            Specific force of its moment, m/s²; None leaves only the corrected field.
+        up : Up or None
+            Of its moment; None leaves only the corrected field.
         frame : str
             The IMU's frame.
         reference : ReferenceField
@@ -102,7 +103,7 @@ class Outputs:
         if compass is None:
             return
         field = self.last_field = compass.correct(arrived.sample.field)
-        self._last_force, declination = force, reference.declination
+        self._last_up, declination = up, reference.declination
         self._heading, self._is_heading_known = None, False
         if _is_wanted(self._field_out):
             covariance = self._carried(compass, arrived.covariance)

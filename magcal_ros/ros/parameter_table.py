@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from magcal_ros.core.calibrate import METHODS
+from magcal_ros.core.field_watch import PATIENCE
 from magcal_ros.core.geomagnetism import ALTITUDES
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
@@ -148,6 +149,14 @@ PARAMETERS: tuple[Spec, ...] = (
         "IMU samples further apart are not interpolated between",
         0.001,
         5.0,
+        "s",
+    ),
+    Spec(
+        "fused.patience_s",
+        PATIENCE,
+        "A field that departs from the calibrated one for so long is taken for the new one",
+        1.0,
+        3600.0,
         "s",
     ),
     Spec(

@@ -50,6 +50,7 @@ class Settings:
     knowledge: Knowledge
     limits: Limits
     max_gap: float
+    patience: float
     place: Place | None
     half_place: bool
     local: Local
@@ -82,6 +83,7 @@ class Settings:
                 target_sigma=math.radians(values["confidence.target_sigma_deg"]),
             ),
             values["window.max_gap_s"],
+            values["fused.patience_s"],
             None if any(unset) else Place(*spot, values["reference.altitude_m"]),
             unset[0] is not unset[1],
             Local(

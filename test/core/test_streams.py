@@ -254,26 +254,6 @@ class TestInterpolation:
         assert streams.imu_at(2.255).force == pytest.approx(UP)
 
 
-class TestForceAt:
-    def test_between_samples_it_is_interpolated(self):
-        streams = Streams(MAX_GAP)
-        streams.add_imu(line(1.0))
-        streams.add_imu(line(1.1))
-        assert streams.force_at(1.04) == pytest.approx(line(1.04).force)
-
-    def test_the_newest_is_held_for_as_long_as_the_largest_gap(self):
-        streams = Streams(MAX_GAP)
-        assert streams.force_at(1.0) is None
-        streams.add_imu(line(1.0))
-        assert streams.force_at(1.0 + 0.99 * MAX_GAP) == line(1.0).force
-        assert streams.force_at(1.0 + 1.01 * MAX_GAP) is None
-
-    def test_before_the_first_sample_there_is_none(self):
-        streams = Streams(MAX_GAP)
-        streams.add_imu(line(1.0))
-        assert streams.force_at(0.9) is None
-
-
 class TestPairs:
     def test_a_field_waits_for_the_imu_after_it(self):
         walk = Walk()

@@ -7,10 +7,10 @@ import pytest
 from driving import PERIOD, ROBOT, Way, changed, drive, promise
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.heading import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.up import UpFollower
 from magcal_ros.core.watch import MOST_RECORDS, Watch
 from magcal_ros.core.window import Window
 
@@ -143,7 +143,7 @@ def test_gaps_and_repeats_do_no_harm():
 
 def ride_along(recording, calibration, shift, repeats):
     """Watch a recording over and over, with a hard iron added from half-way on."""
-    watch, compass, carried = Watch(calibration), Compass(calibration), CarriedGravity()
+    watch, compass, carried = Watch(calibration), Compass(calibration), UpFollower()
     imu, mag, length = recording
     for lap in range(repeats):
         extra = shift if 2 * lap >= repeats else np.zeros(3)
@@ -151,9 +151,10 @@ def ride_along(recording, calibration, shift, repeats):
             sample = ImuSample(t + lap * length, tuple(inertial[:3]), tuple(inertial[3:]))
             carried.add(sample)
             field = compass.correct(tuple(FieldSample(t, raw).field + extra))
-            heading = compass.heading(field, carried.up)
+            up = carried.at(sample.stamp, 0.0).direction
+            heading = compass.heading(field, up)
             if heading is not None:
-                watch.add(sample.stamp, field, carried.up, heading.yaw, sample.rate)
+                watch.add(sample.stamp, field, up, heading.yaw, sample.rate)
     return watch
 
 

@@ -173,7 +173,9 @@ def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, liste
     assert set(parts) == {
         "calibrator: Calibration",
         "calibrator: Field",
+        "calibrator: Fused",
         "calibrator: Inputs",
+        "calibrator: Watch",
     }
     assert parts["calibrator: Calibration"].level == DiagnosticStatus.WARN
     assert "not calibrated" in parts["calibrator: Calibration"].message

@@ -20,13 +20,9 @@ class Audience:
 
     def __init__(self, node):
         self.node = node
-        self.headings = []
-        node.create_subscription(Imu, "compass/mag/enu/imu", self._on_heading, 10)
-
-    def _on_heading(self, message):
-        q, stamp = message.orientation, message.header.stamp
-        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
-        self.headings.append((stamp.sec + 1e-9 * stamp.nanosec, yaw))
+        self.headings, self.fused = [], []
+        for topic, heard in (("mag", self.headings), ("fused", self.fused)):
+            node.create_subscription(Imu, f"compass/{topic}/enu/imu", noting(heard), 100)
 
     def during_replay(self, folder, rate, service=None):
         """Replay a drive, calling a service as it begins; returns the service's answer."""
@@ -43,6 +39,15 @@ class Audience:
         return None if future is None else future.result()
 
 
+def noting(heard):
+    def on_heading(message):
+        q, stamp = message.orientation, message.header.stamp
+        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+        heard.append((stamp.sec + 1e-9 * stamp.nanosec, yaw))
+
+    return on_heading
+
+
 @pytest.fixture
 def audience(graph):
     node = rclpy.create_node("audience")
@@ -51,16 +56,19 @@ def audience(graph):
 
 
 def heading_rms_against_course(headings, truth):
-    """RMS in degrees at the moments of the GPS course, one constant offset removed."""
+    """RMS in degrees at the moments of the GPS course, one lag and one offset removed."""
     stamps, yaws = np.array(headings).T
     order = np.argsort(stamps)
-    fast = (truth["valid"] == b"True") & (truth["speed"] > 2.0)
-    inside = fast & (truth["t"] > stamps.min()) & (truth["t"] < stamps.max())
-    yaw = np.interp(truth["t"][inside], stamps[order], np.unwrap(yaws[order]))
-    error = yaw - truth["yaw"][inside]
-    offset = np.angle(np.exp(1j * error).mean())
-    assert inside.sum() > 40
-    return rms_deg(wrap_angle(error - offset))
+    fast = truth[(truth["valid"] == b"True") & (truth["speed"] > 2.0)]
+    found = []
+    for lag in np.arange(-2.0, 2.01, 0.05):
+        moments = fast["t"] + lag
+        inside = (moments > stamps.min()) & (moments < stamps.max())
+        yaw = np.interp(moments[inside], stamps[order], np.unwrap(yaws[order]))
+        error = yaw - fast["yaw"][inside]
+        found.append(rms_deg(wrap_angle(error - np.angle(np.exp(1j * error).mean()))))
+        assert inside.sum() > 40
+    return min(found)
 
 
 def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audience, recording):
@@ -69,13 +77,17 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
         folder / "truth.csv", delimiter=",", names=True, dtype=("f8", "f8", "f8", "f8", "f8", "S5")
     )
     start_node(BOSTON)
-    answer = audience.during_replay(folder, 8.0, "calibrate")
+    answer = audience.during_replay(folder, 4.0, "calibrate")
     assert answer.success, answer.message
     audience.headings.clear()
-    audience.during_replay(folder, 8.0)
+    audience.fused.clear()
+    audience.during_replay(folder, 4.0)
     rms = heading_rms_against_course(audience.headings, truth)
-    print(f"car circles: heading RMS against GPS course {rms:.2f} deg; {answer.message}")
-    assert rms <= 6.0
+    fused = heading_rms_against_course(audience.fused, truth)
+    print(f"car circles: RMS against GPS course {rms:.2f}, fused {fused:.2f} deg; {answer.message}")
+    # Which samples the turn is made of differs from run to run, and the calibration with it.
+    assert rms <= 2.8
+    assert fused <= 2.5
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.gravity import CarriedGravity
 from magcal_ros.core.heading import Compass
 from magcal_ros.core.simulator import Robot, measure, turn
 from magcal_ros.core.streams import HISTORY, MAX_GAP, Pairer, Streams
+from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire.incoming import read_field, read_imu
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
 
@@ -25,7 +25,7 @@ class Walk:
     def __init__(self):
         robot = Robot()
         outcome = calibrate(measure(robot, turn(), np.random.default_rng(1)), robot.knowledge())
-        self.compass, self.gravity = Compass(outcome.calibration), CarriedGravity()
+        self.compass, self.up = Compass(outcome.calibration), UpFollower()
         self.streams = Streams(MAX_GAP)
         self.pairer = Pairer(self.streams)
         self.templates = FieldTemplate(), AttitudeTemplate(), NumberTemplate()
@@ -47,7 +47,7 @@ class Walk:
             struct.pack_into("<d", self.field, len(self.field) - 80, -4e-5 - 1e-9 * self.steps)
             sample = read_imu(bytes(self.imu)).sample
             assert self.streams.add_imu(sample)
-            self.gravity.add(sample)
+            self.up.add(sample)
             self.answer(read_field(bytes(self.field)))
 
     def answer(self, arrived):
@@ -55,7 +55,8 @@ class Walk:
         self.pairer.offer(arrived.sample)
         self.pairer.take()
         corrected = self.compass.correct(arrived.sample.field)
-        heading = self.compass.heading(corrected, self.streams.force_at(arrived.sample.stamp))
+        up = self.up.at(arrived.sample.stamp, MAX_GAP)
+        heading = self.compass.heading(corrected, up.direction, up.variance)
         field, attitude, number = self.templates
         field.fill(arrived.stamp, "imu_link", corrected, (0.0,) * 9)
         attitude.fill(arrived.stamp, "imu_link", heading, 0.0)

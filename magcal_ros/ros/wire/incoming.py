@@ -6,6 +6,7 @@ import struct
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
@@ -26,10 +27,21 @@ class Unreadable(MagcalError):
 
 
 class ImuArrival(NamedTuple):
-    """What the node takes from a sensor_msgs/Imu; no sample if it carries no acceleration."""
+    """What the node takes from a sensor_msgs/Imu.
+
+    Parameters
+    ----------
+    frame : str
+        The IMU's.
+    sample : ImuSample or None
+        Its numbers; None if it carries no acceleration.
+    stamp : bytes
+        Seconds and nanoseconds, little-endian, as every answer to this message carries them.
+    """
 
     frame: str
     sample: ImuSample | None
+    stamp: bytes
 
 
 class FieldArrival(NamedTuple):
@@ -67,9 +79,9 @@ def read_imu(data: bytes) -> ImuArrival:
         except struct.error:
             pass
         else:
-            return ImuArrival(_text(frame), sample)
+            return ImuArrival(_text(frame), sample, data[_STAMP_PLACE])
     message = _by_rclpy(data, Imu)
-    return ImuArrival(message.header.frame_id, imu_sample(message))
+    return ImuArrival(message.header.frame_id, imu_sample(message), _packed(message.header.stamp))
 
 
 def read_field(data: bytes) -> FieldArrival:
@@ -88,11 +100,10 @@ def read_field(data: bytes) -> FieldArrival:
         else:
             return FieldArrival(_text(frame), sample, data[_STAMP_PLACE], covariance)
     message = _by_rclpy(data, MagneticField)
-    stamp = message.header.stamp
     return FieldArrival(
         message.header.frame_id,
         field_sample(message),
-        STAMP.pack(stamp.sec, stamp.nanosec),
+        _packed(message.header.stamp),
         _COVARIANCE.pack(*message.magnetic_field_covariance),
     )
 
@@ -101,6 +112,10 @@ def read_field(data: bytes) -> FieldArrival:
 def _text(frame: bytes) -> str:
     """Return a frame as rclpy reads it: to its first zero, and what is no text replaced."""
     return frame.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def _packed(stamp: Time) -> bytes:
+    return STAMP.pack(stamp.sec, stamp.nanosec)
 
 
 def _by_rclpy(data: bytes, kind: type) -> Any:

@@ -64,6 +64,7 @@ def test_an_imu_is_what_rclpy_reads(frame, sec, nanosec, doubles, order):
     message = deserialize_message(data, Imu)
     found, wanted = read_imu(data), imu_sample(message)
     assert found.frame == frame
+    assert STAMP.unpack(found.stamp) == (message.header.stamp.sec, message.header.stamp.nanosec)
     assert (found.sample is None) == (wanted is None)
     if wanted is not None:
         assert same(found.sample.stamp, wanted.stamp)
@@ -76,8 +77,9 @@ def test_frames_of_every_length_leave_the_doubles_aligned(length):
     imu = stamped(Imu(), "f" * length, 7, 5)
     fill(imu.linear_acceleration, (1.0, 2.0, 3.0))
     fill(imu.angular_velocity, (4.0, 5.0, 6.0))
-    frame, sample = read_imu(serialize_message(imu))
+    frame, sample, stamp = read_imu(serialize_message(imu))
     assert (frame, sample) == ("f" * length, imu_sample(imu))
+    assert STAMP.unpack(stamp) == (7, 5)
 
 
 @pytest.mark.parametrize(("force", "rate"), [(-1.0, 0.0), (0.0, -1.0), (-1.0, -1.0)])

@@ -1,0 +1,269 @@
+"""Yaw of a moving robot: simulated starts, stops and circles, and real drives with a truth.
+
+Run it as `python benchmarks/moving.py [recordings]`. The folder with the recordings is
+`../shared/recordings` unless given; drives that are not there are left out. With the package `vqf`
+installed its 9-axis filter is shown too. NEES is the squared error over the published variance.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.calibration import Calibration, Evidence
+from magcal_ros.core.correction import Correction
+from magcal_ros.core.field_watch import PATIENCE
+from magcal_ros.core.fusion import FusedYaw
+from magcal_ros.core.heading import Compass
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.offline import Gathering, fit_gathered
+from magcal_ros.core.ride import Ride
+from magcal_ros.core.simulator import DEGREE, Robot
+from magcal_ros.core.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.up import Up, UpFollower
+from magcal_ros.files.recording import Recording, read_csv_folder
+
+SEEDS = 5
+FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+ROBOT = Robot(inclination=65.0 * DEGREE, noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
+Samples = Iterable[ImuSample | FieldSample]
+Rows = list[tuple[float, float, float]]
+"""Stamp, yaw, variance."""
+
+
+def exact(correction: Correction, noise: float, strength: float, dip: float) -> Calibration:
+    """Return a calibration that is right, so that only the motion is seen."""
+    evidence = Evidence("truth", "", "", "")
+    return Calibration(correction, np.zeros((12, 12)), noise, 0.005, strength, dip, evidence)
+
+
+class Walk:
+    """A message's walk through the node, with one of the ways to find up."""
+
+    def __init__(self, calibration: Calibration, way: str) -> None:
+        self.way = way
+        self.raw: Rows = []
+        self.fused: Rows = []
+        self._compass = Compass(calibration)
+        self._noise_up = calibration.noise_up
+        self._streams = Streams(MAX_GAP)
+        self._follower = UpFollower()
+        self._fusion = FusedYaw(calibration, PATIENCE)
+
+    def take(self, sample: ImuSample | FieldSample) -> None:
+        """Take a sample of either sensor."""
+        if isinstance(sample, FieldSample):
+            self._take_field(sample)
+        elif self._streams.add_imu(sample):
+            if self.way == "low-pass":
+                sample = sample._replace(rate=(math.nan,) * 3)
+            self._follower.add(sample)
+            up = self._follower.at(sample.stamp, 0.0)
+            if self.way == "carried" and up is not None:
+                self._fusion.carry(sample.stamp, up, self._follower.mean_rate)
+                heading = self._fusion.heading()
+                if heading is not None:
+                    self.fused.append((sample.stamp, heading.yaw, heading.yaw_variance))
+
+    def _take_field(self, sample: FieldSample) -> None:
+        up = self._up(sample.stamp) if self._streams.add_field(sample) else None
+        if up is None:
+            return
+        field = self._compass.correct(sample.field)
+        heading = self._compass.heading(field, up.direction, up.variance)
+        if heading is not None:
+            self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
+            if self.way == "carried":
+                self._fusion.correct(sample.stamp, field, up, heading)
+
+    def _up(self, stamp: float) -> Up | None:
+        if self.way != "accelerometer":
+            return self._follower.at(stamp, MAX_GAP)
+        imu = self._streams.imu_at(stamp)
+        return None if imu is None else Up(imu.force, self._noise_up**2)
+
+
+def starts_and_stops(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
+    """Stand, then speed up and brake with 2 m/s² for a second each, turning in between."""
+    yield from moved(ride, 3.0)
+    for _ in range(6):
+        for pull in (2.0, 0.0, -2.0, 0.0):
+            yield from moved(ride, 1.0, acceleration=pull * FORWARD)
+        yield from moved(ride, 1.0, yaw_rate=1.0)
+
+
+def circle(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
+    """Stand, then drive circles at 3 m/s and 0.5 rad/s."""
+    yield from moved(ride, 3.0)
+    yield from moved(ride, 1.5, acceleration=2.0 * FORWARD)
+    yield from moved(ride, 40.0, yaw_rate=0.5, acceleration=1.5 * LEFT)
+
+
+def circle_from_the_start(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
+    """The same, never seen at rest; the first half circle is left out of the score."""
+    yield from moved(ride, 40.0, yaw_rate=0.5, acceleration=1.5 * LEFT)
+
+
+def ramps(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
+    """Drive up and down 8° ramps, turning in between."""
+    yield from moved(ride, 3.0)
+    for _ in range(4):
+        for tip in (-8.0, 0.0, 8.0, 0.0):
+            yield from moved(ride, 1.5, tipping=tip / 1.5 * DEGREE * LEFT)
+        yield from moved(ride, 1.0, yaw_rate=1.0)
+
+
+def moved(ride: Ride, seconds: float, **motion: object) -> Iterator[list[ImuSample | FieldSample]]:
+    """Yield what the sensors say while the robot moves."""
+    for _ in range(int(seconds / ride.period)):
+        yield ride.step(**motion)  # type: ignore[arg-type]
+
+
+def simulated(drive: Callable[[Ride], Iterator[list[ImuSample | FieldSample]]]) -> None:
+    """Print the yaw errors of a simulated drive."""
+    calibration = exact(ROBOT.true_correction, ROBOT.noise_field, ROBOT.strength, ROBOT.inclination)
+    errors: dict[str, list[tuple[float, float]]] = {}
+    for seed in range(SEEDS):
+        rng = np.random.default_rng(seed)
+        ways = [Walk(calibration, way) for way in ("accelerometer", "low-pass", "carried")]
+        ride = Ride(ROBOT, rng, start=10.0)
+        ride.stand(0.0, 0.0, float(rng.uniform(-3.0, 3.0)))
+        stamps, truth = [], []
+        for samples in drive(ride):
+            stamps.append(ride.stamp)
+            truth.append(ride.magnetic_yaw)
+            for walk in ways:
+                for sample in samples:
+                    walk.take(sample)
+        first = 17.0 if drive is circle_from_the_start else 10.0
+        for walk in ways:
+            kept = against(walk.raw, stamps, truth, first)
+            errors.setdefault(walk.way, []).extend(kept)
+        errors.setdefault("fused", []).extend(against(ways[-1].fused, stamps, truth, first))
+    show((drive.__name__.replace("_", " "), *(figures(found) for found in errors.values())))
+
+
+def against(
+    rows: Rows, stamps: list[float], truth: list[float], first: float
+) -> list[tuple[float, float]]:
+    """Return error and variance of each row from a stamp on."""
+    found = np.array([row for row in rows if row[0] > first])
+    gaps = wrap_angle(found[:, 1] - np.interp(found[:, 0], stamps, np.unwrap(truth)))
+    return list(zip(gaps.tolist(), found[:, 2].tolist(), strict=True))
+
+
+def figures(found: list[tuple[float, float]]) -> str:
+    """Return RMS in degrees and NEES."""
+    error, variance = np.array(found).T
+    return f"{math.degrees(math.sqrt(np.mean(error**2))):.2f} ({np.mean(error**2 / variance):.2f})"
+
+
+def show(cells: tuple[str, ...]) -> None:
+    """Print one row of a table."""
+    print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def broad(folder: Path) -> None:
+    """Print the yaw errors of a hand-held drive where its tilt is below 45°."""
+    recording = read_csv_folder(folder)
+    for stream in (recording.imu, recording.field):
+        stream[:, 0] += 1.0
+    truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
+    lean = 1.0 - 2.0 * (truth[:, 3] ** 2 + truth[:, 4] ** 2)
+    bias = np.array([-0.14e-6, 0.20e-6, 0.39e-6])
+    calibration = exact(Correction(np.eye(3), bias), 0.8e-6, 44.3e-6, math.radians(69.6))
+
+    def score(rows: Rows) -> str:
+        stamps = np.array([row[0] for row in rows]) - 1.0
+        yaws = np.array([row[1] for row in rows])
+        gap = wrap_angle(yaws - np.interp(stamps, truth[:, 0], np.unwrap(truth[:, 1])))
+        level = np.interp(stamps, truth[:, 0], lean) > math.cos(math.radians(45.0))
+        return f"{math.degrees(math.sqrt(np.mean(gap[level] ** 2))):.2f}"
+
+    recorded("broad05, tilt < 45°", recording, calibration, score)
+
+
+def car(folder: Path) -> None:
+    """Print the yaw errors of a car in circles against its GPS course."""
+    recording = read_csv_folder(folder)
+    truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
+    truth = truth[truth[:, 2] > 2.0]
+    gathering = Gathering(Mounting())
+    gathering.take(recording.samples())
+    reference = ReferenceField(
+        Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
+    )
+    outcome, _ = fit_gathered(gathering, Knowledge(reference))
+    assert outcome.calibration is not None
+
+    def score(rows: Rows) -> str:
+        stamps = np.array([row[0] for row in rows])
+        yaws = np.unwrap([row[1] for row in rows])
+        best = math.inf
+        for lag in np.arange(-2.0, 2.01, 0.05):
+            moments = truth[:, 0] + lag
+            inside = (moments > stamps[0]) & (moments < stamps[-1])
+            gap = np.interp(moments[inside], stamps, yaws) - truth[inside, 1]
+            gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
+            best = min(best, math.sqrt(float(np.mean(gap**2))))
+        return f"{math.degrees(best):.2f}"
+
+    recorded("car in circles", recording, outcome.calibration, score)
+
+
+def recorded(
+    name: str, recording: Recording, calibration: Calibration, score: Callable[[Rows], str]
+) -> None:
+    """Print one row: each way to find up, the fused yaw, and vqf where it is installed."""
+    cells = []
+    for way in ("accelerometer", "low-pass", "carried"):
+        walk = Walk(calibration, way)
+        for sample in recording.samples():
+            walk.take(sample)
+        cells.append(score(walk.raw))
+    show((name, *cells, score(walk.fused), vqf_score(recording, calibration, score)))
+
+
+def vqf_score(recording: Recording, calibration: Calibration, score: Callable[[Rows], str]) -> str:
+    """Return what the 9-axis filter of vqf makes of the corrected field; "-" without it."""
+    try:
+        from vqf import VQF
+    except ImportError:
+        return "-"
+    time = recording.imu[:, 0]
+    field = calibration.correction.apply(recording.field[:, 1:])
+    aligned = [np.interp(time, recording.field[:, 0], field[:, axis]) for axis in range(3)]
+    found = VQF(float(np.median(np.diff(time)))).updateBatch(
+        np.ascontiguousarray(recording.imu[:, 4:7]),
+        np.ascontiguousarray(recording.imu[:, 1:4]),
+        np.ascontiguousarray(np.column_stack(aligned) * 1e6),
+    )
+    w, x, y, z = found["quat9D"].T
+    yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
+    return score([(t, value, 0.0) for t, value in zip(time.tolist(), yaw.tolist(), strict=True)])
+
+
+def main() -> None:
+    """Print both tables."""
+    print("Simulated: yaw RMS in degrees (NEES)")
+    show(("drive", "accelerometer", "low-pass, no gyro", "carried", "fused"))
+    show(("---",) * 5)
+    for drive in (starts_and_stops, circle, circle_from_the_start, ramps):
+        simulated(drive)
+    beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
+    print("\nRecorded: yaw RMS in degrees")
+    show(("drive", "accelerometer", "low-pass, no gyro", "carried", "fused", "vqf"))
+    show(("---",) * 6)
+    for name, each in (("broad05", broad), ("car_circles_neu2025_kiran", car)):
+        if (folder / name).is_dir():
+            each(folder / name)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,60 @@
+"""Rides that pull, tip and disturb, for tests of what follows a moving robot."""
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.ride import Ride
+from magcal_ros.core.simulator import Robot
+from magcal_ros.core.streams import ImuSample
+
+DEGREE = math.pi / 180.0
+FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+ROBOT = Robot(
+    strength=48e-6,
+    inclination=65.0 * DEGREE,
+    noise_field=0.3e-6,
+    noise_force=0.05,
+    noise_rate=2e-3,
+    gyro_bias=np.array([0.003, -0.002, 0.004]),
+)
+
+
+class Course:
+    """Drives a ride and shows every sample to a listener."""
+
+    def __init__(self, listener, robot=ROBOT, seed=1, rate=100.0, gyro=True):
+        rng = np.random.default_rng(seed)
+        self.ride = Ride(robot, rng, start=10.0, imu_rate=rate, gyro=gyro)
+        self.listener = listener
+        self.rate = rate
+
+    def go(self, seconds, **motion):
+        for _ in range(int(seconds * self.rate)):
+            for sample in self.ride.step(**motion):
+                self.listener(sample, self.ride)
+
+    def circle(self, seconds, rate=0.5, speed=3.0):
+        self.go(seconds, yaw_rate=rate, acceleration=rate * speed * LEFT)
+
+
+class TiltErrors:
+    """A listener that lets a follower follow, and notes how far its up is off, degrees."""
+
+    def __init__(self, follower):
+        self.follower = follower
+        self.errors = []
+        self.sigmas = []
+
+    def __call__(self, sample, ride):
+        if not isinstance(sample, ImuSample):
+            return
+        self.follower.add(sample)
+        up = self.follower.at(sample.stamp, 0.2)
+        sine = np.linalg.norm(np.cross(up.direction, ride.attitude[:, 2]))
+        self.errors.append(math.degrees(math.asin(min(1.0, sine))))
+        self.sigmas.append(math.degrees(math.sqrt(2.0 * up.variance)))
+
+    def rms(self, last=None):
+        chosen = self.errors if last is None else self.errors[-last:]
+        return math.sqrt(np.mean(np.square(chosen)))

@@ -1,0 +1,243 @@
+"""Up stays up on circles, starts, stops and ramps, and through whatever the messages do."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
+
+from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.up import UpFollower
+
+G = 9.80665
+NO_RATE = (math.nan,) * 3
+MIRRORED = (-1.0, -1.0, -1.0)
+
+
+@pytest.fixture
+def watched():
+    """Return a robot that can be driven, and the errors of the up that follows it."""
+    errors = TiltErrors(UpFollower())
+    return Course(errors), errors
+
+
+def test_the_first_message_gives_up():
+    follower = UpFollower()
+    assert follower.at(1.0, 0.2) is None
+    follower.add(ImuSample(1.0, (G * math.sin(0.1), 0.0, G * math.cos(0.1)), (0.0, 0.0, 0.01)))
+    up = follower.at(1.0, 0.2)
+    assert up.direction == pytest.approx((math.sin(0.1), 0.0, math.cos(0.1)))
+    assert up.variance > 0.05**2
+
+
+def test_at_rest_it_is_the_averaged_accelerometer(watched):
+    course, errors = watched
+    course.ride.stand(0.1, -0.2, 1.0)
+    course.go(5.0)
+    assert errors.rms(last=200) < 0.15
+    assert errors.sigmas[-1] < 0.3
+
+
+def test_a_circle_does_not_tilt_it(watched):
+    """The accelerometer leans by 8.7 degrees."""
+    course, errors = watched
+    course.go(3.0)
+    course.go(1.5, acceleration=2.0 * FORWARD)
+    course.circle(60.0)
+    assert errors.rms() < 0.6
+
+
+def test_a_circle_that_was_never_left_is_seen_through(watched):
+    course, errors = watched
+    course.circle(30.0)
+    assert errors.errors[0] > 8.0
+    assert errors.rms(last=1000) < 2.0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_starts_and_stops_pass(seed):
+    errors = TiltErrors(UpFollower())
+    course = Course(errors, seed=seed)
+    course.go(3.0)
+    for _ in range(4):
+        course.go(1.0, acceleration=2.0 * FORWARD)
+        course.go(2.0)
+        course.go(1.0, acceleration=-2.0 * FORWARD)
+        course.go(2.0)
+    assert errors.rms() < 0.4
+
+
+def test_a_ramp_is_followed_at_once(watched):
+    course, errors = watched
+    course.go(3.0)
+    errors.errors.clear()
+    course.go(1.0, tipping=-8.0 * DEGREE * LEFT)
+    course.go(3.0)
+    assert max(errors.errors) < 0.5
+
+
+def test_a_robot_set_down_elsewhere_is_found_within_a_second(watched):
+    course, errors = watched
+    course.go(2.0)
+    course.ride.stand(6.0 * DEGREE, -4.0 * DEGREE, 2.0)
+    course.go(2.0)
+    assert max(errors.errors[-100:]) < 0.3
+
+
+def test_the_variance_is_honest_while_driving():
+    ratios = []
+    for seed in range(2):
+        errors = TiltErrors(UpFollower())
+        course = Course(errors, seed=seed)
+        course.go(3.0)
+        for side in (1.0, -1.0, 1.0):
+            course.go(1.0, acceleration=2.0 * FORWARD)
+            course.circle(10.0, rate=0.5 * side)
+        ratios.append(np.mean(np.square(np.divide(errors.errors, errors.sigmas))))
+    assert 0.02 < np.mean(ratios) < 1.3
+
+
+class TestWithoutGyro:
+    def test_the_accelerometer_is_smoothed(self):
+        errors = TiltErrors(UpFollower())
+        Course(errors, gyro=False).go(3.0)
+        assert not errors.follower.is_carried
+        assert 0.0 < errors.rms(last=200) < 0.3
+
+    def test_a_pull_is_not_seen_through_but_its_variance_says_so(self):
+        errors = TiltErrors(UpFollower())
+        course = Course(errors, gyro=False)
+        course.go(3.0)
+        calm = errors.sigmas[-1]
+        for _ in range(3):
+            course.go(1.0, acceleration=2.0 * FORWARD)
+            course.go(1.0, acceleration=-2.0 * FORWARD)
+        assert errors.sigmas[-1] > 10.0 * calm
+        assert np.mean(np.square(np.divide(errors.errors, errors.sigmas))[400:]) < 3.0
+
+    def test_a_gyro_that_stays_away_and_comes_back(self, watched):
+        course, errors = watched
+        course.go(3.0)
+        course.listener = lambda sample, ride: errors(
+            sample._replace(rate=NO_RATE) if isinstance(sample, ImuSample) else sample, ride
+        )
+        course.go(2.0)
+        assert not errors.follower.is_carried
+        course.listener = errors
+        course.go(0.02)
+        assert errors.follower.is_carried
+        course.go(3.0)
+        assert errors.rms() < 0.8
+
+    def test_rates_that_nobody_filled_are_no_gyro(self):
+        follower = UpFollower()
+        for k in range(100):
+            follower.add(ImuSample(1.0 + 0.01 * k, (0.0, 0.0, G), (0.0, 0.0, 0.0)))
+        assert not follower.is_carried
+
+
+def test_a_mirrored_gyro_is_found_out(watched):
+    course, errors = watched
+
+    def mirror(sample, ride):
+        if isinstance(sample, ImuSample):
+            sample = sample._replace(rate=tuple(-x for x in sample.rate))
+        errors(sample, ride)
+
+    course.listener = mirror
+    course.go(2.0)
+    for _ in range(6):
+        course.go(1.0, tipping=-10.0 * DEGREE * LEFT)
+        course.go(1.0, tipping=10.0 * DEGREE * LEFT)
+    assert not errors.follower.gyro_is_believed
+    assert errors.rms(last=300) < 3.0
+
+
+class TestAtAStamp:
+    def turning(self):
+        follower = UpFollower()
+        errors = TiltErrors(follower)
+        course = Course(errors)
+        course.go(2.0)
+        course.go(1.0, tipping=0.5 * FORWARD)
+        return follower, course
+
+    def test_before_the_newest_message_it_is_interpolated(self):
+        follower, _ = self.turning()
+        up = follower.at(12.495, 0.2).direction
+        expected = 0.5 * (12.495 - 12.0)
+        assert math.atan2(up[1], up[2]) == pytest.approx(expected, abs=0.01)
+
+    def test_after_the_newest_message_the_body_turns_on(self):
+        follower, _ = self.turning()
+        angles = [
+            math.atan2(up.direction[1], up.direction[2])
+            for up in (follower.at(13.0, 0.2), follower.at(13.1, 0.2))
+        ]
+        assert angles[1] - angles[0] == pytest.approx(0.05, abs=0.003)
+
+    def test_beyond_the_largest_gap_there_is_none(self):
+        follower, _ = self.turning()
+        assert follower.at(13.21, 0.2) is None
+        assert follower.at(9.0, 0.2) is None
+
+
+@pytest.mark.parametrize("gap", [0.6, -1.0])
+def test_a_gap_or_a_step_back_starts_anew(gap):
+    follower = UpFollower()
+    Course(TiltErrors(follower)).go(2.0)
+    follower.add(ImuSample(12.0 + gap, (G, 0.0, 0.0), (0.0, 0.0, 0.4)))
+    up = follower.at(12.0 + gap, 0.2)
+    assert up.direction == pytest.approx((1.0, 0.0, 0.0))
+    assert up.variance > 0.1**2
+
+
+@pytest.mark.parametrize("rate", [5.0, 20.0, 1000.0])
+def test_slow_and_fast_imus(rate):
+    errors = TiltErrors(UpFollower())
+    course = Course(errors, rate=rate)
+    course.go(3.0)
+    course.circle(10.0)
+    assert errors.rms() < 1.5
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True)
+triples = st.one_of(st.tuples(numbers, numbers, numbers), st.tuples(*[st.floats(-20, 20)] * 3))
+samples = st.builds(ImuSample, st.floats(0.0, 3.0), triples, triples)
+
+
+@settings(max_examples=200)
+@given(st.lists(samples, max_size=30))
+def test_whatever_comes_up_is_a_unit_vector_with_a_variance(messages):
+    follower = UpFollower()
+    for message in messages:
+        follower.add(message)
+        for stamp in (message.stamp, message.stamp + 0.1, message.stamp - 0.1):
+            up = follower.at(stamp, 0.2)
+            if up is not None:
+                assert np.linalg.norm(up.direction) == pytest.approx(1.0)
+                assert 0.0 < up.variance < math.inf
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 10_000))
+def test_lost_repeated_and_late_messages_do_little_harm(seed):
+    rng = np.random.default_rng(seed)
+    errors = TiltErrors(UpFollower())
+    kept = []
+
+    def mangle(sample, ride):
+        if not isinstance(sample, ImuSample):
+            return
+        chance = rng.random()
+        if chance < 0.1:
+            return
+        kept.append(sample)
+        errors(sample, ride)
+
+    course = Course(mangle, ROBOT, seed=seed)
+    course.go(3.0)
+    course.circle(10.0)
+    assert errors.rms() < 1.5

@@ -1,0 +1,46 @@
+import math
+
+import pytest
+
+from magcal_ros.core.up.steady import SteadySpell
+
+NOISE = 0.002
+UP = (0.0, 0.0, 1.0)
+
+
+def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
+    found = SteadySpell()
+    for _ in range(int(seconds / 0.04)):
+        found.add(force, rate, NOISE, 4, 0.04)
+    return found
+
+
+def shows_up(found):
+    return found.shows_up(UP, 1.0, 5e-4, NOISE)
+
+
+def test_a_tilt_leaves_the_length_and_is_believed_soon():
+    assert shows_up(spell((math.sin(0.1), 0.0, math.cos(0.1)), 0.3))
+
+
+def test_a_pull_stretches_it_and_is_not():
+    assert not shows_up(spell((0.2, 0.0, 1.0), 3.0))
+
+
+def test_no_pull_lasts():
+    assert shows_up(spell((0.2, 0.0, 1.0), 4.2))
+
+
+@pytest.mark.parametrize(("seconds", "believed"), [(0.6, False), (1.2, True)])
+def test_where_the_length_is_undecided_time_decides(seconds, believed):
+    assert shows_up(spell((0.03, 0.0, 1.0), seconds)) is believed
+
+
+def test_a_turning_robot_is_not_steady():
+    assert spell(UP, 5.0, rate=(0.0, 0.0, 0.1)).seconds == 0.0
+
+
+def test_a_change_begins_a_new_spell():
+    found = spell(UP, 2.0)
+    assert not found.add((0.1, 0.0, 1.0), (0.0, 0.0, 0.0), NOISE, 4, 0.04)
+    assert found.seconds == 0.04

@@ -1,0 +1,78 @@
+"""The fused yaw of the running node: smooth, at the IMU's rate, deaf to passing iron."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import Imu
+from support import REFERENCE
+
+from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.streams import FieldSample
+
+IRON = (0.0, 14e-6, 0.0)
+
+
+@pytest.fixture
+def fused(stage):
+    """Return an actor whose node is calibrated, and what it hears of the fused yaw."""
+    actor = stage(parameters={**REFERENCE, "fused.patience_s": 100.0})
+    heard, reports = [], []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    actor.run(0.5)
+    assert not heard
+    assert actor.calibrate().success
+    actor.run(1.5)
+    return actor, heard, reports
+
+
+def yaw_of(message):
+    q = message.orientation
+    return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+
+
+def diagnostic(reports):
+    parts = {status.name: status for status in reports[-1].status}
+    return parts["calibrator: Fused"]
+
+
+def test_it_follows_the_robot_and_ignores_passing_iron(fused):
+    actor, heard, reports = fused
+    assert len(heard) > 50
+    assert heard[-1].header.frame_id == "imu_link"
+    assert heard[-1].angular_velocity_covariance[0] == -1.0
+    actor.run(1.0, yaw_rate=0.5)
+    actor.run(1.0)
+    error = float(wrap_angle(yaw_of(heard[-1]) - actor.ride.magnetic_yaw))
+    assert abs(math.degrees(error)) < 1.5
+    assert diagnostic(reports).level == DiagnosticStatus.OK
+    variance = heard[-1].orientation_covariance[8]
+    assert 0.0 < variance < math.radians(3.0) ** 2
+
+    def bend(sample):
+        if isinstance(sample, FieldSample):
+            sample = sample._replace(field=tuple(np.add(sample.field, IRON)))
+        return [sample]
+
+    actor.mangle = bend
+    actor.run(2.5)
+    error = float(wrap_angle(yaw_of(heard[-1]) - actor.ride.magnetic_yaw))
+    assert abs(math.degrees(error)) < 3.0
+    assert heard[-1].orientation_covariance[8] > variance
+    assert diagnostic(reports).level == DiagnosticStatus.WARN
+    assert "ignored" in diagnostic(reports).message
+    assert "strength" in diagnostic(reports).message
+
+
+def test_without_a_gyro_nothing_comes_and_that_is_said(stage):
+    actor = stage(gyro=False)
+    heard, reports = [], []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
+    actor.run(0.3)
+    assert actor.calibrate().success
+    actor.run(1.5)
+    assert not heard
+    assert "no gyro" in diagnostic(reports).message
