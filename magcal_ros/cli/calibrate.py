@@ -19,8 +19,8 @@ from magcal_ros.files.plain import plain
 LONGEST_ANSWER = 5000
 """Characters of the node's answer that are printed."""
 
-STATUS_WITHIN = 1.0
-"""Seconds within which a running node tells its status."""
+STATUS_WITHIN = 3.0
+"""Seconds within which a running node tells its status, discovery included."""
 
 
 def add_to(commands: Any) -> None:

@@ -183,20 +183,30 @@ class FusedYaw:
         if self._overruled > OVERRULED_AFTER:
             self._yaw_variance += innovation**2
             self._overruled = doubt = 0.0
+        doubt = max(1.0, doubt) * max(1.0, self.watch.departure**4)
         by_noise, lasting = heading.noise_variance, heading.lasting_variance
         by_tilt = max(0.0, heading.yaw_variance - by_noise - lasting)
         noise = lasting + (by_tilt * TILT_ALIKE + by_noise * NOISE_ALIKE) / seconds
-        noise *= max(1.0, doubt) * max(1.0, self.watch.departure**4)
-        spread = self._yaw_variance + noise
+        spread = self._yaw_variance + noise * doubt
         gain, bias_gain = self._yaw_variance / spread, self._cross / spread
-        x, y, z = self._up.direction
-        turn = gain * innovation
-        self._north = carried(north, (turn * x, turn * y, turn * z))
-        self._shift += turn
+        lost = heading.yaw_variance * doubt - self._yaw_variance
+        share = min(1.0, seconds / NOISE_ALIKE)
+        if lost < 0.0 and share > gain:
+            # Errors by tilt are common to both: where the compass of the moment is the better
+            # one, a mean of both is not.
+            self._yaw_variance += share * lost
+            gain, bias_gain = share, 0.0
+        else:
+            self._bias_variance -= bias_gain * self._cross
+            self._yaw_variance *= 1.0 - gain
+        self._turn(north, gain * innovation)
         self._bias += bias_gain * innovation
-        self._bias_variance -= bias_gain * self._cross
         self._cross *= 1.0 - gain
-        self._yaw_variance *= 1.0 - gain
+
+    def _turn(self, north: Triple, angle: float) -> None:
+        x, y, z = self._up.direction
+        self._north = carried(north, (angle * x, angle * y, angle * z))
+        self._shift += angle
 
     def _at(self, stamp: float) -> _Moment | None:
         """Return north at a stamp; after the newest message the body is taken to turn on."""

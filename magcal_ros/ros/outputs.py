@@ -128,8 +128,11 @@ class Outputs:
         """Return the covariance in body axes; drivers send the same with every message."""
         if covariance != self._covariance_in:
             sigma = np.frombuffer(covariance, "<f8").reshape(3, 3)
-            carried = np.nan_to_num(compass.calibration.correction.covariance(sigma))
-            self._covariance = tuple(carried.ravel().tolist())
+            with np.errstate(over="ignore", invalid="ignore"):
+                carried = compass.calibration.correction.covariance(sigma)
+            # By convention zeros stand for a covariance that is not known.
+            is_known = np.isfinite(carried).all()
+            self._covariance = tuple(carried.ravel().tolist()) if is_known else (0.0,) * 9
             self._covariance_in = covariance
         return self._covariance
 

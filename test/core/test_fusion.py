@@ -16,7 +16,7 @@ from magcal_ros.core.field_watch import PATIENCE, Trust
 from magcal_ros.core.fusion import FusedYaw
 from magcal_ros.core.heading import Compass
 from magcal_ros.core.streams import ImuSample, Streams
-from magcal_ros.core.up import UpFollower
+from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 
 CALIBRATED = Calibration(
@@ -102,6 +102,19 @@ def test_it_is_smooth_and_right_while_driving():
     assert np.sqrt(np.mean(errors**2)) < 0.8
     assert np.abs(np.diff(errors)).max() < 0.2
     assert np.mean((errors / sigmas) ** 2) < 1.5
+
+
+def test_a_start_with_an_uncertain_up_is_given_up_once_the_compass_knows_better():
+    up, north = (0.0, 0.0, 1.0), CALIBRATED.strength * math.cos(CALIBRATED.inclination)
+    down = -CALIBRATED.strength * math.sin(CALIBRATED.inclination)
+    fused, compass = FusedYaw(CALIBRATED, PATIENCE), Compass(CALIBRATED)
+    for k in range(100):
+        yaw, variance = (math.radians(20.0), 0.05) if k < 25 else (0.0, 0.01)
+        field = (north * math.sin(yaw), north * math.cos(yaw), down)
+        heading = compass.heading(field, up, variance)
+        fused.carry(0.02 * k, Up(up, variance), (0.0, 0.0, 0.0))
+        fused.correct(0.02 * k, field, Up(up, variance), heading)
+    assert abs(math.degrees(fused.heading().yaw)) < 4.0
 
 
 def test_passing_iron_hardly_moves_it_and_is_noted():

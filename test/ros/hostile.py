@@ -92,6 +92,8 @@ class HandFed:
             publish(publisher, message)
 
         monkeypatch.setattr(rclpy.publisher.Publisher, "publish", watched)
+        # What nobody listens to is not made.
+        monkeypatch.setattr(rclpy.publisher.Publisher, "get_subscription_count", lambda _: 1)
 
     def feed(self, message):
         subscription = self._subscriptions[type(message)]

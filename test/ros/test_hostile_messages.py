@@ -39,6 +39,7 @@ def test_hostile_messages_by_the_thousand_end_in_no_error_and_no_nan(
             fed.call("finish" if k % 800 == 799 else "cancel")
     assert fed.published[MagneticField] > count / 100
     assert fed.published[Float64] > count / 200
+    assert fed.published[Imu] > count / 100
     node.close()
     node.destroy_node()
 
