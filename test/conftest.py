@@ -12,7 +12,10 @@ settings.register_profile("project", deadline=None, derandomize="CI" in os.envir
 settings.load_profile("project")
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+worker = os.environ.get("PYTEST_XDIST_WORKER")
+# Workers inherit the domain of the process that starts them, and count on from it.
+first = int(os.environ["ROS_DOMAIN_ID"]) + 1 + int(worker[2:]) if worker else os.getpid()
+os.environ["ROS_DOMAIN_ID"] = str(1 + first % 100)
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 

@@ -11,6 +11,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from magcal_ros.ros.end_signals import EndSignals
 from magcal_ros.ros.node import Calibrator
+from magcal_ros.threads import use_one
 
 SWITCH_INTERVAL = 0.0005
 """Seconds after which the thread that hands over a turn or stores a calibration gives way to a
@@ -19,6 +20,8 @@ message that waits. With Python's own 5 ms a message that came then would be lat
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
+    # Fits and reports are computed in processes started from here.
+    use_one()
     signals = EndSignals()
     given = list(sys.argv if arguments is None else arguments)
     try:
