@@ -23,7 +23,7 @@ types: $(VENV)/.test
 
 unit: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/cost.py

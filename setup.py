@@ -34,6 +34,7 @@ TEST_TOOLS = [
     "mypy>=1.11",
     "pytest>=8",
     "pytest-timeout>=2.3",
+    "pytest-xdist>=3.5",
     "ruff>=0.6",
     "scipy-stubs; python_version >= '3.11'",
     "types-PyYAML",

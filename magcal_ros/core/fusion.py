@@ -179,7 +179,8 @@ class FusedYaw:
         """Correct yaw and bias by what the compass says beyond the carried yaw."""
         spread = self._yaw_variance + heading.yaw_variance
         doubt = innovation**2 / (GATE**2 * spread)
-        self._overruled = self._overruled + seconds if doubt > 1.0 else 0.0
+        is_good = self.watch.trust is Trust.GOOD
+        self._overruled = self._overruled + seconds if doubt > 1.0 and is_good else 0.0
         if self._overruled > OVERRULED_AFTER:
             self._yaw_variance += innovation**2
             self._overruled = doubt = 0.0

@@ -11,7 +11,7 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -49,6 +49,10 @@ from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
+
+SENSOR_DATA = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches every publisher. The usual depth of 5 loses messages of a fast IMU whenever the machine
+is busy for some milliseconds, and the gyro's path with them."""
 
 HEARTBEAT = 1.0
 """Seconds between diagnostics, and between repetitions of the bias."""
@@ -95,11 +99,10 @@ class Calibrator(Node):
         self._drawn: Window | None = None
         short = {"accept": self._accept, "save": self._save, "load": self._load}
         Services(self, self._control, self._start, {**short, "reset": self._reset})
-        sensor_data = qos_profile_sensor_data
         self._sensor_subscriptions = (
-            self.create_subscription(Imu, "imu/data_raw", self._on_imu, sensor_data, raw=True),
+            self.create_subscription(Imu, "imu/data_raw", self._on_imu, SENSOR_DATA, raw=True),
             self.create_subscription(
-                MagneticField, "imu/mag", self._on_field, sensor_data, raw=True
+                MagneticField, "imu/mag", self._on_field, SENSOR_DATA, raw=True
             ),
         )
         # Deadlines and heartbeats go on while simulated time stands still.

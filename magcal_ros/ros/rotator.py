@@ -167,10 +167,12 @@ class Rotator:
             return "rotate.enabled was switched off"
         if self._plan is None:
             return ""
-        for sensor in self._sensors:
-            if sensor.age(now) > SILENCE:
-                return f"{sensor.topic} has been silent for {sensor.age(now):.1f} s"
-        if now - self._last_pair > SILENCE and self._plan.phase is not Phase.PAUSE:
+        is_unpaired = now - self._last_pair > SILENCE and self._plan.phase is not Phase.PAUSE
+        quiet = max(self._sensors, key=lambda sensor: sensor.age(now))
+        # Pairs end with the older of the two samples, a little before the sensor's silence.
+        if quiet.age(now) > (SILENCE / 2.0 if is_unpaired else SILENCE):
+            return f"{quiet.topic} has been silent for {quiet.age(now):.1f} s"
+        if is_unpaired:
             return "no new field sample with an acceleration has come while the robot turned"
         return ""
 

@@ -132,6 +132,16 @@ def test_passing_iron_hardly_moves_it_and_is_noted():
     assert fusing.fused.watch.last.until - fusing.fused.watch.last.since > 18.0
 
 
+def test_a_doubtful_field_never_overrules_the_gyro():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.go(10.0, disturbance=np.array([13.5e-6, -2e-6, 0.0]))
+    assert fusing.fused.watch.trust is Trust.WEIGHED_DOWN
+    raw = fusing.raw[-1][1] - course.ride.magnetic_yaw
+    assert abs(math.degrees(float(wrap_angle(raw)))) > 25.0
+    assert np.abs(fusing.errors_deg()).max() < 5.0
+
+
 def test_iron_that_stays_is_accepted():
     fusing = Fusing(patience=10.0)
     course = driven(fusing)

@@ -27,7 +27,7 @@ PROGRESS = {
     ids=["parent", "enormous markup"],
 )
 def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
-    actor = stage(parameters=REFERENCE, speed=8.0)
+    actor = stage(parameters={**REFERENCE, "report_folder": ""}, speed=8.0)
     actor.source._field.header.frame_id = frame
     actor.source._imu.header.frame_id = frame
     answer = actor.calibrate()

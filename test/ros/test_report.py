@@ -14,13 +14,16 @@ def wait_for(path, patience=30.0):
     return path.exists()
 
 
+REPORTING = {**REFERENCE, "report_folder": ""}
+
+
 def only_folder(ros_home):
     (folder,) = (ros_home / "magcal" / "reports").iterdir()
     return folder
 
 
 def test_a_turn_leaves_a_report_and_its_samples(stage, ros_home):
-    actor = stage()
+    actor = stage(parameters=REPORTING)
     answer = actor.calibrate()
     folder = only_folder(ros_home)
     assert f"Report: {folder}/report.html." in answer.message
@@ -32,7 +35,7 @@ def test_a_turn_leaves_a_report_and_its_samples(stage, ros_home):
 
 
 def test_a_refused_turn_leaves_a_report_too_and_nothing_is_overwritten(stage, ros_home):
-    actor = stage(parameters={**REFERENCE, "window.timeout_s": 2.0})
+    actor = stage(parameters={**REPORTING, "window.timeout_s": 2.0})
     for _ in range(2):
         assert not actor.calibrate(yaw_rate=0.0).success
     folders = list((ros_home / "magcal" / "reports").iterdir())

@@ -42,7 +42,7 @@ def test_a_caller_that_leaves_takes_nothing_along(stage):
     actor.run(0.5, 0.5)
     assert actor.status["state"] == "collecting"
     caller.destroy_node()
-    actor.run(20.0, 0.5, stop=lambda: actor.status["state"] == "calibrated")
+    actor.run(20.0, 0.5, stop=lambda: actor.status["answer"])
     assert actor.status["answer"]["success"], actor.status["answer"]
 
 
