@@ -1,7 +1,8 @@
 """CPU per message of the calibrated node, as a ratio to a bare rclpy relay of the same topics.
 
 Both processes hear the same publisher at the same time; each has one listener on every output.
-Run it as `python benchmarks/throughput.py [seconds per row]`.
+Run it as `python benchmarks/throughput.py [seconds per row]`: first without a listener on the
+fused yaw, which comes at the IMU's rate, then with one.
 """
 
 from __future__ import annotations
@@ -42,31 +43,37 @@ def measure(pids: list[int], imu_rate: int, field_rate: int, seconds: float) -> 
 
 def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
-    print("CPU per incoming message     relay     calibrator   ratio")
+    rclpy.init()
+    for listener, title in (("--listen", "per incoming message"), ("--fused", "with fused yaw")):
+        print(f"CPU {title:22s}   relay     calibrator   ratio")
+        measure_rates(listener, seconds)
+    rclpy.try_shutdown()
+
+
+def measure_rates(listener: str, seconds: float) -> None:
+    """Print a row for each pair of rates."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.yaml"
         stage.store_calibration(path)
         options = ("--ros-args", "-p", f"calibration_file:={path}")
         with (
-            stage.running(__file__, "--listen"),
+            stage.running(__file__, listener),
             stage.running(*stage.RELAY) as relay,
             stage.running(*stage.CALIBRATOR, *options) as calibrator,
         ):
-            rclpy.init()
             time.sleep(3.0)
             for imu_rate, field_rate in RATES:
                 pids = [relay.pid, calibrator.pid]
                 bare, ours = measure(pids, imu_rate, field_rate, seconds)
                 name = f"IMU {imu_rate} Hz, field {field_rate} Hz"
                 print(f"{name:26s}{bare:7.0f} µs {ours:9.0f} µs {ours / bare:9.2f}", flush=True)
-            rclpy.try_shutdown()
 
 
-def listen() -> None:
-    """Subscribe to every output of both, and do nothing with it."""
+def listen(outputs: tuple[tuple[type, str], ...]) -> None:
+    """Subscribe to outputs of both, and do nothing with them."""
     rclpy.init()
     node = rclpy.create_node("listener")
-    for kind, topic in OUTPUTS:
+    for kind, topic in outputs:
         node.create_subscription(kind, topic, lambda _: None, 10, raw=True)
     try:
         rclpy.spin(node)
@@ -77,4 +84,9 @@ def listen() -> None:
 
 
 if __name__ == "__main__":
-    listen() if "--listen" in sys.argv else main()
+    if "--listen" in sys.argv:
+        listen(OUTPUTS)
+    elif "--fused" in sys.argv:
+        listen((*OUTPUTS, (Imu, "compass/fused/enu/imu")))
+    else:
+        main()
