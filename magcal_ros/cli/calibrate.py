@@ -19,7 +19,7 @@ from magcal_ros.files.plain import plain
 LONGEST_ANSWER = 5000
 """Characters of the node's answer that are printed."""
 
-STATUS_WITHIN = 3.0
+STATUS_WITHIN = 5.0
 """Seconds within which a running node tells its status, discovery included."""
 
 
@@ -92,7 +92,13 @@ class _Turn:
         deadline = time.monotonic() + STATUS_WITHIN
         while self._status is None and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
-        if self._status is not None and turns_itself(self._status):
+        if self._status is None:
+            print(
+                "The robot will turn itself if rotate.enabled is true, which the node does not "
+                "tell: keep clear.",
+                flush=True,
+            )
+        elif turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _on_status(self, message: Any) -> None:

@@ -7,10 +7,14 @@ from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from magcal_ros.ros.control import Conclusion, Control, State
+
+CALLS = QoSProfile(depth=100)
+"""With the usual depth of 10, calls of a storm overwrite each other before they are read."""
 
 
 class Services:
@@ -41,10 +45,12 @@ class Services:
         # A waiting coroutine holds its group: with one of its own nothing else starves, and
         # being reentrant it lets a second call in, to be refused with the reason.
         waiting = ReentrantCallbackGroup()
-        node.create_service(Trigger, "~/calibrate", self._calibrate, callback_group=waiting)
-        node.create_service(Trigger, "~/finish", self._finish, callback_group=waiting)
+        for name, answer in {"calibrate": self._calibrate, "finish": self._finish}.items():
+            node.create_service(
+                Trigger, f"~/{name}", answer, qos_profile=CALLS, callback_group=waiting
+            )
         for name, action in {"start": start, "cancel": control.cancel, **short}.items():
-            node.create_service(Trigger, f"~/{name}", _answer_with(action))
+            node.create_service(Trigger, f"~/{name}", _answer_with(action), qos_profile=CALLS)
 
     async def _calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         opened = self._start()

@@ -6,6 +6,7 @@ import rclpy
 from long_form import rounds
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 from support import REFERENCE
 
@@ -17,7 +18,11 @@ SERVICES = ("calibrate", "start", "finish", "cancel", "accept", "save", "load", 
 def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
     actor = stage(parameters={**REFERENCE, "report_folder": "none"}, speed=8.0)
     rng = np.random.default_rng(3)
-    clients = {name: actor.node.create_client(Trigger, f"/calibrator/{name}") for name in SERVICES}
+    deep = QoSProfile(depth=1000)
+    clients = {
+        name: actor.node.create_client(Trigger, f"/calibrator/{name}", qos_profile=deep)
+        for name in SERVICES
+    }
     for client in clients.values():
         assert client.wait_for_service(10.0)
     futures = []
