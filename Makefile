@@ -23,7 +23,8 @@ types: $(VENV)/.test
 
 unit: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile --ignore test/ros
+	$(BIN)/python -m pytest test/ros
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/cost.py
