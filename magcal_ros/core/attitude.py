@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
@@ -85,6 +87,11 @@ def field_in_enu(strength: float, inclination: float, declination: float = 0.0) 
 def wrap_angle(angle: FloatArray | float) -> FloatArray:
     """Bring radians into (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))
+
+
+def wrapped(angle: float) -> float:
+    """Bring one angle in radians into [-pi, pi], in plain floats for the path of every message."""
+    return math.remainder(angle, math.tau)
 
 
 def true_yaw(magnetic_yaw: float, declination: float) -> float:

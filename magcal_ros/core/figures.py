@@ -8,11 +8,13 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.attitude import field_in_enu, unit
-from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.correction import Correction
+from magcal_ros.core.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.rotations import rotation_from_rpy
 from magcal_ros.core.window import Window
 
 CHECKED_TILT = math.radians(10.0)
+HEADINGS = 24
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
 
 
@@ -63,12 +65,37 @@ def predicted_heading_sigma(estimate: Estimate, tilt: float) -> float:
     float
         Radians, root mean square over 24 headings.
     """
-    leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
-    yaws = np.arange(24) * (math.tau / 24)
-    poses = np.array([[rotation_from_rpy(r, p, y).T for y in yaws] for r, p in leanings])
     reference = field_in_enu(estimate.strength, estimate.inclination)
-    sigma = estimate.heading_sigma(poses @ UP, poses @ reference)
-    return math.sqrt(float(np.mean(sigma**2)))
+    jacobian = heading_jacobian(estimate.correction, reference, tilt)
+    return rms_sigma(jacobian, estimate.covariance)
+
+
+def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
+    """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
+
+    Parameters
+    ----------
+    correction : Correction
+        The twelve numbers.
+    field_enu : ndarray, shape (3,)
+        The Earth's field, tesla.
+    tilt : float
+        Radians. Zero for the level; otherwise over slopes to all four sides.
+
+    Returns
+    -------
+    ndarray, shape (24, 12), or (96, 12) on slopes
+    """
+    leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
+    yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
+    poses = np.array([rotation_from_rpy(r, p, y).T for r, p in leanings for y in yaws])
+    return yaw_jacobian(correction, poses @ UP, poses @ field_enu)
+
+
+def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
+    """Return the root mean square over rows of what a covariance means for them."""
+    variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
+    return math.sqrt(max(float(variance.mean()), 0.0))
 
 
 def sideways_pull(window: Window) -> float:

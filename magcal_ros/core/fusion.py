@@ -11,14 +11,14 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from magcal_ros.core.attitude import wrapped
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.field_watch import Expected, FieldWatch, Trust
 from magcal_ros.core.heading import SMALLEST_LEVEL_SHARE, Heading
+from magcal_ros.core.streams import LONGEST_CARRY
 from magcal_ros.core.triples import Triple, between, carried, cross, dot, length
 from magcal_ros.core.up import Up
 
-LONGEST_GAP = 0.5
-"""Seconds without an IMU message after which north is lost."""
 ANGLE_WALK = 1e-3
 """Radians per root second that a gyro loses."""
 TURN_ERROR = 0.005
@@ -92,7 +92,7 @@ class FusedYaw:
             Mean turn rate since the one before, less the bias that is known of it, rad/s.
         """
         seconds = stamp - self._stamp
-        if not 0.0 < seconds <= LONGEST_GAP and self._north is not None:
+        if not 0.0 < seconds <= LONGEST_CARRY and self._north is not None:
             self.restart()
         self._stamp, self._up, self._rate = stamp, up, rate
         if self._north is None:
@@ -131,7 +131,7 @@ class FusedYaw:
             What the compass makes of both.
         """
         seen = _levelled(field, up.direction)
-        if seen is None or abs(stamp - self._stamp) > LONGEST_GAP:
+        if seen is None or abs(stamp - self._stamp) > LONGEST_CARRY:
             return
         is_new = self.watch.add(stamp, field, up.direction, up.variance, heading.yaw)
         self._lasting = heading.lasting_variance
@@ -145,7 +145,7 @@ class FusedYaw:
         self._corrected = stamp
         # North that lies further to the left is a yaw further to the right.
         angle = math.atan2(dot(cross(then.north, seen), up.direction), dot(then.north, seen))
-        innovation = _wrapped(-angle - (self._shift - then.shift))
+        innovation = wrapped(-angle - (self._shift - then.shift))
         if is_new:
             self._yaw_variance += innovation**2
         elif self.watch.trust is Trust.IGNORED:
@@ -234,7 +234,3 @@ def _levelled(vector: Triple, up: Triple) -> Triple | None:
     if size <= SMALLEST_LEVEL_SHARE * length(vector):
         return None
     return (level[0] / size, level[1] / size, level[2] / size)
-
-
-def _wrapped(angle: float) -> float:
-    return math.remainder(angle, math.tau)

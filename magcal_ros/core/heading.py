@@ -14,8 +14,8 @@ import numpy as np
 from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration, Evidence
 from magcal_ros.core.correction import PARAMETERS, Correction
+from magcal_ros.core.triples import Triple
 
-Triple = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 SMALLEST_LEVEL_SHARE = 0.02

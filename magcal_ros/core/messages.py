@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any
 
 from magcal_ros.core.fixes import Fix
 from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.triples import Triple
 
-Triple: TypeAlias = tuple[float, float, float]
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
 """First element of a covariance whose measurement is absent (sensor_msgs/Imu)."""

@@ -46,7 +46,6 @@ class Gathering:
     ) -> None:
         self.mounting = mounting
         self.streams = Streams(max_gap)
-        self._mounting = mounting
         self._session = Session(Limits(), mounting, 0.0)
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
@@ -109,7 +108,7 @@ class Gathering:
             if pair.field.stamp < self._session.newest:
                 self._choose()
                 self._best = self._session
-                self._session = Session(Limits(), self._mounting, 0.0)
+                self._session = Session(Limits(), self.mounting, 0.0)
             self._session.add(pair, 0.0)
 
     def _choose(self) -> None:
@@ -143,10 +142,9 @@ def fit_gathered(
     Outcome, Window or None
         Never raises for bad data: a refusal is a verdict, and then there may be no window.
     """
-    try:
-        window = gathering.window()
-    except Refusal as refusal:
-        return Outcome.refused(refusal), None
+    window = _window_or_refusal(gathering)
+    if isinstance(window, Refusal):
+        return Outcome.refused(window), None
     return calibrate(window, knowledge, method), window
 
 

@@ -11,13 +11,11 @@ from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.attitude import unit
 from magcal_ros.core.rotation_plan import Fault, Seen
 from magcal_ros.core.session import Progress
-from magcal_ros.core.streams import Pair
+from magcal_ros.core.streams import LONGEST_CARRY, Pair
+from magcal_ros.core.triples import dot, length
 
 RATE_SPAN = 0.5
 """Seconds over which the gyro's rate is averaged."""
-
-LONGEST_GAP = 0.5
-"""Seconds between two samples over which the gyro is not carried."""
 
 KEPT = 2000
 """Samples kept to tell the compass's sense of rotation."""
@@ -57,10 +55,10 @@ class RotationProof:
         if not all(map(math.isfinite, rate)):
             return
         self._has_gyro = self._has_gyro or any(rate)
-        about_up = sum(f * r for f, r in zip(force, rate, strict=True)) / math.hypot(*force)
+        about_up = dot(force, rate) / length(force)
         if self._newest is not None:
             step = stamp - self._newest[0]
-            if not 0.0 < step <= LONGEST_GAP:
+            if not 0.0 < step <= LONGEST_CARRY:
                 self._recent.clear()
             else:
                 self._turned += 0.5 * step * (about_up + self._newest[1])

@@ -16,6 +16,9 @@ BACKWARD_SAMPLES_UNTIL_RESTART = 10
 MAX_GAP = 0.2
 """Seconds. IMU samples further apart are usually not interpolated between."""
 
+LONGEST_CARRY = 0.5
+"""Seconds between two samples over which a gyro is not carried: its path is lost."""
+
 HISTORY = 4096
 """Samples kept of each stream: four seconds of the fastest sensors."""
 

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.attitude import wrapped
 from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.heading import Triple
 from magcal_ros.core.holds import STEEPEST_NOSE, Finding, State
+from magcal_ros.core.streams import LONGEST_CARRY
+from magcal_ros.core.triples import Triple, dot, length
 from magcal_ros.core.watch_fit import Measured, Record, measure, onset
 
 MEMORY = 600.0
@@ -34,9 +36,6 @@ MOST_IN_A_ROW = 3
 
 SAMPLING = 0.08
 """Seconds between samples of a visit: more would only cost."""
-
-LONGEST_GAP = 0.5
-"""Seconds between two samples over which the gyro is not carried."""
 
 LOOK_EVERY = 15.0
 CONFIRM = 60.0
@@ -137,29 +136,28 @@ class Watch:
         rate : tuple of float
             Angular rate, rad/s; NaN without a gyro.
         """
-        x, y, z = force
-        size = math.sqrt(x * x + y * y + z * z)
+        size = length(force)
         if size <= 0.0:
             return
-        self._carry(stamp, (rate[0] * x + rate[1] * y + rate[2] * z) / size)
+        self._carry(stamp, dot(rate, force) / size)
         if stamp - self._sampled < SAMPLING:
             return
         self._sampled = stamp
-        if x * x > STEEPEST_NOSE * size * size:
+        if force[0] ** 2 > STEEPEST_NOSE * size * size:
             self._close()
             return
-        rise = (field[0] * x + field[1] * y + field[2] * z) / size
+        rise = dot(field, force) / size
         if self._visit:
             first = self._visit[0]
-            aside = _wrap(yaw - first.yaw)
+            aside = wrapped(yaw - first.yaw)
             has_turned = max(abs(aside), abs(self._turned - first.turned)) > ASIDE
             if has_turned or stamp - first.stamp > LONGEST_VISIT:
                 self._close()
             else:
                 yaw = first.yaw + aside
         turn = self._rate if math.isfinite(self._rate) else 0.0
-        strength = math.hypot(*field)
-        self._visit.append(Record(stamp, yaw, strength, rise, self._turned, self._path, turn))
+        row = Record(stamp, yaw, length(field), rise, self._turned, self._path, turn)
+        self._visit.append(row)
 
     def _carry(self, stamp: float, rate: float) -> None:
         """Follow the gyro's path; a gap parts it, and time that went back starts all over."""
@@ -168,7 +166,7 @@ class Watch:
             self._records.clear()
             self._sampled = self._looked = -math.inf
             self._doubts_since = self._clear_since = None
-        if not 0.0 <= step <= LONGEST_GAP:
+        if not 0.0 <= step <= LONGEST_CARRY:
             self._path += 1
             self._visit.clear()
         elif math.isfinite(rate + self._rate):
@@ -192,7 +190,7 @@ class Watch:
         records = self._records
         tail = [records[-k] for k in range(1, min(MOST_IN_A_ROW, len(records)) + 1)]
         stays = [
-            max(abs(_wrap(one.yaw - record.yaw)), abs(one.turned - record.turned)) < ASIDE
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < ASIDE
             for one in tail
         ]
         if len(stays) == MOST_IN_A_ROW and all(stays):
@@ -247,7 +245,3 @@ class Watch:
 
     def _minutes(self, now: float, is_stale: bool) -> float:
         return (now - self._stale_since) / 60.0 if is_stale else 0.0
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, math.tau)

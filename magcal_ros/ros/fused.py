@@ -10,10 +10,9 @@ from sensor_msgs.msg import Imu
 
 from magcal_ros.core.field_watch import PATIENCE, Trust
 from magcal_ros.core.fusion import FusedYaw
-from magcal_ros.core.heading import Compass, Triple
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.up import Up, UpFollower
-from magcal_ros.ros.outputs import RELIABLE
+from magcal_ros.ros.outputs import RELIABLE, Outputs
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate
 
 TOPIC = "compass/fused/enu/imu"
@@ -28,19 +27,19 @@ class FusedOutput:
         Where the publisher lives.
     follower : UpFollower
         Has taken each IMU message before it comes here.
+    outputs : Outputs
+        Has the compass in force, and what it made of the newest field message.
     """
 
-    def __init__(self, node: Node, follower: UpFollower) -> None:
+    def __init__(self, node: Node, follower: UpFollower, outputs: Outputs) -> None:
         self.patience = PATIENCE
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
-        self._follower = follower
+        self._follower, self._outputs = follower, outputs
         self._attitude = AttitudeTemplate()
-        self._compass: Compass | None = None
         self._fused: FusedYaw | None = None
 
-    def put_in_force(self, compass: Compass | None) -> None:
-        """Use a calibration from the next message on; None stops the topic."""
-        self._compass = compass
+    def begin_anew(self) -> None:
+        """Forget the yaw: another calibration is in force, or none."""
         self._fused = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
@@ -55,13 +54,14 @@ class FusedOutput:
         reference : ReferenceField
             Without a declination the yaw is to magnetic north, else to true north.
         """
-        if self._compass is None:
+        compass = self._outputs.compass
+        if compass is None:
             return
         if not self._out.get_subscription_count():
             self._fused = None
             return
         if self._fused is None:
-            self._fused = FusedYaw(self._compass.calibration, self.patience)
+            self._fused = FusedYaw(compass.calibration, self.patience)
         fused, up = self._fused, self._follower.at(seconds, 0.0)
         if up is None or not self._follower.is_carried:
             fused.restart()
@@ -74,17 +74,14 @@ class FusedOutput:
             message = self._attitude.fill(stamp, frame, heading, declination or 0.0, sigma)
             self._out.publish(message)
 
-    def on_field(self, seconds: float, field: Triple, up: Up | None) -> None:
-        """Let a raw field sample (tesla, at its stamp in seconds) correct the yaw."""
-        if self._compass is None or self._fused is None or up is None:
+    def on_field(self, seconds: float, up: Up | None) -> None:
+        """Let the newest field message, stamped so many seconds, correct the yaw."""
+        if self._fused is None or up is None or not self._follower.is_carried:
             return
-        if not self._follower.is_carried:
-            return
-        corrected = self._compass.correct(field)
-        heading = self._compass.heading(corrected, up.direction, up.variance)
-        if heading is not None:
+        field, heading = self._outputs.last_field, self._outputs.last_heading
+        if field is not None and heading is not None:
             self._fused.watch.patience = self.patience
-            self._fused.correct(seconds, corrected, up, heading)
+            self._fused.correct(seconds, field, up, heading)
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
         """Say whether the yaw is carried, and whether the field is believed."""
@@ -114,7 +111,7 @@ class FusedOutput:
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""
-        if self._compass is None:
+        if self._outputs.compass is None:
             return "no fused yaw before a calibration is in force"
         if self._fused is None:
             return f"nobody listens to {TOPIC}"

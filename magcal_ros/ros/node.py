@@ -75,7 +75,7 @@ class Calibrator(Node):
         self._table = Parameters(self)
         self._whereabouts = Whereabouts(self, self._table)
         self._outputs = Outputs(self)
-        self._fused = FusedOutput(self, self._up)
+        self._fused = FusedOutput(self, self._up, self._outputs)
         self._keeper = Keeper(self.get_namespace(), self._apply)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
@@ -160,7 +160,7 @@ class Calibrator(Node):
             reference = self._whereabouts.reference.field
             up = self._up.at(sample.stamp, streams.max_gap)
             self._outputs.publish(arrived, up, self._body_frame(), reference)
-            self._fused.on_field(sample.stamp, sample.field, up)
+            self._fused.on_field(sample.stamp, up)
             self._look_on(sample.stamp, up)
         if not streams.is_repeated:
             self._control.add(sample)
@@ -217,7 +217,7 @@ class Calibrator(Node):
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._outputs.put_in_force(calibration, magnetometer_frame)
-        self._fused.put_in_force(self._outputs.compass)
+        self._fused.begin_anew()
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
         self._publish_status()

@@ -14,8 +14,9 @@ from std_msgs.msg import Float64
 
 from magcal_ros.core.attitude import true_yaw
 from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.heading import Compass, Heading, Triple
+from magcal_ros.core.heading import Compass, Heading
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.triples import Triple
 from magcal_ros.core.up import Up
 from magcal_ros.ros.messages import bias_message
 from magcal_ros.ros.wire.incoming import FieldArrival

@@ -9,15 +9,17 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.estimate import Estimate, Installation
+from magcal_ros.core.figures import rms_sigma
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.covariance import correction_from
+from magcal_ros.core.methods.maximum_likelihood.figures import pulls
 from magcal_ros.core.methods.maximum_likelihood.model import predict
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution
 from magcal_ros.core.methods.maximum_likelihood.report import METHOD, samples_believed
 from magcal_ros.core.methods.maximum_likelihood.screening import seen_arc
 from magcal_ros.core.several.fit import JointFit
-from magcal_ros.core.several.observability import heading_jacobians, relative, rms_sigma
+from magcal_ros.core.several.observability import heading_jacobians, relative
 from magcal_ros.core.several.survey import Turn
 
 WORST_IS_LARGEST = (
@@ -105,14 +107,7 @@ def _figures(
     if fit.shows_yaw:
         sigma = math.sqrt(fit.widening * float(fit.joint.covariance[p.YAW, p.YAW]))
         figures["installation_yaw_sigma"] = sigma
-    reference = knowledge.reference
-    for name, belief, found in (
-        ("strength_pull", reference.strength, scale * shared.strength),
-        ("inclination_pull", reference.inclination, shared.inclination),
-    ):
-        if not (belief.is_exact or belief.is_unknown):
-            figures[name] = (found - belief.value) / belief.sigma
-    return figures
+    return figures | pulls(shared, knowledge.reference, scale)
 
 
 def _worst_of(turns: Sequence[Turn]) -> dict[str, float]:

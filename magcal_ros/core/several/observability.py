@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.arrays import FloatArray, IntArray
 from magcal_ros.core.attitude import field_in_enu
 from magcal_ros.core.correction import PARAMETERS
-from magcal_ros.core.estimate import yaw_jacobian
+from magcal_ros.core.figures import heading_jacobian, rms_sigma
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.covariance import (
     correction_from,
@@ -26,7 +26,6 @@ from magcal_ros.core.several.joint import Joint, without_own
 from magcal_ros.core.several.result import Advice, Shown
 
 TILT = math.radians(10.0)
-HEADINGS = 24
 CANDIDATE_SAMPLES = 120
 """Samples of an imagined turn; its noise is chosen such that they tell as much as a real one."""
 
@@ -47,25 +46,13 @@ def heading_jacobians(
     """Return the derivative of the yaw by the twelve numbers: level (24, 12), tilted (96, 12)."""
     correction = correction_from(shared, mounting, scale)
     field = field_in_enu(scale * shared.strength, shared.inclination)
-    yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
-
-    def over(leanings: list[tuple[float, float]]) -> FloatArray:
-        poses = np.array([rotation_from_rpy(r, q, y).T for r, q in leanings for y in yaws])
-        return yaw_jacobian(correction, poses @ Z, poses @ field)
-
-    level = over([(0.0, 0.0)])
-    return level, over([(TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)])
+    level, tilted = (heading_jacobian(correction, field, tilt) for tilt in (0.0, TILT))
+    return level, tilted
 
 
 def relative(jacobian: FloatArray, level: FloatArray) -> FloatArray:
     """Return the Jacobian of the yaw after the level's common offset is taken off."""
     return np.asarray(jacobian - level.mean(axis=0))
-
-
-def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
-    """Return the root mean square over poses of the yaw's standard deviation, radians."""
-    variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
-    return math.sqrt(max(float(variance.mean()), 0.0))
 
 
 def shown_by(

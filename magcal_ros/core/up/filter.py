@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.rotations import exp_rotation, skew
 
 UNKNOWN = 1.0
@@ -43,7 +44,6 @@ REGAIN = 3.0
 REST_LENGTH, REST_LENGTH_SIGMA = 1.0, 0.02
 """What an accelerometer reads at rest, over gravity, before it was seen at rest."""
 
-GRAVITY = 9.80665
 IDENTITY: FloatArray = np.eye(3)
 
 
@@ -161,4 +161,4 @@ class UpFilter:
 
 def pull_sigma(rate: float) -> float:
     """Return how large a pull over gravity may be at a turn rate in rad/s."""
-    return math.hypot(USUAL_PULL, USUAL_SPEED * rate / GRAVITY)
+    return math.hypot(USUAL_PULL, USUAL_SPEED * rate / STANDARD_GRAVITY)

@@ -6,14 +6,11 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.streams import HISTORY, ImuSample
+from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.streams import HISTORY, LONGEST_CARRY, ImuSample
 from magcal_ros.core.triples import Triple, between, carried, length, unit_triple
 from magcal_ros.core.up.carrier import ZERO, Carrier
-from magcal_ros.core.up.filter import GRAVITY
 from magcal_ros.core.up.levelling import Levelling
-
-LONGEST_GAP = 0.5
-"""Seconds without a message after which the gyro's path is lost."""
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
 """m/s². Outside, in free fall or a fault of the driver, a reading tells no direction."""
@@ -68,10 +65,10 @@ class UpFollower:
         last, self._last = self._last, sample
         seconds = math.inf if last is None else sample.stamp - last.stamp
         x, y, z = sample.force
-        force = (x / GRAVITY, y / GRAVITY, z / GRAVITY)
+        force = (x / STANDARD_GRAVITY, y / STANDARD_GRAVITY, z / STANDARD_GRAVITY)
         if seconds <= 0.0:
             self._ups.clear()
-        follows = last is not None and 0.0 < seconds <= LONGEST_GAP
+        follows = last is not None and 0.0 < seconds <= LONGEST_CARRY
         if has_gyro(sample):
             if follows and last is not None and has_gyro(last):
                 self._carrier.add(force, sample.rate, seconds)

@@ -10,8 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.estimate import yaw_jacobian
-from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.attitude import field_in_enu
+from magcal_ros.core.figures import heading_jacobian, rms_sigma
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood.circle import fit_circle
 from magcal_ros.core.methods.maximum_likelihood.covariance import (
     correction_from,
@@ -19,6 +20,7 @@ from magcal_ros.core.methods.maximum_likelihood.covariance import (
     inverse_information,
 )
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
+from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution
 
@@ -58,7 +60,6 @@ FIGURES: Mapping[str, str] = MappingProxyType(
 )
 """Names in `Estimate.figures`, and what they mean."""
 
-HEADINGS = 24
 LEAST_ELLIPSE_ARC = math.radians(270.0)
 
 
@@ -81,12 +82,11 @@ def measure_figures(
     problem, shared = solution.problem, solution.state.shared
     believed = solution.believed
     jacobian = _level_heading_jacobian(solution, scale)
-    variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
     lin = linearise(solution.state, problem)
     residual = lin.prediction.field_residual[believed]
     level = abs(shared.strength * math.cos(shared.inclination))
     figures = {
-        "heading_sigma": math.sqrt(max(float(variance.mean()), 0.0)),
+        "heading_sigma": rms_sigma(jacobian, covariance),
         "residual_ratio": math.sqrt(float(np.mean(np.sum(residual**2, axis=1)) / 3.0)) / level,
         "inlier_fraction": float(believed.mean()),
         "split_half": _split_half(solution, scale),
@@ -97,7 +97,7 @@ def measure_figures(
         "soft_iron": float(problem.prior.has_soft_iron),
         "field_scale": scale,
     }
-    figures.update(_pulls(solution, knowledge, scale))
+    figures.update(pulls(solution.state.shared, knowledge.reference, scale))
     figures.update(_unseen_soft_iron(solution, knowledge, scale))
     figures.update(_circle_figures(solution, knowledge, scale, arc))
     return figures
@@ -113,21 +113,15 @@ def _unseen_soft_iron(solution: Solution, knowledge: Knowledge, scale: float) ->
     jacobian = correction_jacobian(solution.state.shared, problem.samples.mounting, scale)
     by_global = _level_heading_jacobian(solution, scale) @ jacobian[:, free]
     covariance = problem.kappa * inverse_information(information)
-    variance = np.einsum("ki,ij,kj->k", by_global, covariance, by_global)
-    return {"heading_sigma_soft_iron": math.sqrt(max(float(variance.mean()), 0.0))}
+    return {"heading_sigma_soft_iron": rms_sigma(by_global, covariance)}
 
 
 def _level_heading_jacobian(solution: Solution, scale: float) -> FloatArray:
     """Return the derivative of the level heading by the twelve numbers, shape (24, 12)."""
     shared = solution.state.shared
-    yaw = np.arange(HEADINGS) * (2.0 * math.pi / HEADINGS)
-    level = shared.strength * math.cos(shared.inclination)
-    down = np.full(HEADINGS, -shared.strength * math.sin(shared.inclination))
-    field = scale * np.column_stack([level * np.sin(yaw), level * np.cos(yaw), down])
-    up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), field.shape)
-    return yaw_jacobian(
-        correction_from(shared, solution.problem.samples.mounting, scale), up, field
-    )
+    correction = correction_from(shared, solution.problem.samples.mounting, scale)
+    field = field_in_enu(scale * shared.strength, shared.inclination)
+    return heading_jacobian(correction, field, 0.0)
 
 
 def _split_half(solution: Solution, scale: float) -> float:
@@ -146,8 +140,8 @@ def _split_half(solution: Solution, scale: float) -> float:
     return float(np.sqrt(np.mean(gap**2)))
 
 
-def _pulls(solution: Solution, knowledge: Knowledge, scale: float) -> dict[str, float]:
-    shared, reference = solution.state.shared, knowledge.reference
+def pulls(shared: Globals, reference: ReferenceField, scale: float) -> dict[str, float]:
+    """Return by how many sigmas strength and inclination were pulled from what was believed."""
     pairs: list[tuple[str, Belief, float]] = [
         ("strength_pull", reference.strength, scale * shared.strength),
         ("inclination_pull", reference.inclination, shared.inclination),
