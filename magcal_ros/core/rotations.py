@@ -100,13 +100,17 @@ def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
 
     Opposite vectors leave the axis open; any axis across them is taken.
     """
-    cosine = float(start @ end)
-    if cosine < -1.0 + 1e-12:
-        across = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
-        across /= np.linalg.norm(across)
-        return np.asarray(2.0 * np.outer(across, across) - np.eye(3))
-    k = skew(np.cross(start, end))
-    return np.asarray(np.eye(3) + k + k @ k / (1.0 + cosine))
+    middle = start + end
+    if np.linalg.norm(middle) < 1e-8:
+        middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+    # Two half turns; dividing by one plus the cosine would lose its digits near opposite vectors.
+    middle = middle / np.linalg.norm(middle)
+    return half_turn(middle) @ half_turn(start)
+
+
+def half_turn(axis: FloatArray) -> FloatArray:
+    """Return the turn by 180 degrees about a unit vector, shape (3, 3)."""
+    return np.asarray(2.0 * np.outer(axis, axis) - np.eye(3))
 
 
 def rotation_angle(rotation: FloatArray) -> float:
