@@ -32,7 +32,12 @@ from magcal_ros.core.methods.maximum_likelihood.choice import (
     lasting_gain,
 )
 from magcal_ros.core.methods.maximum_likelihood.correlation import samples_per_independent
-from magcal_ros.core.methods.maximum_likelihood.doubt import CHANCE, Doubt, Look, look_for_soft_iron
+from magcal_ros.core.methods.maximum_likelihood.doubt import (
+    WORTH_A_FIT,
+    Doubt,
+    Look,
+    look_for_soft_iron,
+)
 from magcal_ros.core.methods.maximum_likelihood.gyro import Carrier
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Problem,
@@ -181,10 +186,11 @@ def choose_carried(
     carrier = plain.carrier
     if not with_iron.has_soft_iron:
         return CarriedChoice(plain)
-    look, gain = _look_at(plain, with_iron), 0.0
+    look = _look_at(plain, with_iron)
+    gain = look.gain
     # Where soft iron was taken for drift or outliers, the plain fit no longer shows its slope.
     honest = plain.drift < USUAL_DRIFT and plain.solution.believed.mean() > HONEST_SHARE
-    if always_iron or not honest or look.gain > CHANCE:
+    if always_iron or not honest or look.gain > WORTH_A_FIT:
         iron = fit_carried(start, carrier, with_iron)
         without = _held_to(iron, carrier, start.problem.prior)
         gain = lasting_gain(without.cost - iron.cost, without.chi_square - iron.chi_square)

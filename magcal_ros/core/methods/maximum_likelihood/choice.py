@@ -9,7 +9,12 @@ import numpy as np
 
 from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.methods.maximum_likelihood.covariance import inverse_information
-from magcal_ros.core.methods.maximum_likelihood.doubt import CHANCE, Doubt, Look, look_for_soft_iron
+from magcal_ros.core.methods.maximum_likelihood.doubt import (
+    WORTH_A_FIT,
+    Doubt,
+    Look,
+    look_for_soft_iron,
+)
 from magcal_ros.core.methods.maximum_likelihood.linearise import (
     Linearisation,
     Noise,
@@ -28,14 +33,15 @@ from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, s
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
+LONE_WOBBLE_PRICE = 30.0
+"""Where neither strength nor dip is known, wobble would tell both: it needs to be plain to see."""
 SOFT_IRON_PRICE = 25.0
 RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
 
 STRETCHES = 8
-BEST_STRETCHES = 2
 LEAST_SHARE = 1.0 / 3.0
-"""At least this share of soft iron's gain is made outside the best stretches of the turn."""
+"""At least this share of soft iron's gain is made outside the best two neighbouring stretches."""
 
 HONEST_SHARE = 0.97
 """A smaller share of believed samples may hide soft iron: it is fitted, whatever the rest says."""
@@ -130,12 +136,15 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     # Where soft iron is plain to see, whether the axis would look rigid without it is idle.
     plain_to_see = look_at(wobbling, with_iron).gain > CLEAR_GAIN
     plain = wobbling if plain_to_see else rigid_or_wobbling(wobbling)
-    look, gain = look_at(plain, with_iron), 0.0
+    look = look_at(plain, with_iron)
+    gain = look.gain
     # Where soft iron was taken for outliers, what is left no longer shows its slope.
     honest = plain.believed.mean() > HONEST_SHARE
-    if always_iron or not honest or look.gain > CHANCE:
-        freed = replace(wobbling.problem, prior=with_iron, kappa=1.0)
-        iron = rigid_or_wobbling(gated(softened(Solution(wobbling.state, freed))))
+    if always_iron or not honest or look.gain > WORTH_A_FIT:
+        # An axis that is rigid without soft iron is rigid with it, which explains more.
+        freed = replace(plain.problem, prior=with_iron, kappa=1.0)
+        iron = gated(softened(Solution(plain.state, freed)))
+        iron = iron if iron.problem.rigid else rigid_or_wobbling(iron)
         gain = soft_iron_gain(plain, iron)
         price = look.price(RIGID_SOFT_IRON_PRICE) if iron.problem.rigid else SOFT_IRON_PRICE
         asked = gain > price * iron.problem.kappa
@@ -165,7 +174,8 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     common = rigid.believed & wobbling.believed
     kappa = wobbling.problem.kappa
     gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
-    if gain > WOBBLE_PRICE * kappa:
+    price = LONE_WOBBLE_PRICE if problem.prior.holds_hard_iron else WOBBLE_PRICE
+    if gain > price * kappa:
         return wobbling
     return rigid
 
@@ -208,8 +218,9 @@ def lasting_gain(total: float, falls: FloatArray) -> float:
     falls : ndarray, shape (n,)
         Each sample's fall of chi-square.
     """
-    parts = np.sort([part.sum() for part in np.array_split(falls, STRETCHES)])
-    return min(total, float(parts[:-BEST_STRETCHES].sum()) / LEAST_SHARE)
+    parts = np.array([part.sum() for part in np.array_split(falls, STRETCHES)])
+    one_place = max(float(parts.max()), float((parts[:-1] + parts[1:]).max()))
+    return min(total, (float(parts.sum()) - max(one_place, 0.0)) / LEAST_SHARE)
 
 
 def look_at(solution: Solution, with_iron: Prior) -> Look:

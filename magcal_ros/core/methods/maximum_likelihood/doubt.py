@@ -19,10 +19,13 @@ from magcal_ros.core.methods.maximum_likelihood.prior import SOFT_IRON_INDICES, 
 
 PRIOR_ODDS = 1.4
 """Twice the logarithm of the odds against soft iron worth mentioning, about two to one."""
-LEAST_PRICE = 15.0
+LEAST_PRICE = 14.0
 """On short arcs Occam's factor is weak; less than this is asked for by chance too often."""
 CHANCE = 4.0
 """A fall of chi-square that noise alone brings easily; below it nothing speaks for soft iron."""
+WORTH_A_FIT = 7.0
+"""A fall of chi-square, seen from the optimum without soft iron, that may yet come to the least
+price when it is fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ class Look:
     covariance: FloatArray
 
     def price(self, most: float) -> float:
-        """Return by how much, times kappa, chi-square must fall for soft iron to be believed."""
+        """Return by how much, times kappa, chi-square must fall for soft iron to be fitted."""
         return min(max(self.occam + PRIOR_ODDS, LEAST_PRICE), most)
 
     def probability(self, gain: float) -> float:

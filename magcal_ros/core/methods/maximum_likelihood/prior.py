@@ -56,6 +56,11 @@ class Prior:
         """Whether the fit may find soft iron."""
         return bool(np.isin(SOFT_IRON_INDICES, self.free).any())
 
+    @property
+    def holds_hard_iron(self) -> bool:
+        """Whether nothing is known of the field, and a wide belief keeps the hard iron near."""
+        return bool(self.information[p.HARD_IRON].any())
+
 
 def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool, yaw: bool = False) -> Prior:
     """Translate knowledge into a prior.

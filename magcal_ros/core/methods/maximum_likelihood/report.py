@@ -8,7 +8,9 @@ import numpy as np
 
 from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.estimate import Estimate, Installation
+from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.attitudes import follow
+from magcal_ros.core.methods.maximum_likelihood.bend import bend_of_hard_iron
 from magcal_ros.core.methods.maximum_likelihood.covariance import (
     correction_from,
     correction_jacobian,
@@ -41,11 +43,20 @@ def twelve_covariance(
     """
     problem = solution.problem
     jacobian = correction_jacobian(solution.state.shared, problem.samples.mounting, scale)
-    free = jacobian[:, problem.prior.free]
-    covariance = problem.kappa * free @ inverse_information(information) @ free.T
+    free = problem.prior.free
+    of_globals = np.zeros((p.COUNT, p.COUNT))
+    of_globals[np.ix_(free, free)] = problem.kappa * inverse_information(information)
+    covariance = jacobian @ of_globals @ jacobian.T
+    covariance[9:, 9:] += scale**2 * bend_of_hard_iron(
+        solution.state.shared, _mean_turn(solution), problem.samples.mounting, of_globals
+    )
     if doubt is not None:
         covariance = doubt.widened(covariance, jacobian)
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _mean_turn(solution: Solution) -> FloatArray:
+    return np.asarray(solution.state.attitude[solution.believed].mean(axis=0))
 
 
 def build_estimate(

@@ -43,3 +43,11 @@ def test_a_wobble_does_not_look_like_soft_iron():
         window = measure(robot, turn(arc=math.pi, wobble=lean), rng)
         doubted.append(fit(window, robot.knowledge()).figures["heading_sigma"])
     assert np.median(doubted) < 0.13 * DEGREE
+
+
+def test_noise_is_not_taken_for_a_wobble_that_shows_the_dip():
+    robot, rng = Robot(), np.random.default_rng([1, 20])
+    motion = turn(start_rpy=(0.0, 0.0, rng.uniform(-math.pi, math.pi)))
+    window = measure(robot, motion, rng)
+    estimate = fit(window, robot.knowledge(math.inf, math.inf))
+    assert math.sqrt(estimate.covariance[11, 11]) > robot.strength
