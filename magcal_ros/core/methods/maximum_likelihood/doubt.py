@@ -23,6 +23,8 @@ LEAST_PRICE = 14.0
 """On short arcs Occam's factor is weak; less than this is asked for by chance too often."""
 CHANCE = 4.0
 """A fall of chi-square that noise alone brings easily; below it nothing speaks for soft iron."""
+LEAST_PROBABILITY = 0.02
+"""A smaller doubt would mostly widen what needs no widening."""
 WORTH_A_FIT = 7.0
 """A fall of chi-square, seen from the optimum without soft iron, that may yet come to the least
 price when it is fitted."""
@@ -68,7 +70,8 @@ class Look:
         if independent < CHANCE:
             return 0.0
         against = self.occam + PRIOR_ODDS - independent
-        return 1.0 / (1.0 + math.exp(min(0.5 * against, 50.0)))
+        likely = 1.0 / (1.0 + math.exp(min(0.5 * against, 50.0)))
+        return likely if likely > LEAST_PROBABILITY else 0.0
 
 
 def look_for_soft_iron(
