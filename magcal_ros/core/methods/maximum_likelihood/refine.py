@@ -41,6 +41,9 @@ from magcal_ros.core.methods.maximum_likelihood.weights import (
 FIRST_NOISE = Noise(up=0.03, field=0.03, wobble=0.1)
 """Larger than any usable sensor's: estimating the noise anew each step is the annealing."""
 
+NOTICEABLE_WOBBLE = 0.5
+"""Times the noise of up. A smaller wobble creeps towards none for as long as one waits."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
@@ -138,7 +141,7 @@ def gated(solution: Solution, rounds: int = 10) -> Solution:
         lin = settle(state, problem, steps=2, tolerance=0.05)
         state = lin.state
         noise = estimate_noise(lin, problem, change=1.5)
-        change = largest_change(noise, problem.noise)
+        change = largest_change(noise, problem.noise, NOTICEABLE_WOBBLE)
         problem = problem.with_noise(noise)
         if turn > 0 and change < 0.02 and moved <= 0.002 * len(weights.sample):
             break

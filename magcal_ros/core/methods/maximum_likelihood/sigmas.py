@@ -17,8 +17,6 @@ from magcal_ros.core.methods.maximum_likelihood.linearise import Linearisation, 
 UP_FLOOR = 0.005
 FIELD_FLOOR = 0.001
 WOBBLE_FLOOR = 1e-4
-NOTICEABLE_WOBBLE = 0.5
-"""Times the noise of up. A smaller wobble creeps towards none for as long as one waits."""
 LEAST_FREEDOM = 0.02
 """Least share of a degree of freedom per sample: below it a sigma cannot be told."""
 
@@ -80,9 +78,16 @@ def _limited(new: float, old: float, change: float, floor: float) -> float:
     return max(min(max(new, old / change), old * change), floor)
 
 
-def largest_change(new: Noise, old: Noise) -> float:
-    """Return the largest relative change among the sigmas that matter, as a logarithm."""
+def largest_change(new: Noise, old: Noise, least_wobble: float = 0.0) -> float:
+    """Return the largest relative change among the sigmas, as a logarithm.
+
+    Parameters
+    ----------
+    new, old : Noise
+    least_wobble : float
+        Times the noise of up: a smaller wobble does not count.
+    """
     pairs = [(new.up, old.up), (new.field, old.field)]
-    if new.wobble > NOTICEABLE_WOBBLE * new.up:
+    if new.wobble > least_wobble * new.up:
         pairs.append((new.wobble, old.wobble))
     return float(max(abs(np.log(a / b)) for a, b in pairs))

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.methods.maximum_likelihood.choice import lasting_gain
 from magcal_ros.core.simulator import DEGREE, Robot, measure, smooth_wobble, turn
@@ -51,3 +52,20 @@ def test_noise_is_not_taken_for_a_wobble_that_shows_the_dip():
     window = measure(robot, motion, rng)
     estimate = fit(window, robot.knowledge(math.inf, math.inf))
     assert math.sqrt(estimate.covariance[11, 11]) > robot.strength
+
+
+def test_an_upside_down_rival_does_not_win_because_its_wobble_settled_sooner():
+    robot = Robot(
+        strength=50e-6,
+        roll=-35.676 * DEGREE,
+        pitch=24.741 * DEGREE,
+        hard_iron=np.array([-1.07e-6, -0.64e-6, 0.57e-6]),
+        noise_field=0.0,
+        noise_force=0.0,
+    )
+    motion = turn(arc=183 * DEGREE, samples=200, start_rpy=(0.0, 0.0, 1.5))
+    window = measure(robot, motion, np.random.default_rng(1))
+    # Without a gyro the two cannot be told apart; what may not happen is that the wrong one wins.
+    with pytest.raises(Refusal) as refused:
+        fit(window, robot.knowledge())
+    assert refused.value.reason is Reason.AMBIGUOUS
