@@ -32,7 +32,6 @@ class Reason(str, Enum):
     NO_SOLUTION = "no_solution"
     AMBIGUOUS = "ambiguous"
     PLANAR = "planar"
-    NO_CONVERGENCE = "no_convergence"
     TURNS_DISAGREE = "turns_disagree"
 
 

@@ -231,7 +231,6 @@ class Pairer:
     def __init__(self, streams: Streams) -> None:
         self._streams = streams
         self._waiting: deque[FieldSample] = deque()
-        self.unpaired = 0
 
     def offer(self, sample: FieldSample) -> None:
         """Take a field sample; an unchanged repetition of the one before should not come here.
@@ -259,5 +258,4 @@ class Pairer:
         return pairs
 
     def _count_unpaired(self) -> None:
-        self.unpaired += 1
         self._streams.field_drops[Drop.UNPAIRED] += 1

@@ -17,18 +17,15 @@ class Circle:
 
     Parameters
     ----------
-    center : ndarray, shape (3,)
+    centre : ndarray, shape (3,)
     radius : float
     normal : ndarray, shape (3,)
         Unit; its sign is open.
-    spread : ndarray, shape (3,)
-        Standard deviations of the points along the normal and in the plane, ascending.
     """
 
-    center: FloatArray
+    centre: FloatArray
     radius: float
     normal: FloatArray
-    spread: FloatArray
 
 
 def fit_circle(points: FloatArray) -> Circle:
@@ -43,7 +40,7 @@ def fit_circle(points: FloatArray) -> Circle:
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
     for _ in range(ROBUST_ROUNDS):
-        away = points - circle.center
+        away = points - circle.centre
         height = away @ circle.normal
         level = np.linalg.norm(away - height[:, None] * circle.normal, axis=1)
         square = height**2 + (level - circle.radius) ** 2
@@ -64,15 +61,10 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
     total = weight.sum()
     mean = weight @ points / total
     centred = points - mean
-    values, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred / total)
+    _, vectors = np.linalg.eigh((centred * weight[:, None]).T @ centred / total)
     plane = vectors[:, 1:]
-    center, radius = _taubin(centred @ plane, weight / total)
-    return Circle(
-        mean + plane @ center,
-        radius,
-        vectors[:, 0],
-        np.sqrt(np.maximum(values, 0.0)),
-    )
+    centre, radius = _taubin(centred @ plane, weight / total)
+    return Circle(mean + plane @ centre, radius, vectors[:, 0])
 
 
 def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
@@ -87,5 +79,5 @@ def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     a /= 2.0 * np.sqrt(mean)
     if abs(a) < 1e-12:
         a = 1e-12
-    center = np.array([-b, -c]) / (2.0 * a)
-    return center, float(np.sqrt(center @ center + mean))
+    centre = np.array([-b, -c]) / (2.0 * a)
+    return centre, float(np.sqrt(centre @ centre + mean))

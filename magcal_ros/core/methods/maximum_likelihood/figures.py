@@ -166,17 +166,17 @@ def _circle_figures(
         expected = strength * float(np.linalg.norm(across))
         figures["radius_ratio"] = circle.radius / max(expected, 1e-9)
     if arc >= LEAST_ELLIPSE_ARC:
-        figures["ellipse_ratio"] = ellipse_ratio(points, circle.center, circle.normal)
+        figures["ellipse_ratio"] = ellipse_ratio(points, circle.centre, circle.normal)
     return figures
 
 
-def ellipse_ratio(points: FloatArray, center: FloatArray, normal: FloatArray) -> float:
+def ellipse_ratio(points: FloatArray, centre: FloatArray, normal: FloatArray) -> float:
     """Return the ratio of the axes of the ellipse that points (n, 3) draw around a circle.
 
     The distance from the centre is fitted by a constant and its first two harmonics.
     """
     plane = np.linalg.svd(normal[None])[2][1:]
-    x, y = plane @ (points - center).T
+    x, y = plane @ (points - centre).T
     angle, distance = np.arctan2(y, x), np.hypot(x, y)
     columns = [np.ones_like(angle)]
     for order in (1, 2):

@@ -153,7 +153,7 @@ def sense_of_mounting(samples: Samples, carrier: Carrier) -> float:
     normal = circle.normal * math.copysign(1.0, float(circle.normal @ axis))
     plane = np.linalg.svd(normal[None])[2][1:]
     plane[1] = np.cross(normal, plane[0])
-    x, y = plane @ (points - circle.center).T
+    x, y = plane @ (points - circle.centre).T
     stride = max(1, len(points) // 60)
     field_turn = wrap_angle(np.diff(np.arctan2(y, x)[::stride]))
     relative = carrier.relative[::stride]

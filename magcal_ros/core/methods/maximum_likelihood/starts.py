@@ -87,7 +87,7 @@ def _turn_angles(
 ) -> FloatArray:
     """Return each sample's turn about the axis so that the field lies at angle zero, (n,)."""
     body_axis = minimal_rotation(UP, axis)
-    turned = (points - circle.center) @ rotation_from_rpy(roll, pitch).T @ body_axis
+    turned = (points - circle.centre) @ rotation_from_rpy(roll, pitch).T @ body_axis
     return np.asarray(np.arctan2(turned[:, 1], turned[:, 0]))
 
 
@@ -159,10 +159,10 @@ def _with_dips(
     body_axis = minimal_rotation(UP, axis)
     attitude = about_z(turn)
     up = unit(np.einsum("nji,nj->i", attitude, samples.up @ body_axis) / len(samples))
-    height = float(circle.center @ normal)
+    height = float(circle.centre @ normal)
     for angle, strength in guess.elevations(up, circle, height):
         field = strength * np.array([math.cos(angle), 0.0, math.sin(angle)])
-        hard_iron = samples.mounting @ (circle.center - field[2] * normal)
+        hard_iron = samples.mounting @ (circle.centre - field[2] * normal)
         shared = guess.globals_from(body_axis, up, field, installation, hard_iron)
         yield State(shared, attitude)
 
@@ -186,15 +186,15 @@ def _level_start(samples: Samples, points: FloatArray, guess: _FieldGuess) -> St
     )
     along = np.sum(points * samples.up, axis=1) - vertical
     right = np.concatenate([along, np.sum(points**2, axis=1) / size, np.zeros(3)])
-    center = np.linalg.lstsq(rows, right, rcond=None)[0][:3]
+    centre = np.linalg.lstsq(rows, right, rcond=None)[0][:3]
     body_axis = minimal_rotation(UP, unit(samples.up.mean(axis=0)))
-    turned = (points - center) @ body_axis
+    turned = (points - centre) @ body_axis
     attitude = about_z(np.arctan2(turned[:, 1], turned[:, 0]))
     up = unit(np.einsum("nji,nj->i", attitude, samples.up @ body_axis))
     field = np.einsum("nji,nj->i", attitude, turned) / n
     if np.linalg.norm(np.cross(up, field)) < 1e-6:
         return None
-    shared = guess.globals_from(body_axis, up, field, (0.0, 0.0), samples.mounting @ center)
+    shared = guess.globals_from(body_axis, up, field, (0.0, 0.0), samples.mounting @ centre)
     return State(shared, attitude)
 
 
