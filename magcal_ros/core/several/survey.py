@@ -18,6 +18,9 @@ from magcal_ros.core.window import Window
 SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
 """Reasons that forbid a turn to stand alone and that other turns may mend."""
 
+GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
+"""The same where nothing is known of the field: one turn can only guess how steep it is."""
+
 COPIED = 0.5
 """Share of samples in common from which a turn is a copy of another."""
 
@@ -78,12 +81,18 @@ def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
         outcome = judged(conclude(solved, knowledge), knowledge, window)
     except Refusal as refusal:
         told = explained(refusal, window)
-        unfit = "" if refusal.reason in SHORT else str(told).rstrip(".")
+        unfit = "" if _may_be_mended(refusal.reason, knowledge) else str(told).rstrip(".")
         return Turn(name, window, Outcome.refused(told), solved, unfit)
     unfit = ""
     if outcome.verdict.quality is Grade.REFUSED:
         unfit = outcome.verdict.summary.rstrip(".")
     return Turn(name, window, outcome, solved, unfit)
+
+
+def _may_be_mended(reason: Reason, knowledge: Knowledge) -> bool:
+    reference = knowledge.reference
+    guessed = reference.strength.is_unknown and reference.inclination.is_unknown
+    return reason in SHORT or (guessed and reason in GUESSED)
 
 
 def _is_copy(window: Window, other: Window) -> bool:

@@ -26,7 +26,7 @@ def test_the_advised_turn_keeps_its_promise(level, direction):
     promise = next(a.after for a in level.advice if a.pose.endswith(direction))
     kept = calibrate_turns(windows_on([LEVEL, slope], 1), KNOWN).several.shown
     for name in ("installation_yaw", "inclination", "absolute_level", "absolute_tilted"):
-        assert getattr(kept, name) == pytest.approx(getattr(promise, name), rel=0.35)
+        assert getattr(kept, name) == pytest.approx(getattr(promise, name), rel=0.5)
 
 
 def test_after_a_slope_to_the_east_one_to_the_north_or_south_is_advised():

@@ -15,8 +15,7 @@ from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
 from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 
-BENDING = np.array([*p.MATRIX_PARAMETERS, p.STRENGTH, p.INCLINATION])
-"""The parameters that the middle of the raw field does not follow in a straight line."""
+SWING = np.array([p.ROLL, p.PITCH])
 STEP = 1e-4
 
 
@@ -43,29 +42,16 @@ def bend_of_hard_iron(
     ndarray, shape (3, 3)
         In squared field scales.
     """
-    spread = covariance[np.ix_(BENDING, BENDING)]
-    curved = _second_derivative(shared, turn, mounting) @ spread
-    trace = np.trace(curved, axis1=1, axis2=2)
-    return np.asarray(0.25 * (np.outer(trace, trace) + 2.0 * np.einsum("kij,lji", curved, curved)))
-
-
-def _second_derivative(shared: Globals, turn: FloatArray, mounting: FloatArray) -> FloatArray:
-    """Return the Hessians of the middle's three coordinates by `BENDING`, (3, b, b)."""
-    hessian = np.zeros((3, len(BENDING), len(BENDING)))
-    for row, parameter in enumerate(BENDING):
+    field = shared.body_axis @ turn @ shared.world_axis.T @ shared.field_enu
+    hessian = np.zeros((3, len(SWING), len(SWING)))
+    for row, parameter in enumerate(SWING):
         step = np.zeros(p.COUNT)
         step[parameter] = STEP
-        ahead = _first_derivative(shared.moved(step), turn, mounting)
-        behind = _first_derivative(shared.moved(-step), turn, mounting)
-        hessian[:, row] = (ahead - behind) / (2.0 * STEP)
-    return np.asarray(0.5 * (hessian + hessian.swapaxes(1, 2)))
-
-
-def _first_derivative(shared: Globals, turn: FloatArray, mounting: FloatArray) -> FloatArray:
-    """Return the middle of the raw field by `BENDING`, shape (3, b)."""
-    to_body = shared.body_axis @ turn @ shared.world_axis.T
-    field, distortion = to_body @ shared.field_enu, shared.distortion(mounting)
-    by_strength = distortion @ field / shared.strength
-    by_inclination = distortion @ to_body @ shared.field_enu_by_inclination
-    by_matrix = shared.distortion_derivatives(mounting) @ field
-    return np.column_stack([by_matrix.T, by_strength, by_inclination])
+        ahead, behind = (
+            shared.moved(way).distortion_derivatives(mounting)[: len(SWING)]
+            for way in (step, -step)
+        )
+        hessian[:, row] = ((ahead - behind) @ field).T / (2.0 * STEP)
+    curved = hessian @ covariance[np.ix_(SWING, SWING)]
+    trace = np.trace(curved, axis1=1, axis2=2)
+    return np.asarray(0.25 * (np.outer(trace, trace) + 2.0 * np.einsum("kij,lji", curved, curved)))

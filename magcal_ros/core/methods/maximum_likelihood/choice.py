@@ -27,14 +27,14 @@ from magcal_ros.core.methods.maximum_likelihood.linearise import (
 from magcal_ros.core.methods.maximum_likelihood.logdet import (
     log_determinant_gradient,
     log_determinants,
+    log_turn_informations,
 )
+from magcal_ros.core.methods.maximum_likelihood.model import State
 from magcal_ros.core.methods.maximum_likelihood.prior import Prior
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution, gated, settle, softened
 from magcal_ros.core.methods.maximum_likelihood.weights import student_cost
 
 WOBBLE_PRICE = 10.0
-LONE_WOBBLE_PRICE = 30.0
-"""Where neither strength nor dip is known, wobble would tell both: it needs to be plain to see."""
 SOFT_IRON_PRICE = 25.0
 RIGID_SOFT_IRON_PRICE = 20.0
 """By how much, times kappa, minus twice the log evidence must fall for a richer model."""
@@ -66,7 +66,7 @@ def soft_evidence(solution: Solution) -> float:
         student_cost(chi, problem.rigid)
         + _noise_cost(problem.noise, count)
         + problem.kappa * problem.prior.cost(solution.state.shared)
-        + float(log_determinants(lin).sum())
+        + float((log_determinants(lin) + log_turn_informations(lin, problem.noise)).sum())
         + (0.0 if problem.rigid else 4.0 * count * math.log(problem.noise.wobble))
     )
 
@@ -86,7 +86,8 @@ def evidence(solution: Solution, believed: BoolArray, kappa: float) -> float:
     lin = linearise(solution.state, problem)
     chi = chi_squares(solution.state, lin.prediction, problem.noise)
     count = int(believed.sum())
-    total = float(np.sum(chi.data[believed])) + _noise_cost(problem.noise, count)
+    turns = log_turn_informations(lin, problem.noise)
+    total = float(np.sum((chi.data + turns)[believed])) + _noise_cost(problem.noise, count)
     total += kappa * problem.prior.cost(solution.state.shared)
     if problem.rigid:
         return total
@@ -142,8 +143,9 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     honest = plain.believed.mean() > HONEST_SHARE
     if always_iron or not honest or look.gain > WORTH_A_FIT:
         # An axis that is rigid without soft iron is rigid with it, which explains more.
-        freed = replace(plain.problem, prior=with_iron, kappa=1.0)
-        iron = gated(softened(Solution(plain.state, freed)))
+        begun = plain if plain.problem.rigid else _near(start)
+        freed = replace(begun.problem, prior=with_iron, kappa=1.0)
+        iron = gated(softened(Solution(begun.state, freed)))
         iron = iron if iron.problem.rigid else rigid_or_wobbling(iron)
         gain = soft_iron_gain(plain, iron)
         price = look.price(RIGID_SOFT_IRON_PRICE) if iron.problem.rigid else SOFT_IRON_PRICE
@@ -154,6 +156,21 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
         plain = rigid_or_wobbling(wobbling)
         look = look_at(plain, with_iron)
     return Choice(plain, gain, Doubt(look, look.probability(gain)))
+
+
+def _near(start: Solution) -> Solution:
+    """Return where soft iron is freed on a wobbling axis.
+
+    Where nothing is known of the field, leans that stand for soft iron take strength and dip far
+    away; a rigid axis leaves them where the belief in a small hard iron has them.
+    """
+    if not start.problem.prior.holds_hard_iron:
+        return start
+    noise = start.problem.noise
+    stiff = replace(noise, up=math.hypot(noise.up, noise.wobble))
+    problem = replace(start.problem, rigid=True, noise=stiff)
+    lin, _ = settle(start.state.upright(), problem, steps=6, tolerance=0.1)
+    return Solution(State(lin.state.shared, start.state.attitude), start.problem)
 
 
 def keeps_samples(one: Solution, other: Solution) -> bool:
@@ -174,8 +191,7 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     common = rigid.believed & wobbling.believed
     kappa = wobbling.problem.kappa
     gain = evidence(rigid, common, kappa) - evidence(wobbling, common, kappa)
-    price = LONE_WOBBLE_PRICE if problem.prior.holds_hard_iron else WOBBLE_PRICE
-    if gain > price * kappa:
+    if gain > WOBBLE_PRICE * kappa:
         return wobbling
     return rigid
 
@@ -188,8 +204,8 @@ def soft_iron_gain(plain: Solution, iron: Solution) -> float:
     """
     problem = replace(iron.problem, prior=plain.problem.prior)
     start = plain.state.upright() if problem.rigid else plain.state
-    without = settle(start, problem, steps=6, tolerance=1e-3)
-    with_it = settle(iron.state, iron.problem, steps=6, tolerance=1e-3)
+    without, _ = settle(start, problem, steps=6, tolerance=1e-3)
+    with_it, _ = settle(iron.state, iron.problem, steps=6, tolerance=1e-3)
     falls = _sample_costs(without, problem) - _sample_costs(with_it, iron.problem)
     total = cost(without.state, problem, without.prediction) - cost(
         with_it.state, iron.problem, with_it.prediction

@@ -167,8 +167,20 @@ class Linearisation:
         """Information on the globals after the attitudes are eliminated, shape (g, g)."""
         return self._without_attitudes(self.information, self.local_covariance)
 
-    def solve(self, damping: float, extra_gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return global step (g,) and local steps (n, l) of the damped equations."""
+    def solve(
+        self, damping: float, extra_gradient: FloatArray
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """Solve the damped equations.
+
+        Returns
+        -------
+        move : ndarray, shape (g,)
+            Step of the globals.
+        follow : ndarray, shape (n, l)
+            Steps of the attitudes.
+        promised : float
+            By how much the globals' step should lower the weighted sum of squares.
+        """
         blocks = self.local_information.copy()
         index = np.arange(blocks.shape[1])
         blocks[:, index, index] *= 1.0 + damping
@@ -180,9 +192,9 @@ class Linearisation:
         try:
             move = np.asarray(np.linalg.solve(reduced, right), dtype=np.float64)
         except np.linalg.LinAlgError:
-            return np.full(len(right), np.nan), np.zeros_like(pulled)
+            return np.full(len(right), np.nan), np.zeros_like(pulled), 0.0
         follow = (inverse @ (self.coupling @ move)[:, :, None])[:, :, 0]
-        return move, pulled - follow
+        return move, pulled - follow, float(right @ move)
 
     def through_attitudes(self, local: FloatArray) -> FloatArray:
         """Carry local vectors (n, l) to the globals, `sum C_i^T x_i`, shape (g,)."""
@@ -309,6 +321,9 @@ class Step:
     accepted : bool
     size : float
         Largest change of a global in its own units.
+    promised : float
+        By how much the globals' step should have lowered the sum: squared, how many sigmas they
+        moved.
     """
 
     state: State
@@ -317,6 +332,7 @@ class Step:
     damping: float
     accepted: bool
     size: float = 0.0
+    promised: float = 0.0
 
 
 def take_step(
@@ -340,7 +356,7 @@ def take_step(
     extra = np.zeros(len(lin.gradient)) if extra_gradient is None else extra_gradient
     before = cost(lin.state, problem, lin.prediction)
     while damping < LARGEST_DAMPING:
-        move, local = lin.solve(damping, extra)
+        move, local, promised = lin.solve(damping, extra)
         full = np.zeros(p.COUNT)
         full[problem.prior.free] = move
         if np.isfinite(move).all() and np.abs(full).max() < LARGEST_STEP:
@@ -350,6 +366,6 @@ def take_step(
             if after + 2.0 * extra @ move <= before * (1.0 + 1e-12) + 1e-9:
                 size = float(np.abs(move).max())
                 relaxed = max(damping / 10.0, 1e-10)
-                return Step(candidate, prediction, before - after, relaxed, True, size)
+                return Step(candidate, prediction, before - after, relaxed, True, size, promised)
         damping = max(10.0 * damping, 1e-7)
     return Step(lin.state, lin.prediction, 0.0, 1e-3, False)

@@ -1,15 +1,19 @@
 """The price of each sample's own lean: half the log-determinant of the information on it.
 
 The leans are not parameters to report but are to be integrated out. To second order (Laplace)
-that adds `1/2 sum log det L_i` to the cost, L_i the information on the two lean angles of sample
+that adds `1/2 sum log det S_i` to the cost, S_i the information on the two lean angles of sample
 i. Leaving it out biases the hard iron along the axis as soon as strength or dip are loose and the
 axis wobbles.
 
-The turn angles are not integrated but taken at their optimum: a flat prior on them would say that
-the samples lie all around the circle, and on a part of a turn that draws the circle small.
+The turn angle is no more known beforehand than the leans, so S_i is what is left for them once
+the turn angle took its share of the information D_i on all three: `S = D_ll - D_lz D_zz^-1 D_zl`,
+`log det S = log det D - log D_zz`. Of the leans at a held turn angle the field would seem to say
+more than it does, the more the stronger it is along the axis, and draw that part of it small. Of
+all three the last term would be missing: it says that samples lie evenly all along the circle, and
+on a part of a turn draws the circle small.
 
-L_i is part of a sum over the sample's three vectors v (up, field, lean) of `[v]x^T S_v [v]x`, and
-every vector moves by a cross product, so the gradient is exact and costs no more than a step.
+D_i is a sum over the sample's three vectors v (up, field, lean) of `[v]x^T P_v [v]x`, and every
+vector moves by a cross product, so the gradient is exact and costs no more than a step.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ import numpy as np
 
 from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.linearise import Linearisation, Problem
+from magcal_ros.core.methods.maximum_likelihood.linearise import Linearisation, Noise, Problem
 from magcal_ros.core.methods.maximum_likelihood.model import field_by_inclination
 from magcal_ros.core.rotations import skews
 
@@ -26,15 +30,27 @@ _WOBBLE_ROWS: FloatArray = np.diag([1.0, 1.0, 0.0])
 
 
 def log_determinants(lin: Linearisation) -> FloatArray:
-    """Return log det L_i of each sample, shape (n,); zero for a rigid axis."""
-    blocks = lin.local_information
-    if blocks.shape[1] == 1:
-        return np.zeros(len(blocks))
-    return np.log(blocks[:, 0, 0] * blocks[:, 1, 1] - blocks[:, 0, 1] ** 2)
+    """Return log det S_i of each sample, shape (n,); zero for a rigid axis."""
+    if lin.local_information.shape[1] == 1:
+        return np.zeros(len(lin.local_information))
+    # The leans' block of the inverse of D is the inverse of S.
+    of_leans = lin.local_covariance
+    return np.asarray(-np.log(of_leans[:, 0, 0] * of_leans[:, 1, 1] - of_leans[:, 0, 1] ** 2))
+
+
+def log_turn_informations(lin: Linearisation, noise: Noise) -> FloatArray:
+    """Return log of what the noise leaves of the information on each turn angle, shape (n,).
+
+    The turn angle integrated out with a prior that is even along the path of up and field: what
+    models of different noise have to be compared by, since the angle takes its share of a sample.
+    """
+    turn = lin.local[:, :, -1]
+    path = turn * np.repeat([noise.up, noise.field], 3)
+    return np.asarray(np.log(np.sum(turn**2, axis=1) / np.sum(path**2, axis=1)))
 
 
 def log_determinant_gradient(lin: Linearisation, problem: Problem) -> FloatArray:
-    """Return the gradient of `1/2 sum log det L_i` of the counted samples, shape (g,).
+    """Return the gradient of `1/2 sum log det S_i` of the counted samples, shape (g,).
 
     The attitudes follow the globals to their new optimum, `x = -D^-1 C^T dtheta`. Meant for a
     wobbling axis, where each sample has three local numbers.
@@ -43,7 +59,7 @@ def log_determinant_gradient(lin: Linearisation, problem: Problem) -> FloatArray
     counted = problem.weights.sample
     data = (problem.weights.data * counted)[:, None]
     matrix = prediction.field_matrix
-    inverse = _lean_inverse(lin)
+    inverse = _inverse_beyond_turn(lin)
     by_up, _ = _by_vector(prediction.up, np.eye(3), inverse)
     by_field, spread = _by_vector(prediction.field, matrix.T @ matrix, inverse)
     by_lean, _ = _by_vector(state.lean, _WOBBLE_ROWS, inverse)
@@ -64,22 +80,19 @@ def log_determinant_gradient(lin: Linearisation, problem: Problem) -> FloatArray
     return np.asarray(0.5 * (full[problem.prior.free] - lin.through_attitudes(following)))
 
 
-def _lean_inverse(lin: Linearisation) -> FloatArray:
-    """Return L^-1 of each sample, with a row and column of zeros for the turn; (n, 3, 3)."""
-    block = lin.local_information
-    xx, xy, yy = block[:, 0, 0], block[:, 0, 1], block[:, 1, 1]
-    inverse = np.zeros_like(block)
-    inverse[:, 0, 0], inverse[:, 1, 1] = yy, xx
-    inverse[:, 0, 1] = inverse[:, 1, 0] = -xy
-    return np.asarray(inverse / (xx * yy - xy * xy)[:, None, None])
+def _inverse_beyond_turn(lin: Linearisation) -> FloatArray:
+    """Return the inverse of D less that of its turn alone: d log det S = tr(this dD), (n, 3, 3)."""
+    inverse = lin.local_covariance.copy()
+    inverse[:, 2, 2] -= 1.0 / lin.local_information[:, 2, 2]
+    return np.asarray(inverse)
 
 
 def _by_vector(
     vector: FloatArray, metric: FloatArray, inverse: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Differentiate `log det L` by a vector of the sample and by its metric.
+    """Differentiate `log det S` by a vector of the sample and by its metric.
 
-    Returns the gradient (n, 3) for `[v]x^T metric [v]x`, and `[v]x L^-1 [v]x^T` (n, 3, 3).
+    Returns the gradient (n, 3) for `[v]x^T metric [v]x`, and `[v]x inverse [v]x^T` (n, 3, 3).
     """
     cross = skews(vector)
     half = cross @ inverse
@@ -96,7 +109,7 @@ def _by_vector(
 
 
 def _through_field_matrix(lin: Linearisation, problem: Problem, weighted: FloatArray) -> FloatArray:
-    """Return the gradient by the parameters that shape the matrix P in `S = P^T P`."""
+    """Return the gradient by the parameters that shape the field's metric, matrix^T matrix."""
     shared = lin.state.shared
     full = np.zeros(p.COUNT)
     matrices = shared.distortion_derivatives(problem.samples.mounting) @ shared.body_axis

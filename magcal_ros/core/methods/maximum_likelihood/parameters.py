@@ -102,18 +102,29 @@ class Globals:
         return np.concatenate([by_roll[None], by_pitch[None], by_soft_iron, by_yaw[None]])
 
     def moved(self, step: FloatArray) -> Globals:
-        """Return the globals after a step of `COUNT` numbers, on the manifold for both axes."""
+        """Return the globals after a step of `COUNT` numbers, on the manifold for both axes.
+
+        Strength and inclination move the field in a straight line: a circle shows the part of it
+        that is level, and a step in which the two make up for each other must leave that alone.
+        """
+        strength, inclination = self._moved_field(float(step[STRENGTH]), float(step[INCLINATION]))
         return Globals(
             self.body_axis @ exp_rotation(np.array([*step[BODY_AXIS], 0.0])),
             self.world_axis @ exp_rotation(np.array([*step[WORLD_AXIS], 0.0])),
             self.roll + float(step[ROLL]),
             self.pitch + float(step[PITCH]),
             self.hard_iron + step[HARD_IRON],
-            self.strength + float(step[STRENGTH]),
-            self.inclination + float(step[INCLINATION]),
+            strength,
+            inclination,
             self.soft_iron + step[SOFT_IRON],
             self.yaw + float(step[YAW]),
         )
+
+    def _moved_field(self, longer: float, steeper: float) -> tuple[float, float]:
+        if longer == 0.0:
+            return self.strength, self.inclination + steeper
+        ahead, aside = self.strength + longer, self.strength * steeper
+        return math.hypot(ahead, aside), self.inclination + math.atan2(aside, ahead)
 
     def without_soft_iron(self) -> Globals:
         """Return the same with E = 0."""

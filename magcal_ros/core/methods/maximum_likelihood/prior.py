@@ -13,7 +13,7 @@ from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
 
 SOFT_IRON_INDICES = np.arange(p.SOFT_IRON.start, p.SOFT_IRON.stop)
 
-RUNAWAY_HARD_IRON = 2.0
+RUNAWAY_HARD_IRON = 1.0
 """Sigma of the hard iron in field scales where neither strength nor dip is known: one turn about
 an upright axis then shows only their sum, and something has to hold it."""
 

@@ -51,7 +51,7 @@ def test_noise_is_not_taken_for_a_wobble_that_shows_the_dip():
     motion = turn(start_rpy=(0.0, 0.0, rng.uniform(-math.pi, math.pi)))
     window = measure(robot, motion, rng)
     estimate = fit(window, robot.knowledge(math.inf, math.inf))
-    assert math.sqrt(estimate.covariance[11, 11]) > robot.strength
+    assert math.sqrt(estimate.covariance[11, 11]) > 0.8 * robot.strength
 
 
 def test_an_upside_down_rival_does_not_win_because_its_wobble_settled_sooner():
