@@ -69,3 +69,12 @@ def test_an_upside_down_rival_does_not_win_because_its_wobble_settled_sooner():
     with pytest.raises(Refusal) as refused:
         fit(window, robot.knowledge())
     assert refused.value.reason is Reason.AMBIGUOUS
+
+
+def test_noise_is_not_taken_for_a_wobble_where_the_reference_is_loose():
+    robot, axes = Robot(), []
+    for seed in range(8):
+        rng = np.random.default_rng([14, seed])
+        window = measure(robot, turn(start_rpy=(0.0, 0.0, rng.uniform(0.0, 6.0))), rng)
+        axes.append(fit(window, robot.knowledge(1.5e-6, DEGREE)).message)
+    assert sum("rigid" in words for words in axes) >= 7

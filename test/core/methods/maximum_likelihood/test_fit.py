@@ -77,6 +77,24 @@ def test_the_error_is_near_the_limit_and_predicted(arc, wobble, limit):
     assert 0.4 < np.mean(ratios) < 2.0
 
 
+@pytest.mark.parametrize(("wobble", "worst"), [(0.75, 0.1), (2.0, 0.03)])
+def test_a_wobble_shows_the_hard_iron_along_the_axis_as_well_as_it_says(wobble, worst):
+    robot, errors, ratios = Robot(), [], []
+    for seed in range(10):
+        rng = np.random.default_rng([21, seed])
+        lean = smooth_wobble(rng, 500, 15.0, wobble * DEGREE)
+        window = measure(
+            robot, turn(start_rpy=(0.0, 0.0, rng.uniform(-3.0, 3.0)), wobble=lean), rng
+        )
+        told = robot.knowledge(0.15 * robot.strength, 5.0 * DEGREE)
+        estimate = fit(window, told)
+        error = estimate.correction.hard_iron[2] - robot.hard_iron[2]
+        errors.append(error / robot.strength)
+        ratios.append(error**2 / estimate.covariance[11, 11])
+    assert math.sqrt(np.mean(np.square(errors))) < worst
+    assert np.mean(ratios) < 2.5
+
+
 def heading_ratio(estimate, robot):
     """Squared level heading error over its predicted variance."""
     poses = trial_attitudes()[:, LEVEL_TILT]
