@@ -25,6 +25,8 @@ def test_the_advised_turn_keeps_its_promise(level, direction):
     slope = {"east": EAST, "north": NORTH, "west": WEST}[direction]
     promise = next(a.after for a in level.advice if a.pose.endswith(direction))
     kept = calibrate_turns(windows_on([LEVEL, slope], 1), KNOWN).several.shown
+    # The compass that shows where the slope rises is off by the installation's own yaw of 5°, and
+    # aside of north a slope shows the inclination less well.
     for name in ("installation_yaw", "inclination", "absolute_level", "absolute_tilted"):
         assert getattr(kept, name) == pytest.approx(getattr(promise, name), rel=0.5)
 
