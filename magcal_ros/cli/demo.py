@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,17 @@ import numpy as np
 from magcal_ros.cli.exits import Exit
 from magcal_ros.cli.graph import joined, keep_traffic_here
 from magcal_ros.cli.live_view import Lines, line
+from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.calibration import Calibration
 from magcal_ros.core.correction import Correction
-from magcal_ros.core.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.simulator import DEGREE, Robot, heading_errors
+from magcal_ros.core.rotations import rpy_from_rotation
+from magcal_ros.core.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Robot,
+    heading_errors,
+    trial_attitudes,
+)
 from magcal_ros.files.calibration_file import read_calibration
 
 ROBOT = Robot(
@@ -99,11 +105,10 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     after = _both(rehearsal.published_errors)
     print(_comparison(calibration))
     print("heading error, RMS over 24 headings      level   8° slopes")
-    alone = _both(partial(_errors_without_noise, calibration.correction))
     for name, (level, slope) in (
         ("before: raw field, true tilt", before),
         ("after: published yaw, 20 messages", after),
-        ("after, without the sensors' noise", alone),
+        ("after, without the sensors' noise", _without_noise(calibration.correction)),
     ):
         print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
     print(f"\nThe calibration is in {output}; the node would load it at its next start.")
@@ -126,16 +131,13 @@ def _both(errors: Any) -> tuple[float, float]:
     return level, _rms(errors(slopes))
 
 
-def _errors_without_noise(
-    correction: Correction, tilts: Sequence[tuple[float, float]]
-) -> list[float]:
-    yaws = np.arange(24) * (math.tau / 24)
-    leanings = [(math.radians(roll), math.radians(pitch)) for roll, pitch in tilts]
-    poses = np.array([rotation_from_rpy(r, p, y).T for r, p in leanings for y in yaws])
-    return list(heading_errors(correction, ROBOT, poses).tolist())
+def _without_noise(correction: Correction) -> tuple[float, float]:
+    errors = heading_errors(correction, ROBOT, trial_attitudes(8.0 * DEGREE))
+    one_way_tilts = errors[:, 1::2]
+    return _rms(errors[:, LEVEL_TILT]), _rms(one_way_tilts)
 
 
-def _rms(errors: list[float]) -> float:
+def _rms(errors: Sequence[float] | FloatArray) -> float:
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
 
 

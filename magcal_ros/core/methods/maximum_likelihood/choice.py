@@ -135,9 +135,11 @@ def choose_model(start: Solution, with_iron: Prior, *, always_iron: bool) -> Cho
     if not with_iron.has_soft_iron:
         return Choice(rigid_or_wobbling(wobbling))
     # Where soft iron is plain to see, whether the axis would look rigid without it is idle.
-    plain_to_see = look_at(wobbling, with_iron).gain > CLEAR_GAIN
+    look = look_at(wobbling, with_iron)
+    plain_to_see = look.gain > CLEAR_GAIN
     plain = wobbling if plain_to_see else rigid_or_wobbling(wobbling)
-    look = look_at(plain, with_iron)
+    if plain is not wobbling:
+        look = look_at(plain, with_iron)
     gain = look.gain
     # Where soft iron was taken for outliers, what is left no longer shows its slope.
     honest = plain.believed.mean() > HONEST_SHARE
@@ -166,10 +168,8 @@ def _near(start: Solution) -> Solution:
     """
     if not start.problem.prior.holds_hard_iron:
         return start
-    noise = start.problem.noise
-    stiff = replace(noise, up=math.hypot(noise.up, noise.wobble))
-    problem = replace(start.problem, rigid=True, noise=stiff)
-    lin, _ = settle(start.state.upright(), problem, steps=6, tolerance=0.1)
+    stiff = stiffened(start)
+    lin, _ = settle(stiff.state, stiff.problem, steps=6, tolerance=0.1)
     return Solution(State(lin.state.shared, start.state.attitude), start.problem)
 
 
@@ -180,12 +180,9 @@ def keeps_samples(one: Solution, other: Solution) -> bool:
 
 def rigid_or_wobbling(wobbling: Solution) -> Solution:
     """Return the rigid solution where it explains the samples nearly as well."""
-    noise = wobbling.problem.noise
-    if noise.wobble > LARGEST_RIGID_WOBBLE:
+    if wobbling.problem.noise.wobble > LARGEST_RIGID_WOBBLE:
         return wobbling
-    first = replace(noise, up=math.hypot(noise.up, noise.wobble))
-    problem = replace(wobbling.problem, rigid=True, noise=first)
-    rigid = gated(Solution(wobbling.state.upright(), problem))
+    rigid = gated(stiffened(wobbling))
     if rigid.believed.sum() < FEW_COMMON * wobbling.believed.sum():
         return wobbling
     common = rigid.believed & wobbling.believed
@@ -194,6 +191,14 @@ def rigid_or_wobbling(wobbling: Solution) -> Solution:
     if gain > WOBBLE_PRICE * kappa:
         return wobbling
     return rigid
+
+
+def stiffened(wobbling: Solution) -> Solution:
+    """Return where the fit of a rigid axis begins: what were leans is now noise of up."""
+    noise = wobbling.problem.noise
+    noise = replace(noise, up=math.hypot(noise.up, noise.wobble))
+    problem = replace(wobbling.problem, rigid=True, noise=noise)
+    return Solution(wobbling.state.upright(), problem)
 
 
 def soft_iron_gain(plain: Solution, iron: Solution) -> float:

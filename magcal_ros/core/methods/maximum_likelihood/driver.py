@@ -27,7 +27,7 @@ from magcal_ros.core.methods.maximum_likelihood.gyro import (
 from magcal_ros.core.methods.maximum_likelihood.linearise import Weights, linearise
 from magcal_ros.core.methods.maximum_likelihood.model import Samples, State
 from magcal_ros.core.methods.maximum_likelihood.prepare import Prepared, prepare
-from magcal_ros.core.methods.maximum_likelihood.prior import Prior, prior_from
+from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
 from magcal_ros.core.methods.maximum_likelihood.refine import Solution, converged
 from magcal_ros.core.methods.maximum_likelihood.report import build_estimate, twelve_covariance
 from magcal_ros.core.methods.maximum_likelihood.screening import (
@@ -146,9 +146,8 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     with_iron = prior_from(knowledge, scale, soft_iron=True)
     carrier = None if window.angular_rate is None else carry(window, prepared.first)
     sense = 1.0 if carrier is None else sense_of_mounting(samples, carrier)
-    guesses = starts(samples, knowledge.reference, scale, sense)
-    found = search(guesses, samples, without_iron)
-    everyone = _on_all(found.best, samples, without_iron)
+    found = search(starts(samples, knowledge.reference, scale, sense), samples, without_iron)
+    everyone = _on_all(found.best, samples)
     always = knowledge.soft_iron.always
     if carrier is not None:
         carried = choose_carried(everyone, carrier, with_iron, always_iron=always)
@@ -195,9 +194,9 @@ def _consistency(
     return gyro_compass_rms(carrier.relative, attitude, window.time[prepared.first])
 
 
-def _on_all(thin: Solution, samples: Samples, prior: Prior) -> Solution:
-    """Carry a solution from thinned samples to all of them, and from the search to the fit."""
+def _on_all(thin: Solution, samples: Samples) -> Solution:
+    """Carry a solution from thinned samples to all of them."""
     shared = thin.state.shared
     state = State(shared, attitudes_from_vectors(shared, samples))
     weights = Weights.ones(len(samples))
-    return Solution(state, replace(thin.problem, samples=samples, weights=weights, prior=prior))
+    return Solution(state, replace(thin.problem, samples=samples, weights=weights))

@@ -121,6 +121,7 @@ class Globals:
         )
 
     def _moved_field(self, longer: float, steeper: float) -> tuple[float, float]:
+        # A strength that is known exactly is not moved at all, and a straight line would.
         if longer == 0.0:
             return self.strength, self.inclination + steeper
         ahead, aside = self.strength + longer, self.strength * steeper
