@@ -3,14 +3,18 @@
 import math
 
 import numpy as np
+import pytest
+
+pytest.importorskip("rosbags", reason="needs rosbags, which writes bags: pip install rosbags")
+
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import Robot
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot
 
 ROBOT = Robot()
 IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"

@@ -13,8 +13,8 @@ LONGEST_FILE, LONGEST_FUNCTION = 400, 60
 every_file = pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 
 MAY_IMPORT = {
-    "core": {"core", "numpy", "scipy", "pygeomag"},
-    "files": {"core", "files", "magcal_ros", "numpy", "rosbags", "yaml"},
+    "core": {"core", "numpy", "scipy"},
+    "files": {"core", "files", "magcal_ros", "numpy", "rosbag2_py", "rosbags", "yaml"},
 }
 """Beyond the standard library; a room of the package by its own name."""
 
@@ -58,7 +58,7 @@ def test_core_and_files_load_neither_ros_nor_what_is_optional():
         [sys.executable, "-c", LOAD_ALL], capture_output=True, text=True, check=True
     )
     loaded = set(done.stdout.split())
-    assert {"magcal_ros.core.heading", "magcal_ros.files.recording"} <= loaded
+    assert {"magcal_ros.core.heading.compass", "magcal_ros.files.recording"} <= loaded
     tops = {name.split(".")[0] for name in loaded}
     assert not tops & {
         "rclpy",
@@ -67,7 +67,6 @@ def test_core_and_files_load_neither_ros_nor_what_is_optional():
         "std_msgs",
         "rcl_interfaces",
         "rosbags",
-        "pygeomag",
     }
     assert not {"magcal_ros.ros", "magcal_ros.cli", "magcal_ros.report"} & loaded
 
@@ -99,3 +98,97 @@ def test_files_and_functions_are_short(path):
     ]
     long = {f.name: f.end_lineno - f.lineno + 1 for f in functions}
     assert not {name: size for name, size in long.items() if size > LONGEST_FUNCTION}
+
+
+ORDER_OF_ROOMS = (
+    "errors",
+    "geometry",
+    "samples",
+    "knowledge",
+    "calibration",
+    "assessment",
+    "earth_field",
+    "messages",
+    "up",
+    "simulation",
+    "heading",
+    "estimation",
+    "methods",
+    "multi_turn",
+    "calibrate",
+    "session",
+    "monitoring",
+)
+"""The rooms of core from the ground up: each imports only what lies below it."""
+
+SAME_MEANING = {"Options", "fit", "__init__"}
+"""What every method has: its options and its fit."""
+
+CORE_FILES = sorted((ROOT / "core").rglob("*.py"))
+
+
+def core_room_of(path):
+    return path.relative_to(ROOT / "core").parts[0].removesuffix(".py")
+
+
+def test_the_rooms_of_core_are_in_one_order():
+    rooms = {core_room_of(path) for path in CORE_FILES} - {"__init__"}
+    assert rooms == set(ORDER_OF_ROOMS)
+    rank = {room: number for number, room in enumerate(ORDER_OF_ROOMS)}
+    upwards = {
+        (room, module.split(".")[2])
+        for path in CORE_FILES
+        if (room := core_room_of(path)) != "__init__"
+        for module in imported_modules(path)
+        if module.startswith("magcal_ros.core.") and rank[module.split(".")[2]] > rank[room]
+    }
+    assert upwards == set()
+
+
+def test_no_room_of_core_leans_on_its_public_face():
+    assert not [path for path in CORE_FILES if "magcal_ros.core" in imported_modules(path)]
+
+
+def twice(names):
+    return {name for name in names if names.count(name) > 1} - SAME_MEANING
+
+
+def test_no_name_in_core_has_two_meanings():
+    classes = [
+        node.name
+        for path in CORE_FILES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert twice(classes) | twice([path.stem for path in CORE_FILES]) == set()
+
+
+FACE = """
+import importlib
+importlib.import_module("magcal_ros.core.calibrate")
+import magcal_ros.core as core
+from magcal_ros.core import calibrate
+assert calibrate.__name__ == "calibrate" and callable(calibrate), calibrate
+from magcal_ros.core.calibrate import judged
+assert core.calibrate is calibrate
+for name in core.__all__:
+    assert getattr(core, name) is not None and name in dir(core), name
+try:
+    core.no_such_name
+except AttributeError as error:
+    assert "no_such_name" in str(error)
+else:
+    raise AssertionError("a name that is not there was found")
+"""
+
+
+def test_the_public_face_of_core_gives_what_it_names():
+    subprocess.run([sys.executable, "-c", FACE], check=True)
+
+
+def test_the_public_face_loads_nothing_before_it_is_asked():
+    script = "import sys, magcal_ros.core; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"numpy", "scipy"} & set(done.stdout.split())

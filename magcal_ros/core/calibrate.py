@@ -1,24 +1,25 @@
-"""From a window to a judged calibration: the one way that node and command line both go."""
+"""From a window, or several, to a judged calibration: the way that node and command line go."""
 
 from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.figures import predicted_heading_sigma
+from magcal_ros.core.assessment.axes import blamed_on_axes, wrong_axes
+from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.several.result import Several
-from magcal_ros.core.units import likely_field_unit
-from magcal_ros.core.verdict import Verdict, judge, refuse
-from magcal_ros.core.window import Window
+from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.samples.window import Window
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
@@ -27,6 +28,11 @@ METHODS = ("maximum_likelihood", "design_tip", "ellipsoid", "min_max")
 
 JOINS = METHODS[0]
 """The method that joins turns."""
+POOL = ("ellipsoid", "min_max")
+"""Methods that take all samples for one tumble."""
+
+PAUSE = 1.0
+"""Seconds between turns whose samples are pooled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,22 +99,141 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(explained(refusal, window))
+        return Outcome.refused(blamed_on_axes(refusal, window, knowledge))
+    wrong = wrong_axes(window, knowledge)
+    if wrong is not None:
+        return Outcome.refused(wrong)
     return judged(estimate, knowledge, window)
 
 
 def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Judge an estimate; `window` holds the samples that its residuals are of."""
     verdict = judge(estimate, knowledge, window)
-    return Outcome(verdict, Calibration.from_estimate(estimate, verdict), estimate)
+    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
+    return Outcome(verdict, calibration, estimate)
 
 
-def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit to a refusal: a wrong one upsets every check before it shows."""
-    if len(window) == 0:
-        return refusal
-    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
-    return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal
+def calibrate_turns(
+    windows: Sequence[Window],
+    knowledge: Knowledge,
+    method: str = JOINS,
+    names: Sequence[str] | None = None,
+) -> Outcome:
+    """Join turns into one estimate and judge it.
+
+    Parameters
+    ----------
+    windows : sequence of Window
+        One for each turn; at least one.
+    knowledge : Knowledge
+        What is known beforehand, of all turns alike: they are made in one place.
+    method : str
+        `maximum_likelihood` joins turns; `ellipsoid` and `min_max` take their samples as one
+        tumble.
+    names : sequence of str, optional
+        What to call the turns.
+
+    Returns
+    -------
+    Outcome
+        Never raises for bad data. A turn that does not belong to the others is left out, with
+        the reason, and the rest stands. One turn alone gives what `calibrate` gives.
+
+    Raises
+    ------
+    Misuse
+        If the method can make nothing of several turns.
+    """
+    called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
+    if method in POOL:
+        return calibrate(pooled(windows), knowledge, method)
+    if method != JOINS:
+        if len(windows) > 1:
+            raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
+        return calibrate(windows[0], knowledge, method)
+    # What joins turns loads what fits them, which nobody pays for before it is used.
+    from magcal_ros.core.multi_turn.joined import join
+    from magcal_ros.core.multi_turn.turn import survey
+
+    joined = join(survey(windows, called, knowledge), knowledge)
+    if joined.estimate is not None:
+        outcome = judged(joined.estimate, knowledge, joined.members[-1].window)
+        return replace(outcome, several=joined.several)
+    alone = joined.members or joined.turns
+    if len(alone) > 1:
+        words = "; ".join(f"{turn.name}: {turn.unfit}" for turn in alone)
+        reason = alone[-1].reason or Reason.NO_SOLUTION
+        return Outcome.refused(Refusal(reason, f"none of the turns can be used: {words}"))
+    turn = alone[0]
+    if turn.estimate is None:
+        return Outcome(turn.verdict, reason=turn.reason, several=joined.several)
+    calibration = Calibration.from_estimate(turn.estimate, turn.verdict.evidence(turn.estimate))
+    return Outcome(turn.verdict, calibration, turn.estimate, several=joined.several)
+
+
+def pooled(windows: Sequence[Window]) -> Window:
+    """Put the samples of several windows one after another, with a short pause between."""
+    times, end = [], 0.0
+    for window in windows:
+        times.append(window.time - window.time[0] + end)
+        end = float(times[-1][-1]) + PAUSE
+    rates = [window.angular_rate for window in windows]
+    known = [rate for rate in rates if rate is not None]
+    return Window(
+        np.concatenate(times) + windows[0].time[0],
+        np.vstack([window.field for window in windows]),
+        np.vstack([window.specific_force for window in windows]),
+        np.vstack(known) if len(known) == len(rates) else None,
+    )
+
+
+def take_turn(
+    kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
+) -> tuple[Outcome, Kept]:
+    """Fit a turn, together with those that are kept if turns are accumulated.
+
+    Parameters
+    ----------
+    kept : Kept
+        The turns before.
+    window : Window
+        The new turn.
+    knowledge : Knowledge
+        Of this moment; it holds for the turns before too.
+    method : str
+        Name of the method; only `maximum_likelihood` accumulates.
+    accumulate : bool
+        Whether turns are put together.
+
+    Returns
+    -------
+    Outcome, Kept
+        A turn that is refused does not join: the others stay as they are.
+    """
+    if not accumulate:
+        return calibrate(window, knowledge, method), Kept()
+    names = (*kept.names, kept.next_name)
+    outcome = calibrate_turns([*kept.windows, window], knowledge, method, names)
+    several = outcome.several
+    if several is None or not several.fates[-1].joined:
+        return _refused(outcome, kept), kept
+    if not outcome.verdict.accepted:
+        return outcome, kept
+    return outcome, kept.joined(window, several)
+
+
+def _refused(outcome: Outcome, kept: Kept) -> Outcome:
+    """Say why the new turn did not join; what the turns before show is no news."""
+    if not kept.windows:
+        return outcome
+    why = outcome.verdict.summary if outcome.several is None else outcome.several.fates[-1].words
+    count = len(kept.windows)
+    words = (
+        f"{kept.next_name} does not join the {'turn' if count == 1 else f'{count} turns'} before "
+        f"it: {why.rstrip('.')}; those before stay"
+    )
+    refusal = Refusal(outcome.reason or Reason.TURNS_DISAGREE, words)
+    return replace(Outcome.refused(refusal), several=outcome.several)
 
 
 def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> float:
@@ -116,7 +241,8 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
-    outcome = calibrate(window, knowledge, method)
-    if outcome.estimate is None:
+    try:
+        estimate = find_method(method)(window, knowledge)
+    except Refusal:
         return math.inf
-    return predicted_heading_sigma(outcome.estimate, 0.0)
+    return predicted_heading_sigma(estimate, 0.0)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray, frozen_array
-from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 STRENGTH_SIGMA_UT = 1.5
 INCLINATION_SIGMA_DEG = 1.0
@@ -161,6 +161,48 @@ class Mounting:
 
 
 @dataclass(frozen=True)
+class Systematics:
+    """Errors of sensors and places that the residuals of one turn do not show; one sigma each.
+
+    They repeat from sample to sample, so that no number of samples averages them out. The
+    defaults are a typical MEMS set on a robot that turns in the open.
+
+    Parameters
+    ----------
+    axes : float
+        How far the magnetometer's axes are out of square, and its linearity: relative.
+    field : float
+        Tesla per axis of a field that turns with the robot and is taken for hard iron, or stands
+        still and is not: currents of motors, the crust over the patch of the turn.
+    lever_arm : float
+        Metres of the accelerometer from the turn's axis: the centripetal acceleration leans up.
+    latency : float
+        Seconds between gyro, accelerometer and field that nobody took off.
+    """
+
+    axes: float = 0.005
+    field: float = 0.1e-6
+    lever_arm: float = 0.1
+    latency: float = 0.005
+
+    def __post_init__(self) -> None:
+        if not all(0.0 <= v < math.inf for v in (self.axes, self.field, self.lever_arm)) or not (
+            0.0 <= self.latency < math.inf
+        ):
+            raise ValueError("a systematic error is finite, and zero or more")
+
+    @classmethod
+    def none(cls) -> Systematics:
+        """Return the belief in sensors without fault: the samples' own noise is all there is."""
+        return cls(0.0, 0.0, 0.0, 0.0)
+
+    @property
+    def are_none(self) -> bool:
+        """Whether only what the samples show widens a sigma."""
+        return self == Systematics.none()
+
+
+@dataclass(frozen=True)
 class Knowledge:
     """Everything a method may use besides the samples.
 
@@ -171,6 +213,7 @@ class Knowledge:
     reference: ReferenceField = field(default_factory=ReferenceField)
     mounting: Mounting = field(default_factory=Mounting)
     soft_iron: SoftIron = field(default_factory=SoftIron)
+    systematics: Systematics = field(default_factory=Systematics)
 
 
 def knowledge_of(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from magcal_ros.core.fixes import Fix
-from magcal_ros.core.streams import FieldSample, ImuSample
-from magcal_ros.core.triples import Triple
+from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0

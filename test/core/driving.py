@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from magcal_ros.core.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
-from magcal_ros.core.calibration import Calibration, Evidence
-from magcal_ros.core.rotations import exp_rotations
-from magcal_ros.core.simulator import Robot
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.simulation.simulator import Robot
 
 PERIOD = 0.1
 SPEED = 0.8

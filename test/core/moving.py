@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import Robot
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot
 
 DEGREE = math.pi / 180.0
 FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
@@ -48,8 +48,12 @@ class TiltErrors:
 
     def __call__(self, sample, ride):
         if not isinstance(sample, ImuSample):
+            self.follower.add_field(sample.stamp, sample.field)
             return
-        self.follower.add(sample)
+        self.take(sample, ride)
+
+    def take(self, sample, ride, linear_acceleration=None):
+        self.follower.add(sample, linear_acceleration)
         up = self.follower.at(sample.stamp, 0.2)
         sine = np.linalg.norm(np.cross(up.direction, ride.attitude[:, 2]))
         self.errors.append(math.degrees(math.asin(min(1.0, sine))))

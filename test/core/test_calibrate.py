@@ -3,11 +3,21 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.simulator import DEGREE, LEVEL_TILT, Robot, heading_errors, measure, turn
-from magcal_ros.core.verdict import Grade
-from magcal_ros.core.window import Window
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Robot,
+    heading_errors,
+    measure,
+    turn,
+)
 
 ROBOT = Robot()
 TURN_METHODS = ("maximum_likelihood", "design_tip")
@@ -86,6 +96,26 @@ def test_a_refusal_names_the_unit_that_upset_the_fit():
     assert "looks like gauss" in verdict.summary
 
 
+@pytest.mark.parametrize(("size", "absent"), [(0.1, True), (1.0, False), (3.0, False)])
+def test_all_methods_agree_on_when_gravity_is_absent(size, absent):
+    """A force in g is weak, and still says where up is."""
+    one = window_of()
+    weak = Window(one.time, one.field, size / 9.80665 * one.specific_force)
+    for method in METHODS:
+        words = calibrate(weak, ROBOT.knowledge(), method).verdict.summary
+        assert ("shows no gravity" in words) == absent, method
+
+
+@pytest.mark.parametrize(("z", "told"), [(-9.81, True), (9.81, False)])
+def test_a_refusal_that_axes_may_have_caused_names_them(z, told):
+    force = np.full((5, 3), [0.0, 0.0, z])
+    one = Window(np.arange(5.0), np.full((5, 3), 30e-6), force)
+    steep = Refusal(Reason.FIELD_TOO_STEEP, "at an inclination of 86 degrees")
+    assert ("z points down" in str(explained(steep, one))) == told
+    small = Refusal(Reason.TOO_FEW_SAMPLES, "too few")
+    assert explained(small, one) is small
+
+
 def test_the_first_method_is_the_default():
     outcome = calibrate(window_of(), ROBOT.knowledge())
     assert outcome.estimate.method == METHODS[0]
@@ -106,3 +136,25 @@ class TestCalibration:
         assert told.correction is one.correction
         assert told.evidence.summary == one.evidence.summary
         assert (told.covariance == one.covariance).all()
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("dip", [65.0, 78.0])
+def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, known, gyro):
+    robot = Robot(strength=55e-6, inclination=dip * DEGREE)
+    lying = turn(axis=np.array([0.0, 1.0, 0.0]), start_rpy=(90.0 * DEGREE, 0.0, 0.0))
+    window = measure(robot, lying, np.random.default_rng(1), gyro=gyro)
+    verdict = calibrate(window, robot.knowledge() if known else Knowledge()).verdict
+    assert not verdict.accepted
+    assert "stand the robot upright" in verdict.summary
+    assert "full circle" not in verdict.summary
+
+
+def test_who_saw_the_full_circle_is_not_sent_round_it_again():
+    robot = Robot(noise_field=3e-6, noise_force=0.4)
+    window = measure(robot, turn(samples=60), np.random.default_rng(1))
+    checks = calibrate(window, robot.knowledge(10e-6, 10.0 * DEGREE)).verdict.checks
+    asked = [check.words for check in checks if "turn once more" in check.words]
+    assert asked
+    assert not [check.words for check in checks if "full circle" in check.words]

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_ros.core.attitude import STANDARD_GRAVITY
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.streams import SMALLEST_FIELD
-from magcal_ros.core.window import Window
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.streams import SMALLEST_FIELD
+from magcal_ros.core.samples.window import Window
 
-LARGEST_FIELD = 1e7
-"""Tesla. The Earth's field is far below, even in nanotesla published as tesla."""
+WEAKEST_FORCE = 0.8
+"""m/s². Gravity in any unit that can be named is larger, one g published as m/s² the least."""
 
-LARGEST_FORCE = 1e7
-"""m/s². Gravity is far below, even in micro-g published as m/s²."""
-
-LARGEST_RATE = 1e6
-"""rad/s. Every turn is far below, even in millidegrees published as radians."""
+NO_UNIT_EXPLAINS = {"magnetometer": 1e7, "accelerometer": 1e7, "gyro": 1e6}
+"""Tesla, m/s², rad/s. The Earth's field, gravity and every turn are far below, even in nanotesla,
+micro-g and millidegrees published as these."""
 
 
 def refuse_empty(window: Window, min_samples: int) -> None:
@@ -32,42 +30,37 @@ def refuse_empty(window: Window, min_samples: int) -> None:
     Raises
     ------
     Refusal
-        For too few samples, a field of zero, or an accelerometer without gravity.
+        For numbers that no unit explains, too few samples, an accelerometer without gravity, or
+        a field of zero.
     """
+    _refuse_nonsense(window)
     if len(window) < min_samples:
         raise Refusal(
             Reason.TOO_FEW_SAMPLES,
             f"Only {len(window)} samples; at least {min_samples} are needed. Turn more "
             "slowly or check the rate of the topics.",
         )
-    if float(np.median(np.linalg.norm(window.specific_force, axis=1))) < 0.5 * STANDARD_GRAVITY:
+    if _usual_size(window.specific_force) < WEAKEST_FORCE:
         raise Refusal(
             Reason.GRAVITY_ABSENT,
-            "The accelerometer shows less than half of gravity. It must publish specific force "
-            "in m/s², +9.81 upwards at rest, with gravity not taken off.",
+            "The accelerometer shows no gravity. It must publish specific force in m/s², +9.81 "
+            "upwards at rest, with gravity not taken off.",
         )
-    largest = float(np.abs(window.field).max())
-    if largest < SMALLEST_FIELD:
+    if _usual_size(window.field) < SMALLEST_FIELD:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
-    refuse_nonsense(window)
 
 
-def refuse_nonsense(window: Window) -> None:
-    """Refuse numbers so large that their squares and fourth powers would leave the floats.
+def _usual_size(vectors: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(vectors, axis=1)))
 
-    Raises
-    ------
-    Refusal
-        With the sensor's name.
-    """
+
+def _refuse_nonsense(window: Window) -> None:
+    """Refuse numbers so large that their squares and fourth powers would leave the floats."""
     rate = np.zeros(3) if window.angular_rate is None else window.angular_rate
-    for sensor, values, limit in (
-        ("magnetometer", window.field, LARGEST_FIELD),
-        ("accelerometer", window.specific_force, LARGEST_FORCE),
-        ("gyro", rate, LARGEST_RATE),
-    ):
+    readings = (window.field, window.specific_force, rate)
+    for (sensor, limit), values in zip(NO_UNIT_EXPLAINS.items(), readings, strict=True):
         largest = float(np.abs(values).max(initial=0.0))
         if largest > limit:
             raise Refusal(

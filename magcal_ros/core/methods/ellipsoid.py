@@ -7,25 +7,24 @@ one; whether the magnetometer sits turned in the IMU's frame it cannot say.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.geometry.quadrics import Ellipsoid, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.tumbling import (
     Settings,
     Shape,
+    TumblingOptions,
     believed_samples,
     finish,
     nominal_field,
-    refuse_flat,
 )
-from magcal_ros.core.quadrics import Ellipsoid, QuadricFit, fit_quadric
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 LEAST_EXTENT = 0.9
 LARGEST_RATIO = 3.0
@@ -37,20 +36,13 @@ LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Options:
-    """Choices of the ellipsoid method.
+class Options(TumblingOptions):
+    """Choices of the ellipsoid method, besides those of `TumblingOptions`.
 
     Parameters
     ----------
     shape : QuadricFit
         "rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron.
-    min_samples : int
-        Fewer are refused.
-    jackknife_blocks : int
-        Pieces of time that the covariance leaves out one by one.
-    installation_sigma : float
-        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
-        asked. Zero: it is known to be square.
 
     Raises
     ------
@@ -59,9 +51,6 @@ class Options:
     """
 
     shape: QuadricFit = QuadricFit.ROTATED
-    min_samples: int = 40
-    jackknife_blocks: int = 16
-    installation_sigma: float = math.radians(3.0)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", QuadricFit(self.shape))
@@ -95,15 +84,8 @@ def fit(
     Refusal
         If the samples cannot carry an answer; its text says why and what to do.
     """
-    refuse_empty(window, options.min_samples)
-    refuse_flat(nominal_field(window, knowledge))
-    settings = Settings(
-        "ellipsoid",
-        LEAST_EXTENT,
-        options.jackknife_blocks,
-        options.installation_sigma,
-        "Tumble again away from iron and moving loads.",
-    )
+    remedy = "Tumble again away from iron and moving loads."
+    settings = Settings("ellipsoid", LEAST_EXTENT, remedy, options)
     return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
 
 
@@ -140,11 +122,10 @@ def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
         )
 
 
-def _figures(ellipsoid: Ellipsoid) -> dict[str, float]:
-    figures = {f"centre_{name}": float(v) for name, v in zip("xyz", ellipsoid.centre, strict=True)}
+def _figures(ellipsoid: Ellipsoid) -> dict[Figure, float]:
+    figures = along("centre", ellipsoid.centre)
     for k in range(3):
-        figures[f"radius_{k + 1}"] = float(ellipsoid.radii[k])
-        for j, name in enumerate("xyz"):
-            figures[f"axis_{k + 1}_{name}"] = float(ellipsoid.axes[j, k])
-    figures["radii_ratio"] = float(ellipsoid.radii.max() / ellipsoid.radii.min())
+        figures[Figure(f"radius_{k + 1}")] = float(ellipsoid.radii[k])
+        figures |= along(f"axis_{k + 1}", ellipsoid.axes[:, k])
+    figures[Figure.RADII_RATIO] = float(ellipsoid.radii.max() / ellipsoid.radii.min())
     return figures

@@ -8,26 +8,25 @@ other nor on the IMU's.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray, FloatArray
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import along
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.tumbling import (
     LEAST_GATE,
     OUTLIER_DEVIATIONS,
     Settings,
     Shape,
+    TumblingOptions,
     finish,
     nominal_field,
-    refuse_flat,
 )
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 SMALLEST_RANGE = 0.5
 """Smallest over largest range of an axis; below it one axis never met the field."""
@@ -44,8 +43,8 @@ MOST_ROUNDS = 10
 
 
 @dataclass(frozen=True)
-class Options:
-    """Choices of the min/max method.
+class Options(TumblingOptions):
+    """Choices of the min/max method, besides those of `TumblingOptions`.
 
     Parameters
     ----------
@@ -53,19 +52,9 @@ class Options:
         Whether to leave out samples that lie on no common sphere before taking the extremes. Plain
         quantiles would do this, too, but they move towards wherever the sensor rested longest; so
         samples are first sorted into cells of direction, each of which counts once.
-    min_samples : int
-        Fewer are refused.
-    jackknife_blocks : int
-        Pieces of time that the covariance leaves out one by one.
-    installation_sigma : float
-        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
-        asked. Zero: it is known to be square.
     """
 
     robust: bool = False
-    min_samples: int = 40
-    jackknife_blocks: int = 16
-    installation_sigma: float = math.radians(3.0)
 
 
 def fit(
@@ -94,14 +83,10 @@ def fit(
     Refusal
         If the samples cannot carry an answer; its text says why and what to do.
     """
-    refuse_empty(window, options.min_samples)
-    refuse_flat(nominal_field(window, knowledge))
     remedy = "Tumble again away from iron, or fit a rotated ellipsoid."
     if not options.robust:
         remedy = "Use the robust variant if single samples are off, or fit a rotated ellipsoid."
-    settings = Settings(
-        "min_max", LEAST_EXTENT, options.jackknife_blocks, options.installation_sigma, remedy
-    )
+    settings = Settings("min_max", LEAST_EXTENT, remedy, options)
     return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
 
 
@@ -125,8 +110,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
             "another: its offset cannot be told. Tumble the sensor until every axis has pointed "
             "along the field and against it, or use a method for turns about one axis.",
         )
-    figures = {f"offset_{name}": float(v) for name, v in zip("xyz", offset, strict=True)}
-    figures |= {f"half_range_{name}": float(v) for name, v in zip("xyz", half_range, strict=True)}
+    figures = along("offset", offset) | along("half_range", half_range)
     return Shape(offset, np.diag(1.0 / half_range), float(half_range.mean()), figures)
 
 
@@ -147,7 +131,9 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
     for _ in range(MOST_ROUNDS):
         points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
         distance = np.linalg.norm(points, axis=1)
-        believed = _near_the_usual(distance, _cell_weights(points))
+        # Each cell of direction has one vote, however full it is.
+        on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
+        believed = _near_the_usual(distance, _one_vote_each(DIRECTION_CELLS * on_cube))
         if not believed.any() or (believed == kept).all():
             break
         kept = believed
@@ -163,12 +149,6 @@ def _starting_range(nominal: FloatArray) -> tuple[FloatArray, FloatArray]:
         for share in (STARTING_QUANTILE, 1.0 - STARTING_QUANTILE)
     ]
     return np.array(ends[0]), np.array(ends[1])
-
-
-def _cell_weights(points: FloatArray) -> FloatArray:
-    """Return weights (n,) that give each cell of direction one vote, however full it is."""
-    on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
-    return _one_vote_each(DIRECTION_CELLS * on_cube)
 
 
 def _one_vote_each(coordinates: FloatArray) -> FloatArray:

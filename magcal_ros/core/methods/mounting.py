@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.correction import PARAMETERS
-from magcal_ros.core.rotations import skew
+from magcal_ros.core.calibration.correction import PARAMETERS
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import skew
 
 BLOCKS = 16
 LEAST_VARIANCE = 1e-10
@@ -90,7 +90,8 @@ def look_at_mounting(direction: FloatArray, up: FloatArray, sigma: float) -> See
     residual = cosines - design @ answer
     variance = max(float(np.mean(residual**2)), LEAST_VARIANCE)
     weight = 1.0 / (variance * _repetition(design, residual))
-    covariance = np.linalg.inv(weight * design.T @ design + prior)
+    inverse = np.linalg.inv(weight * design.T @ design + prior)
+    covariance = np.asarray(inverse, dtype=np.float64)
     answer = weight * covariance @ design.T @ cosines
     return SeenMounting(float(answer[0]), answer[1:], covariance[1:, 1:], variance**0.5)
 

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 FEWEST_BLOCKS = 3
 
+FitCorrection = Callable[[Window, Knowledge], Correction]
+
 
 def jackknife_covariance(
-    fit_correction: Callable[[Window, Knowledge], Correction],
+    fit_correction: FitCorrection,
     window: Window,
     knowledge: Knowledge,
     blocks: int = 16,
@@ -62,15 +65,14 @@ def jackknife_covariance(
 
 
 def _blocks_covariance(
-    fit_correction: Callable[[Window, Knowledge], Correction],
-    window: Window,
-    knowledge: Knowledge,
-    blocks: int,
+    fit_correction: FitCorrection, window: Window, knowledge: Knowledge, blocks: int
 ) -> FloatArray:
     pieces = np.array_split(np.arange(len(window)), min(max(blocks, FEWEST_BLOCKS), len(window)))
-    shortened = (window.take(np.delete(np.arange(len(window)), piece)) for piece in pieces)
-    attempts = [_parameters_or_none(fit_correction, part, knowledge) for part in shortened]
-    answers = [parameters for parameters in attempts if parameters is not None]
+    answers = []
+    for piece in pieces:
+        shortened = window.take(np.delete(np.arange(len(window)), piece))
+        with contextlib.suppress(Refusal):
+            answers.append(fit_correction(shortened, knowledge).parameters)
     if len(answers) <= len(pieces) // 2 or len(answers) < FEWEST_BLOCKS:
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -83,19 +85,8 @@ def _blocks_covariance(
     return np.asarray(scale * deviations.T @ deviations)
 
 
-def _parameters_or_none(
-    fit_correction: Callable[[Window, Knowledge], Correction], window: Window, knowledge: Knowledge
-) -> FloatArray | None:
-    try:
-        return fit_correction(window, knowledge).parameters
-    except Refusal:
-        return None
-
-
 def _reference_covariance(
-    fit_correction: Callable[[Window, Knowledge], Correction],
-    window: Window,
-    knowledge: Knowledge,
+    fit_correction: FitCorrection, window: Window, knowledge: Knowledge
 ) -> FloatArray:
     covariance = np.zeros((PARAMETERS, PARAMETERS))
     moved = _moved_references(knowledge)
@@ -110,17 +101,12 @@ def _reference_covariance(
 
 def _moved_references(knowledge: Knowledge) -> list[Knowledge]:
     reference = knowledge.reference
-    moved = []
-    if _is_uncertain(reference.strength):
-        moved.append(replace(reference, strength=_one_sigma_up(reference.strength)))
-    if _is_uncertain(reference.inclination):
-        moved.append(replace(reference, inclination=_one_sigma_up(reference.inclination)))
-    return [replace(knowledge, reference=other) for other in moved]
-
-
-def _is_uncertain(belief: Belief) -> bool:
-    return not (belief.is_unknown or belief.is_exact)
+    moved = (
+        replace(reference, strength=_one_sigma_up(reference.strength)),
+        replace(reference, inclination=_one_sigma_up(reference.inclination)),
+    )
+    return [replace(knowledge, reference=other) for other in moved if other != reference]
 
 
 def _one_sigma_up(belief: Belief) -> Belief:
-    return Belief(belief.value + belief.sigma, belief.sigma)
+    return belief if belief.is_unknown else Belief(belief.value + belief.sigma, belief.sigma)

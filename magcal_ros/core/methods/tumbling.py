@@ -14,15 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray, FloatArray
-from magcal_ros.core.attitude import unit
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimate import Estimate
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.mounting import SeenMounting, look_at_mounting
 from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 THINNEST_CLOUD = 0.15
 """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
@@ -58,14 +60,14 @@ class Shape:
         Takes fields from the centre onto the unit sphere, per tesla.
     radius : float
         Tesla, the mean radius as the sensor reads it.
-    figures : mapping of str to float
+    figures : mapping of Figure to float
         What the method measured besides.
     """
 
     centre: FloatArray
     to_unit: FloatArray
     radius: float
-    figures: Mapping[str, float]
+    figures: Mapping[Figure, float]
 
     def on_sphere(self, nominal: FloatArray) -> FloatArray:
         """Return fields (n, 3) in nominal axes as points that should lie on the unit sphere."""
@@ -81,9 +83,29 @@ class Shape:
 Solve = Callable[[Window, Knowledge], Shape]
 
 
+@dataclass(frozen=True, kw_only=True)
+class TumblingOptions:
+    """Choices that all methods for tumbled sensors have.
+
+    Parameters
+    ----------
+    min_samples : int
+        Fewer are refused.
+    jackknife_blocks : int
+        Pieces of time that the covariance leaves out one by one.
+    installation_sigma : float
+        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
+        asked. Zero: it is known to be square.
+    """
+
+    min_samples: int = 40
+    jackknife_blocks: int = 16
+    installation_sigma: float = math.radians(3.0)
+
+
 @dataclass(frozen=True)
 class Settings:
-    """What the methods want done alike.
+    """What a method wants done by what all share.
 
     Parameters
     ----------
@@ -91,19 +113,16 @@ class Settings:
         Its name.
     least_extent : float
         Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
-    jackknife_blocks : int
-        Pieces of time that the covariance leaves out one by one.
-    installation_sigma : float
-        Radians per axis.
     remedy : str
         What to do when the samples lie on no sphere.
+    options : TumblingOptions
+        The user's.
     """
 
     method: str
     least_extent: float
-    jackknife_blocks: int
-    installation_sigma: float
     remedy: str
+    options: TumblingOptions
 
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
@@ -111,19 +130,8 @@ def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:
     return np.asarray(window.field @ knowledge.mounting.to_body.T)
 
 
-def refuse_flat(nominal: FloatArray) -> None:
-    """Refuse a cloud that did not move, or that lies on a plane.
-
-    Parameters
-    ----------
-    nominal : ndarray, shape (n, 3)
-        Field in nominal axes.
-
-    Raises
-    ------
-    Refusal
-        With the reason and what to do.
-    """
+def _refuse_flat(nominal: FloatArray) -> None:
+    """Refuse a cloud that did not move, or that lies on a plane."""
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     spread = spread / math.sqrt(len(nominal))
     if spread[0] < LEAST_MOTION * float(np.median(np.linalg.norm(nominal, axis=1))):
@@ -185,16 +193,17 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
     Refusal
         If the samples cannot carry an answer.
     """
+    options, nominal = settings.options, nominal_field(window, knowledge)
+    refuse_empty(window, options.min_samples)
+    _refuse_flat(nominal)
     shape = solve(window, knowledge)
-    points = shape.on_sphere(nominal_field(window, knowledge))
-    distance = np.linalg.norm(points, axis=1)
-    inliers = believed_samples(distance)
-    extent = _extent(points[inliers])
-    _refuse_no_sphere(distance[inliers], extent, settings)
+    points = shape.on_sphere(nominal)
+    inliers = believed_samples(np.linalg.norm(points, axis=1))
+    extent = _refuse_no_sphere(points[inliers], settings)
     correction = shape.correction(knowledge)
-    covariance = _covariance(solve, window, knowledge, settings)
+    covariance = _covariance(solve, window, knowledge, options.jackknife_blocks)
     up = unit(window.specific_force[inliers])
-    mounting = look_at_mounting(unit(points[inliers]), up, settings.installation_sigma)
+    mounting = look_at_mounting(unit(points[inliers]), up, options.installation_sigma)
     strength = believed_strength(shape, knowledge)
     inclination = -math.asin(max(-1.0, min(1.0, mounting.cosine)))
     residual = window.field - correction.undo(strength * unit(points))
@@ -209,53 +218,41 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
         strength=strength,
         inclination=inclination,
         noise_field=noise,
-        noise_up=_noise_up(mounting.scatter, inclination),
+        # The field's own noise is in the scatter, too: rather too large than too small.
+        noise_up=mounting.scatter / max(math.cos(inclination), LEAST_LEVEL_SHARE),
         inliers=inliers,
         residual=residual,
-        figures={
-            **shape.figures,
-            "sphere_extent": 0.5 * extent,
-            **_comparisons(shape, mounting, knowledge, settings),
-        },
+        figures=_figures(shape, extent, mounting, knowledge, options),
         message="closed form; the magnetometer's axes were taken for the IMU's",
     )
 
 
-def _covariance(
-    solve: Solve, window: Window, knowledge: Knowledge, settings: Settings
-) -> FloatArray:
-    return jackknife_covariance(
-        lambda part, known: solve(part, known).correction(known),
-        window,
-        knowledge,
-        blocks=settings.jackknife_blocks,
-    )
+def _covariance(solve: Solve, window: Window, knowledge: Knowledge, blocks: int) -> FloatArray:
+    def fit_correction(part: Window, known: Knowledge) -> Correction:
+        return solve(part, known).correction(known)
+
+    return jackknife_covariance(fit_correction, window, knowledge, blocks)
 
 
-def _comparisons(
-    shape: Shape, mounting: SeenMounting, knowledge: Knowledge, settings: Settings
-) -> dict[str, float]:
-    """Return the figures that hold the result against what is known besides."""
-    found = {}
-    if settings.installation_sigma > 0.0:
-        found["misalignment"] = mounting.angle
+def _figures(
+    shape: Shape,
+    extent: float,
+    mounting: SeenMounting,
+    knowledge: Knowledge,
+    options: TumblingOptions,
+) -> dict[Figure, float]:
+    """Return the method's figures, and those that hold the result against what is known besides."""
+    figures = {**shape.figures, Figure.SPHERE_EXTENT: 0.5 * extent}
+    if options.installation_sigma > 0.0:
+        figures[Figure.MISALIGNMENT] = mounting.angle
     if not knowledge.reference.strength.is_unknown:
-        strength = believed_strength(shape, knowledge)
-        found["radius_ratio"] = shape.radius / strength
-    return found
+        figures[Figure.RADIUS_RATIO] = shape.radius / believed_strength(shape, knowledge)
+    return figures
 
 
-def _noise_up(scatter: float, inclination: float) -> float:
-    # The field's own noise is in the scatter, too: rather too large than too small.
-    return scatter / max(math.cos(inclination), LEAST_LEVEL_SHARE)
-
-
-def _extent(points: FloatArray) -> float:
-    """Return how far the points reach in the direction in which they reach least."""
-    return float(np.ptp(unit(points) @ PROBES.T, axis=0).min())
-
-
-def _refuse_no_sphere(distance: FloatArray, extent: float, settings: Settings) -> None:
+def _refuse_no_sphere(points: FloatArray, settings: Settings) -> float:
+    """Refuse what is no sphere; returns how far it reaches where it reaches least."""
+    extent = float(np.ptp(unit(points) @ PROBES.T, axis=0).min())
     if extent < settings.least_extent:
         raise Refusal(
             Reason.ARC_TOO_SHORT,
@@ -263,10 +260,11 @@ def _refuse_no_sphere(distance: FloatArray, extent: float, settings: Settings) -
             f"at least {50.0 * settings.least_extent:.0f}% are needed. Tumble the sensor through "
             "all orientations, upside down included.",
         )
-    rms = float(np.sqrt(np.mean((distance - 1.0) ** 2)))
+    rms = float(np.sqrt(np.mean((np.linalg.norm(points, axis=1) - 1.0) ** 2)))
     if rms > LARGEST_RESIDUAL:
         raise Refusal(
             Reason.NO_SOLUTION,
             f"The corrected samples miss the sphere by {100.0 * rms:.0f}% of its radius. "
             + settings.remedy,
         )
+    return extent

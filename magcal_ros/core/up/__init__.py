@@ -1,6 +1,8 @@
-"""Where up is: carried by the gyro, corrected by the accelerometer."""
+"""Where up is: propagated by the gyro, corrected by the accelerometer."""
 
 from magcal_ros.core.up.follower import Up, UpFollower
-from magcal_ros.core.up.windows import carried_up, relative_attitudes
+from magcal_ros.core.up.propagation import GyroBias
+from magcal_ros.core.up.up_tuning import UpTuning
+from magcal_ros.core.up.windows import propagated_up, relative_attitudes
 
-__all__ = ["Up", "UpFollower", "carried_up", "relative_attitudes"]
+__all__ = ["GyroBias", "Up", "UpFollower", "UpTuning", "propagated_up", "relative_attitudes"]

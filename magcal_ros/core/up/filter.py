@@ -1,8 +1,8 @@
-"""Up, gyro bias and pull, estimated together.
+"""Up, gyro bias and linear acceleration, estimated together.
 
-A robot that speeds up, brakes or circles is pulled, and its accelerometer points away from up. The
-gyro carries up through this, but drifts. What tells them apart: up stays where it is in the world,
-the pull of a steady circle stays where it is in the body, and no pull lasts for ever.
+The accelerometer of a robot that speeds up, brakes or circles points away from up. The gyro
+propagates up through this, but drifts. What tells them apart: up stays where it is in the world,
+the acceleration in a steady circle stays where it is in the body, and none lasts for ever.
 """
 
 from __future__ import annotations
@@ -11,53 +11,30 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import STANDARD_GRAVITY
-from magcal_ros.core.rotations import exp_rotation, skew
-
-UNKNOWN = 1.0
-"""Sigma of an up of which nothing is known, over gravity."""
-BIAS_SIGMA = 0.004
-"""rad/s. A gyro's bias before anything is known of it."""
-BIAS_WALK = 1e-4
-"""rad/s per root second."""
-ANGLE_WALK = 3e-4
-"""Radians per root second: what a gyro loses while it does not turn."""
-TURN_ERROR = 0.003
-"""Share of a turn that scale and axes of the gyro get wrong, per root radian."""
-USUAL_PULL = 0.1
-"""Acceleration over gravity that a robot under way must be thought capable of."""
-USUAL_SPEED = 4.0
-"""m/s. A turn at this speed pulls sideways by speed times turn rate."""
-PULL_LASTS = 5.0
-"""Seconds."""
-STEADY_PULL = 2e-3
-"""Acceleration over gravity of a robot that stands or rolls steadily."""
-STEADY_RATE = 2e-3
-"""rad/s that the mean of a block may still be off the bias while the robot is steady."""
-FLOOR = 2e-3
-"""Error of an averaged accelerometer reading over gravity that no averaging takes away."""
-IMPLAUSIBLE = 3.0
-"""Sigmas of pull beyond which rather up is wrong."""
-REGAIN = 3.0
-"""Seconds in which an up that was wrong is given up."""
-REST_LENGTH, REST_LENGTH_SIGMA = 1.0, 0.02
-"""What an accelerometer reads at rest, over gravity, before it was seen at rest."""
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation, skew
+from magcal_ros.core.up.up_tuning import FilterTuning
 
 IDENTITY: FloatArray = np.eye(3)
 
 
 class UpFilter:
-    """A Kalman filter on up (over gravity), gyro bias (rad/s) and pull (over gravity), body axes.
+    """A Kalman filter on up (g), gyro bias (rad/s) and linear acceleration (g), body axes.
 
-    The accelerometer reads up + pull. Both are vectors of any length, so that the model is
-    linear and a scale error of the accelerometer is taken up by the length of up.
+    The accelerometer reads up + linear acceleration. Both are vectors of any length, so that the
+    model is linear and a scale error of the accelerometer is taken up by the length of up.
+
+    Parameters
+    ----------
+    tuning : FilterTuning
+        What is taken for granted.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tuning: FilterTuning | None = None) -> None:
+        self.tuning = tuning or FilterTuning()
         self.state: FloatArray = np.zeros(9)
         self.covariance: FloatArray = np.zeros((9, 9))
-        self.covariance[3:6, 3:6] = IDENTITY * BIAS_SIGMA**2
+        self.covariance[3:6, 3:6] = IDENTITY * self.tuning.bias_sigma**2
 
     @property
     def up(self) -> FloatArray:
@@ -75,22 +52,33 @@ class UpFilter:
         up, own = self.state[:3], self.covariance[:3, :3]
         size = float(up @ up)
         if size <= 0.0:
-            return UNKNOWN**2
+            return self.tuning.unknown**2
         along = float(up @ own @ up) / size
         return max(0.0, (float(np.trace(own)) - along) / (2.0 * size))
 
-    def begin(self, force: FloatArray, variance: float, pull_sigma: float) -> None:
+    @property
+    def bias_variance(self) -> float:
+        """Variance of the bias about up, (rad/s)²."""
+        x, y, z = self.state[:3].tolist()
+        (a, b, c), (_, d, e), (_, _, f) = self.covariance[3:6, 3:6].tolist()
+        square = x * x + y * y + z * z
+        if square <= 0.0:
+            return float(a + d + f)
+        along = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
+        return max(0.0, float(along / square))
+
+    def begin(self, force: FloatArray, variance: float, acceleration_sigma: float) -> None:
         """Start from one accelerometer reading (over gravity); what is known of the bias stays."""
         own = self.covariance[3:6, 3:6].copy()
         self.covariance[:] = 0.0
-        self.covariance[:3, :3] = IDENTITY * (variance + pull_sigma**2)
+        self.covariance[:3, :3] = IDENTITY * (variance + acceleration_sigma**2)
         self.covariance[3:6, 3:6] = own
-        self.covariance[6:, 6:] = IDENTITY * pull_sigma**2
-        self.covariance[:3, 6:] = self.covariance[6:, :3] = -IDENTITY * pull_sigma**2
+        self.covariance[6:, 6:] = IDENTITY * acceleration_sigma**2
+        self.covariance[:3, 6:] = self.covariance[6:, :3] = -IDENTITY * acceleration_sigma**2
         self.state[:3], self.state[6:] = force, 0.0
 
-    def forget_pull(self, sigma: float) -> None:
-        """From now on the pull may be another one."""
+    def forget_acceleration(self, sigma: float) -> None:
+        """From now on the linear acceleration may be another one."""
         self.covariance[6:] = 0.0
         self.covariance[:, 6:] = 0.0
         self.covariance[6:, 6:] = IDENTITY * sigma**2
@@ -102,38 +90,38 @@ class UpFilter:
         Parameters
         ----------
         up : ndarray, shape (3,)
-            Up after the block, carried by the gyro less its bias.
+            Up after the block, propagated by the gyro less its bias.
         turned : ndarray, shape (3,)
             Radians that the body turned by, body axes.
         seconds : float
             How long the block took.
         sigma : float
-            How large a pull may be, over gravity.
+            How large a linear acceleration may be, g.
         """
         angle = float(np.linalg.norm(turned))
-        keeps = math.exp(-seconds / PULL_LASTS)
-        carry = np.zeros((9, 9))
-        carry[:3, :3] = exp_rotation(-turned)
-        carry[:3, 3:6] = -skew(up) * seconds
-        carry[3:6, 3:6] = IDENTITY
-        carry[6:, 6:] = IDENTITY * keeps
+        keeps = math.exp(-seconds / self.tuning.acceleration_lasts)
+        transition = np.zeros((9, 9))
+        transition[:3, :3] = exp_rotation(-turned)
+        transition[:3, 3:6] = -skew(up) * seconds
+        transition[3:6, 3:6] = IDENTITY
+        transition[6:, 6:] = IDENTITY * keeps
         self.state[:3] = up
         self.state[6:] *= keeps
         grown = np.empty(9)
-        grown[:3] = ANGLE_WALK**2 * seconds + TURN_ERROR**2 * angle
-        grown[3:6] = BIAS_WALK**2 * seconds
+        grown[:3] = self.tuning.angle_walk**2 * seconds + self.tuning.turn_error**2 * angle
+        grown[3:6] = self.tuning.bias_walk**2 * seconds
         grown[6:] = sigma**2 * (1.0 - keeps**2)
-        pull = float(np.linalg.norm(self.state[6:]))
-        if pull > IMPLAUSIBLE * sigma:
-            grown[:3] += pull**2 * seconds / REGAIN
-        self.covariance = carry @ self.covariance @ carry.T
+        acceleration = float(np.linalg.norm(self.state[6:]))
+        if acceleration > self.tuning.implausible * sigma:
+            grown[:3] += acceleration**2 * seconds / self.tuning.regain
+        self.covariance = transition @ self.covariance @ transition.T
         self.covariance.flat[::10] += grown
 
     def observe_force(self, innovation: FloatArray, variance: float) -> None:
-        """Take the mean of accelerometer less carried up over a block, and its variance."""
+        """Take the mean of accelerometer less propagated up over a block, and its variance."""
         p = self.covariance
         gain_rows = p[:, :3] + p[:, 6:]
-        spread = gain_rows[:3] + gain_rows[6:] + IDENTITY * (variance + FLOOR**2)
+        spread = gain_rows[:3] + gain_rows[6:] + IDENTITY * (variance + self.tuning.floor**2)
         self._correct(gain_rows, spread, innovation - self.state[6:])
 
     def observe_length(self, size: float, variance: float) -> None:
@@ -146,19 +134,32 @@ class UpFilter:
             self.state += gain_rows * ((size - length) / spread)
             self.covariance -= np.outer(gain_rows, gain_rows / spread)
 
-    def observe_bias(self, rate: FloatArray) -> None:
-        """Take the mean rate of a block (rad/s) of a robot that does not turn."""
-        p = self.covariance
-        spread = p[3:6, 3:6] + IDENTITY * STEADY_RATE**2
-        self._correct(p[:, 3:6].copy(), spread, rate - self.state[3:6])
+    def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
+        """Take the mean rate of a block of a robot that does not turn.
+
+        Parameters
+        ----------
+        rate : ndarray, shape (3,)
+            rad/s.
+        variance : float
+            Of its noise, (rad/s)².
+        axis : ndarray, shape (3,), or None
+            Unit vector about which the robot may turn all the same, where there is one.
+        """
+        shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
+        gain_rows = self.covariance[:, 3:6] @ shown
+        noise = IDENTITY * (variance + self.tuning.steady_rate**2)
+        spread = shown @ gain_rows[3:6] + noise
+        self._correct(gain_rows, spread, shown @ (rate - self.state[3:6]))
+
+    def bound_bias(self) -> None:
+        """Keep the bias within what a gyro can have."""
+        size = float(np.linalg.norm(self.state[3:6]))
+        if size > self.tuning.largest_bias:
+            self.state[3:6] *= self.tuning.largest_bias / size
 
     def _correct(self, gain_rows: FloatArray, spread: FloatArray, innovation: FloatArray) -> None:
         gain = np.linalg.solve(spread, gain_rows.T).T
         self.state += gain @ innovation
         p = self.covariance - gain @ gain_rows.T
         self.covariance = 0.5 * (p + p.T)
-
-
-def pull_sigma(rate: float) -> float:
-    """Return how large a pull over gravity may be at a turn rate in rad/s."""
-    return math.hypot(USUAL_PULL, USUAL_SPEED * rate / STANDARD_GRAVITY)

@@ -6,11 +6,13 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.attitude import STANDARD_GRAVITY
-from magcal_ros.core.streams import HISTORY, LONGEST_CARRY, ImuSample
-from magcal_ros.core.triples import Triple, between, carried, length, unit_triple
-from magcal_ros.core.up.carrier import ZERO, Carrier
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.vec3 import Triple, between, length, propagated, unit_triple
+from magcal_ros.core.samples.streams import HISTORY, LONGEST_GYRO_STEP, ImuSample
 from magcal_ros.core.up.levelling import Levelling
+from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
+from magcal_ros.core.up.steady import ZERO
+from magcal_ros.core.up.up_tuning import UpTuning
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
 """m/s². Outside, in free fall or a fault of the driver, a reading tells no direction."""
@@ -28,61 +30,104 @@ class Up(NamedTuple):
 class UpFollower:
     """Follows up through whatever the robot does.
 
-    With a gyro up is carried by it and corrected by the accelerometer as far as the motion allows;
-    without one, or with one that turns otherwise than the accelerometer, the latter is smoothed.
+    With a gyro up is propagated by it and corrected by the accelerometer as far as the motion
+    allows; without one, or with one that turns otherwise than the accelerometer, the latter is
+    smoothed.
+
+    Parameters
+    ----------
+    tuning : UpTuning, optional
+        What is taken for granted.
     """
 
-    def __init__(self) -> None:
-        self._carrier = Carrier()
+    def __init__(self, tuning: UpTuning | None = None) -> None:
+        self._tuning = tuning or UpTuning()
+        self._propagation = GyroPropagation(self._tuning)
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=HISTORY)
 
     @property
-    def is_carried(self) -> bool:
-        """Whether the gyro carries up; false without one, and while it is not believed."""
+    def is_propagated(self) -> bool:
+        """Whether the gyro propagates up; false without one, and while it is not believed."""
         return self._levelling is None and self._last is not None
 
     @property
     def gyro_is_believed(self) -> bool:
         """Whether the gyro, where there is one, turns as the accelerometer does."""
-        return self._carrier.check.is_believed
+        return self._propagation.check.is_believed
 
     @property
     def rate(self) -> Triple:
-        """The newest turn rate less the gyro's bias, rad/s; zero where up is not carried."""
-        return self._carrier.rate if self.is_carried else ZERO
+        """The newest turn rate less the gyro's bias, rad/s; zero where up is not propagated."""
+        return self._propagation.rate if self.is_propagated else ZERO
 
     @property
     def mean_rate(self) -> Triple:
         """The same as the mean since the message before."""
-        return self._carrier.mean_rate if self.is_carried else ZERO
+        return self._propagation.mean_rate if self.is_propagated else ZERO
 
-    def add(self, sample: ImuSample) -> None:
-        """Take the next IMU sample; one that does not follow the last starts anew."""
+    @property
+    def gyro_bias(self) -> GyroBias:
+        """What is known of the gyro's bias."""
+        return self._propagation.gyro_bias
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the robot stands, or rolls on so evenly that nothing tells the difference."""
+        return self.is_propagated and self._propagation.is_settled
+
+    @property
+    def newest(self) -> Triple | None:
+        """Up after the newest sample, unit, body axes; None before the first."""
+        return self._ups[-1][1] if self._ups else None
+
+    def add_field(self, stamp: float, field: Triple) -> None:
+        """Take a raw field sample: whether it turns tells a slow turn from a gyro's bias.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds, on the clock of the IMU.
+        field : tuple of float
+            As the magnetometer reads it, in any unit, calibrated or not.
+        """
+        self._propagation.field.add(stamp, field)
+
+    def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
+        """Take the next IMU sample; one that does not follow the last starts anew.
+
+        Parameters
+        ----------
+        sample : ImuSample
+            Specific force and turn rate.
+        linear_acceleration : tuple of float, optional
+            m/s², body axes: what the robot itself accelerates by, where somebody measures it, as
+            from a speed v it is (dv/dt, v w_z, 0). It is taken off the specific force.
+        """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
         last, self._last = self._last, sample
         seconds = math.inf if last is None else sample.stamp - last.stamp
-        x, y, z = sample.force
-        force = (x / STANDARD_GRAVITY, y / STANDARD_GRAVITY, z / STANDARD_GRAVITY)
+        force, is_given = _in_g(sample.force, linear_acceleration)
         if seconds <= 0.0:
             self._ups.clear()
-        follows = last is not None and 0.0 < seconds <= LONGEST_CARRY
+        follows = last is not None and 0.0 < seconds <= LONGEST_GYRO_STEP
+        stamp, rate, propagation = sample.stamp, sample.rate, self._propagation
         if has_gyro(sample):
             if follows and last is not None and has_gyro(last):
-                self._carrier.add(force, sample.rate, seconds)
+                propagation.add(stamp, force, rate, seconds, is_given)
             else:
-                self._carrier.begin(force, sample.rate)
-        if has_gyro(sample) and self._carrier.check.is_believed:
+                propagation.begin(stamp, force, rate, is_given)
+        if has_gyro(sample) and propagation.check.is_believed:
             if self._levelling is not None:
                 self._levelling = None
-                self._carrier.begin(force, sample.rate)
+                propagation.begin(stamp, force, rate, is_given)
         elif self._levelling is not None and follows:
             self._levelling.add(force, seconds)
         else:
-            self._levelling = Levelling(force)
-        self._note(sample.stamp)
+            self._levelling = Levelling(force, self._tuning.levelling)
+        self._note(stamp)
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
@@ -117,14 +162,14 @@ class UpFollower:
                 return None
             if after is None:
                 x, y, z = self.rate
-                up = carried(up, (x * since, y * since, z * since))
+                up = propagated(up, (x * since, y * since, z * since))
             else:
                 up = between(up, after[1], since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
 
     def _note(self, stamp: float) -> None:
         if self._levelling is None:
-            self._ups.append((stamp, self._carrier.up, self._carrier.variance))
+            self._ups.append((stamp, self._propagation.up, self._propagation.variance))
         else:
             self._ups.append((stamp, self._levelling.up, self._levelling.variance))
 
@@ -132,3 +177,13 @@ class UpFollower:
 def has_gyro(sample: ImuSample) -> bool:
     """Whether a sample carries a turn rate: a possible one, and not a field nobody filled."""
     return 0.0 < length(sample.rate) < LARGEST_RATE
+
+
+def _in_g(force: Triple, acceleration: Triple | None) -> tuple[Triple, bool]:
+    """Return the force in g less an acceleration, and whether that was given."""
+    x, y, z = force
+    if acceleration is not None:
+        a, b, c = acceleration
+        x, y, z = x - a, y - b, z - c
+    g = STANDARD_GRAVITY
+    return (x / g, y / g, z / g), acceleration is not None

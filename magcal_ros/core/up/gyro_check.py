@@ -1,62 +1,99 @@
-"""Whether the gyro turns as the accelerometer does; one that is mirrored must not carry up."""
+"""Whether the gyro turns as the accelerometer does; one that is mirrored must not propagate up."""
 
 from __future__ import annotations
 
 import math
 
-from magcal_ros.core.triples import Triple, cross, dot
+from magcal_ros.core.geometry.vec3 import Triple, cross, dot
+from magcal_ros.core.up.up_tuning import GyroCheckTuning
 
-MEMORY = 20.0
-"""Seconds of which the evidence is kept."""
-ENOUGH = 0.01
-"""Sum of squared changes over gravity, as of a nod by 6°, before anything is said."""
-MIRRORED = -0.3
-"""How much of the turns a gyro gets right: all is one, a pull in a circle adds nothing, and a
-mirrored one gets them right with the wrong sign."""
-CLEAR = 3.0
-"""Sigmas."""
+ZERO: Triple = (0.0, 0.0, 0.0)
 
 
 class GyroCheck:
-    """Compares how the specific force changes with how the gyro says it should."""
+    """Compares how the specific force changes with how the gyro says it should.
 
-    def __init__(self) -> None:
+    Where the gyro's turn is not clear of its noise both are averaged over spans that are long
+    beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
+
+    Parameters
+    ----------
+    tuning : GyroCheckTuning, optional
+        What is taken for granted.
+    """
+
+    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
+        self._tuning = tuning or GyroCheckTuning()
         self.is_believed = True
-        self._force: Triple | None = None
-        self._turn: Triple = (0.0, 0.0, 0.0)
-        self._together = self._said = self._seen = self._count = 0.0
+        self._together = self._said = self._seen = self._count = self._noise = 0.0
+        self.restart()
 
     def restart(self) -> None:
-        """Do not compare the next block with the one before."""
-        self._force = None
+        """Do not compare what comes next with what came before."""
+        self._before: tuple[Triple, Triple] | None = None
+        self._begin()
 
-    def add(self, force: Triple, turn: Triple, seconds: float) -> None:
-        """Take a block: its mean force over gravity, the rotation vector over it, its length."""
-        before, before_turn = self._force, self._turn
-        self._force, self._turn = force, turn
-        if before is None:
+    def _begin(self) -> None:
+        self._force = self._turn = ZERO
+        self._seconds = self._variance = 0.0
+
+    def add(self, force: Triple, turn: Triple, seconds: float, variance: float = 0.0) -> None:
+        """Take a block of messages.
+
+        Parameters
+        ----------
+        force : tuple of float
+            Mean over the block, g.
+        turn : tuple of float
+            Rotation vector over it, radians.
+        seconds : float
+            Its length.
+        variance : float
+            Of each part of `turn`, by the gyro's noise, rad².
+        """
+        x, y, z = self._force
+        self._force = (x + seconds * force[0], y + seconds * force[1], z + seconds * force[2])
+        x, y, z = self._turn
+        self._turn = (x + turn[0], y + turn[1], z + turn[2])
+        self._seconds += seconds
+        self._variance += variance
+        clear = self._tuning.clear_turn**2 * self._variance
+        if self._seconds < self._tuning.span and dot(self._turn, self._turn) <= clear:
             return
+        lasted = self._seconds
+        x, y, z = self._force
+        mean, before = (x / lasted, y / lasted, z / lasted), self._before
+        self._before = mean, self._turn
+        if before is not None:
+            self._compare(*before, mean, lasted)
+        self._begin()
+
+    def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
+        """Compare how the mean force changed from span to span with what the gyro makes of it."""
+        turn = self._turn
         middle = (
-            0.5 * (turn[0] + before_turn[0]),
-            0.5 * (turn[1] + before_turn[1]),
-            0.5 * (turn[2] + before_turn[2]),
+            0.5 * (turn[0] + old_turn[0]),
+            0.5 * (turn[1] + old_turn[1]),
+            0.5 * (turn[2] + old_turn[2]),
         )
         # A direction fixed in the world turns in the body by u x w dt.
-        said = cross(before, middle)
-        seen = (force[0] - before[0], force[1] - before[1], force[2] - before[2])
-        keeps = math.exp(-seconds / MEMORY)
+        said = cross(old, middle)
+        seen = (new[0] - old[0], new[1] - old[1], new[2] - old[2])
+        keeps = math.exp(-seconds / self._tuning.memory)
         self._together = keeps * self._together + dot(said, seen)
         self._said = keeps * self._said + dot(said, said)
         self._seen = keeps * self._seen + dot(seen, seen)
         self._count = keeps * self._count + 3.0
-        if self._said > ENOUGH * ENOUGH:
+        # Across the force, from the mean of two turns.
+        self._noise = keeps * self._noise + self._variance
+        if self._said > self._tuning.enough**2 + self._tuning.clear_noise * self._noise:
             self._judge()
 
     def _judge(self) -> None:
         explained = self._together / self._said
         left = max(0.0, self._seen - explained * self._together)
         sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._said)
-        if explained + CLEAR * sigma < MIRRORED:
+        if explained + self._tuning.clear * sigma < self._tuning.mirrored:
             self.is_believed = False
-        elif explained - CLEAR * sigma > MIRRORED:
+        elif explained - self._tuning.clear * sigma > self._tuning.mirrored:
             self.is_believed = True

@@ -4,18 +4,8 @@ from __future__ import annotations
 
 import math
 
-from magcal_ros.core.triples import Triple, between, distance, length, unit_triple
-
-SMOOTHING = 0.15
-"""Seconds."""
-MEMORY = 1.0
-"""Seconds over which scatter and length are watched."""
-REST_MEMORY = 30.0
-"""Seconds over which the length at rest is learnt."""
-FLOOR = 2e-3
-"""Radians."""
-LENGTH_FLOOR = 1e-3
-"""Departure from the length at rest, over gravity, that says nothing."""
+from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, unit_triple
+from magcal_ros.core.up.up_tuning import LevellingTuning
 
 
 class Levelling:
@@ -25,6 +15,8 @@ class Levelling:
     ----------
     force : tuple of float
         First reading of the accelerometer, over gravity; not zero.
+    tuning : LevellingTuning, optional
+        What is taken for granted.
 
     Attributes
     ----------
@@ -32,7 +24,8 @@ class Levelling:
         Unit vector, body axes.
     """
 
-    def __init__(self, force: Triple) -> None:
+    def __init__(self, force: Triple, tuning: LevellingTuning | None = None) -> None:
+        self._tuning = tuning or LevellingTuning()
         self.up = unit_triple(force)
         self._mean = self.up
         self._scatter = 0.0
@@ -42,23 +35,25 @@ class Levelling:
     def add(self, force: Triple, seconds: float) -> None:
         """Take the next reading, so many seconds after the one before."""
         seen = unit_triple(force)
-        up = between(self.up, seen, 1.0 - math.exp(-seconds / SMOOTHING))
+        up = between(self.up, seen, 1.0 - math.exp(-seconds / self._tuning.smoothing))
         self.up = unit_triple(up) if length(up) > 0.0 else seen
         self._seconds += seconds
-        memory = 1.0 - math.exp(-seconds / MEMORY)
+        memory = 1.0 - math.exp(-seconds / self._tuning.memory)
         self._mean = between(self._mean, self.up, memory)
         away = distance(self.up, self._mean)
         self._scatter += memory * (0.5 * away * away - self._scatter)
         size = length(force)
         self._size += memory * (size - self._size)
-        self._rest += seconds / min(self._seconds + seconds, REST_MEMORY) * (size - self._rest)
+        self._rest += (
+            seconds / min(self._seconds + seconds, self._tuning.rest_memory) * (size - self._rest)
+        )
 
     @property
     def variance(self) -> float:
         """Variance of up in either direction, rad².
 
-        Up that scatters is not known better than that, and a pull p across up stretches the
-        accelerometer by p²/2.
+        Up that scatters is not known better than that, and an acceleration of p g across up
+        stretches the accelerometer by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - LENGTH_FLOOR)
-        return FLOOR**2 + self._scatter + stretch
+        stretch = max(0.0, abs(self._size / self._rest - 1.0) - self._tuning.length_floor)
+        return self._tuning.floor**2 + self._scatter + stretch

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import unit
-from magcal_ros.core.rotations import exp_rotations
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.follower import UpFollower
-from magcal_ros.core.window import Window
 
 
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -38,7 +38,7 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     return np.asarray(product)
 
 
-def carried_up(window: Window) -> FloatArray:
+def propagated_up(window: Window) -> FloatArray:
     """Return up at each sample, unit vectors in body axes, shape (n, 3).
 
     What the past and the future of a sample say of its up is averaged by their variances.
@@ -50,23 +50,30 @@ def carried_up(window: Window) -> FloatArray:
     """
     if window.angular_rate is None or len(window) < 3:
         return unit(window.specific_force)
-    past, past_variance = _followed(window.time, window.specific_force, window.angular_rate)
+    past, past_variance = _followed(
+        window.time, window.field, window.specific_force, window.angular_rate
+    )
     future, future_variance = (
         values[::-1]
         for values in _followed(
-            -window.time[::-1], window.specific_force[::-1], -window.angular_rate[::-1]
+            -window.time[::-1],
+            window.field[::-1],
+            window.specific_force[::-1],
+            -window.angular_rate[::-1],
         )
     )
     return unit(past / past_variance[:, None] + future / future_variance[:, None])
 
 
 def _followed(
-    time: FloatArray, force: FloatArray, rate: FloatArray
+    time: FloatArray, field: FloatArray, force: FloatArray, rate: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return up (n, 3) and its variance (n,) as the past of each sample gives it."""
     follower = UpFollower()
     ups, variances = [], []
-    for stamp, f, w in zip(time.tolist(), force.tolist(), rate.tolist(), strict=True):
+    columns = (values.tolist() for values in (time, field, force, rate))
+    for stamp, m, f, w in zip(*columns, strict=True):
+        follower.add_field(stamp, tuple(m))
         follower.add(ImuSample(stamp, tuple(f), tuple(w)))
         up = follower.at(stamp, 0.0)
         assert up is not None

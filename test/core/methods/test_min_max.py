@@ -13,13 +13,19 @@ from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, pole_window, tumble, tumbling, with_fields
 
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.figures import predicted_heading_sigma
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.min_max import Options, believed_on_sphere, fit
-from magcal_ros.core.rotations import rotation_from_rpy
-from magcal_ros.core.simulator import DEGREE, heading_errors, measure, smooth_wobble, turn
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    heading_errors,
+    measure,
+    smooth_wobble,
+    turn,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 ROBUST = Options(robust=True)

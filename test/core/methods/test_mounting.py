@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from tumbles import SQUARE, hand_tumbling, tumbling
 
-from magcal_ros.core.attitude import unit
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.methods.mounting import look_at_mounting
-from magcal_ros.core.rotations import exp_rotation
-from magcal_ros.core.simulator import DEGREE, UP_ENU, turn
+from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, turn
 
 SIGMA = 3.0 * DEGREE
 TURNED = np.array([0.02, -0.03, 0.04])

@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.design_tip import fit
 from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.simulator import (
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
     UP_ENU,
@@ -23,7 +24,6 @@ from magcal_ros.core.simulator import (
     trial_attitudes,
     turn,
 )
-from magcal_ros.core.window import Window
 
 
 def window_of(field):
@@ -93,6 +93,7 @@ def test_an_answer_that_hangs_on_single_pieces_is_refused():
         jackknife_covariance(fragile, window_of(np.ones((20, 3))), Knowledge())
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("arc", [360.0, 180.0])
 def test_predicted_heading_sigma_is_the_true_one(arc):
     robot = Robot()

@@ -9,7 +9,7 @@ import pytest
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.methods.design_tip import Options, fit
-from magcal_ros.core.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 
 QUIET = Robot(noise_field=0.0, noise_force=0.0)
 

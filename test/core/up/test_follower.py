@@ -1,5 +1,6 @@
 """Up stays up on circles, starts, stops and ramps, and through whatever the messages do."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
 
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.up import UpFollower
+from magcal_ros.files.recording import read_csv_folder
 
 G = 9.80665
 NO_RATE = (math.nan,) * 3
@@ -99,11 +101,93 @@ def test_the_variance_is_honest_while_driving():
     assert 0.02 < np.mean(ratios) < 1.3
 
 
+def with_bias(*bias_deg):
+    """A robot whose gyro reads so many degrees per second at rest."""
+    robot = dataclasses.replace(ROBOT, gyro_bias=np.array(bias_deg) * DEGREE)
+    errors = TiltErrors(UpFollower())
+    return Course(errors, robot), errors
+
+
+BIASES = [(2.2, 0.0, 0.0), (3.5, 2.0, 1.9), (5.0, -5.0, 5.0), (0.0, 0.0, 5.0)]
+
+
+@pytest.mark.parametrize("bias", BIASES)
+def test_a_large_bias_is_learnt_at_rest_and_honestly_said_before(bias):
+    course, errors = with_bias(*bias)
+    course.go(10.0)
+    assert np.max(np.divide(errors.errors, errors.sigmas)[:200]) < 2.5
+    assert errors.errors[-1] < 0.5
+    assert errors.sigmas[-1] < 0.5
+    assert np.degrees(errors.follower.gyro_bias.rate) == pytest.approx(bias, abs=0.1)
+    course.go(1.0, acceleration=2.0 * FORWARD)
+    course.circle(20.0)
+    assert errors.rms(last=2000) < 0.8
+
+
+def test_without_a_field_a_bias_about_up_is_left_and_up_is_right_all_the_same():
+    course, errors = with_bias(5.0, 0.0, 5.0)
+    follow = errors.follower
+    follow.add_field = lambda stamp, field: None
+    course.go(10.0)
+    assert errors.errors[-1] < 0.5
+    assert math.degrees(follow.gyro_bias.rate[0]) == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_slow_even_circle_is_not_taken_for_rest():
+    """At 0.08 rad/s and 6 m/s the accelerometer leans by 2.8 degrees, and all is steady."""
+    course, errors = with_bias(0.0, 0.0, 0.0)
+    course.circle(20.0, rate=0.08, speed=6.0)
+    assert abs(errors.follower.gyro_bias.rate[2]) < 0.01
+    assert not errors.follower.is_at_rest
+    errors.errors.clear()
+    course.go(3.0)
+    course.circle(20.0, rate=0.08, speed=6.0)
+    assert errors.rms(last=2000) < 0.8
+
+
+def test_a_car_with_a_bias_stands_upright(recording):
+    """It stands for fifteen seconds; the gyro reads 3.5, 2.0 and 1.9 degrees per second."""
+    follower = UpFollower()
+    samples = read_csv_folder(recording("car_neu2024_yash"))
+    still = samples.imu[samples.imu[:, 0] < samples.imu[0, 0] + 15.0]
+    mean = still[:, 1:4].mean(axis=0)
+    for sample in samples.samples():
+        if sample.stamp > still[-1, 0]:
+            break
+        if isinstance(sample, ImuSample):
+            follower.add(sample)
+        else:
+            follower.add_field(sample.stamp, sample.field)
+    up = follower.at(still[-1, 0], 0.2).direction
+    assert np.degrees(np.arccos(up @ mean / np.linalg.norm(mean))) < 1.0
+
+
+def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
+    """Never at rest, pulled by up to 12 degrees; the speed's derivative is a little wrong."""
+    errors = TiltErrors(UpFollower())
+    plain = TiltErrors(UpFollower())
+    rng = np.random.default_rng(4)
+
+    def listen(sample, ride):
+        if isinstance(sample, ImuSample):
+            noise = 0.15 * rng.standard_normal(3)
+            errors.take(sample, ride, linear_acceleration=tuple(1.03 * pull + noise))
+        plain(sample, ride)
+
+    course = Course(listen)
+    for _ in range(8):
+        for forward, rate in ((2.0, 0.0), (0.3, 0.4), (-1.5, 0.0), (-0.8, -0.3)):
+            pull = forward * FORWARD + 4.0 * rate * LEFT
+            course.go(2.5, acceleration=pull, yaw_rate=rate)
+    assert np.percentile(errors.errors, 90) <= 3.0
+    assert np.percentile(errors.errors, 90) < 0.5 * np.percentile(plain.errors, 90)
+
+
 class TestWithoutGyro:
     def test_the_accelerometer_is_smoothed(self):
         errors = TiltErrors(UpFollower())
         Course(errors, gyro=False).go(3.0)
-        assert not errors.follower.is_carried
+        assert not errors.follower.is_propagated
         assert 0.0 < errors.rms(last=200) < 0.3
 
     def test_a_pull_is_not_seen_through_but_its_variance_says_so(self):
@@ -124,10 +208,10 @@ class TestWithoutGyro:
             sample._replace(rate=NO_RATE) if isinstance(sample, ImuSample) else sample, ride
         )
         course.go(2.0)
-        assert not errors.follower.is_carried
+        assert not errors.follower.is_propagated
         course.listener = errors
         course.go(0.02)
-        assert errors.follower.is_carried
+        assert errors.follower.is_propagated
         course.go(3.0)
         assert errors.rms() < 0.8
 
@@ -135,7 +219,7 @@ class TestWithoutGyro:
         follower = UpFollower()
         for k in range(100):
             follower.add(ImuSample(1.0 + 0.01 * k, (0.0, 0.0, G), (0.0, 0.0, 0.0)))
-        assert not follower.is_carried
+        assert not follower.is_propagated
 
 
 def test_a_mirrored_gyro_is_found_out(watched):
@@ -194,6 +278,7 @@ def test_a_gap_or_a_step_back_starts_anew(gap):
     assert up.variance > 0.1**2
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("rate", [5.0, 20.0, 1000.0])
 def test_slow_and_fast_imus(rate):
     errors = TiltErrors(UpFollower())

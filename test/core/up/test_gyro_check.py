@@ -1,8 +1,12 @@
 import math
 
 import numpy as np
+import pytest
 
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.up import UpFollower
 from magcal_ros.core.up.gyro_check import GyroCheck
+from magcal_ros.files.recording import read_csv_folder
 
 STEP = 0.04
 
@@ -40,3 +44,27 @@ def test_noise_alone_says_nothing():
     check = GyroCheck()
     nodding(check, 0.0, noise=0.02)
     assert check.is_believed
+
+
+def test_a_shaking_engine_makes_no_gyro_mirrored(recording):
+    """The engine shakes the rate about x by 0.09 rad/s, root mean square."""
+    follower = UpFollower()
+    for sample in read_csv_folder(recording("car_neu2024_gautham")).samples():
+        if isinstance(sample, ImuSample):
+            follower.add(sample)
+            assert follower.gyro_is_believed
+
+
+@pytest.mark.parametrize(("sense", "believed"), [(1.0, True), (-1.0, False)])
+def test_under_shaking_a_nod_still_tells(sense, believed):
+    """The rate about x shakes at 5 Hz against the force, ten times stronger than the nod says."""
+    check, rng = GyroCheck(), np.random.default_rng(2)
+    for k in range(1500):
+        stamp = k * STEP
+        angle, rate = 0.15 * math.sin(stamp), 0.15 * math.cos(stamp)
+        shake = 2.0 * math.pi * 4.9 * stamp
+        shaking = 0.09 * math.sqrt(2.0) * math.cos(shake)
+        force = (0.0, math.sin(angle) + 0.05 * math.cos(shake + 1.5), math.cos(angle))
+        turn = (sense * (rate + shaking) + 0.04 * rng.standard_normal()) * STEP
+        check.add(force, (turn, 0.0, 0.0), STEP, (0.05 * STEP) ** 2)
+    assert check.is_believed is believed

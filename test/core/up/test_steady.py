@@ -2,16 +2,17 @@ import math
 
 import pytest
 
-from magcal_ros.core.up.steady import SteadySpell
+from magcal_ros.core.up.steady import BlockMeans, SteadySpell
 
 NOISE = 0.002
-UP = (0.0, 0.0, 1.0)
+RATE_NOISE = 0.002
+UP, ZERO = (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
 
 
 def spell(force, seconds, rate=(0.0, 0.0, 0.002)):
     found = SteadySpell()
     for _ in range(int(seconds / 0.04)):
-        found.add(force, rate, NOISE, 4, 0.04)
+        found.add(BlockMeans(force, rate, 4, 0.04), NOISE, RATE_NOISE)
     return found
 
 
@@ -36,11 +37,16 @@ def test_where_the_length_is_undecided_time_decides(seconds, believed):
     assert shows_up(spell((0.03, 0.0, 1.0), seconds)) is believed
 
 
-def test_a_turning_robot_is_not_steady():
-    assert spell(UP, 5.0, rate=(0.0, 0.0, 0.1)).seconds == 0.0
+def test_a_gyro_that_reads_much_but_evenly_is_steady():
+    assert spell(UP, 5.0, rate=(0.06, -0.05, 0.04)).seconds > 4.9
+
+
+def test_a_turn_that_begins_ends_the_spell():
+    found = spell(UP, 5.0)
+    assert not found.add(BlockMeans(UP, (0.0, 0.0, 0.05), 4, 0.04), NOISE, RATE_NOISE)
 
 
 def test_a_change_begins_a_new_spell():
     found = spell(UP, 2.0)
-    assert not found.add((0.1, 0.0, 1.0), (0.0, 0.0, 0.0), NOISE, 4, 0.04)
+    assert not found.add(BlockMeans((0.1, 0.0, 1.0), ZERO, 4, 0.04), NOISE, RATE_NOISE)
     assert found.seconds == 0.04

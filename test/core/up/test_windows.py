@@ -1,8 +1,8 @@
 import numpy as np
 
-from magcal_ros.core.simulator import DEGREE, UP_ENU, Robot, measure, smooth_wobble, turn
-from magcal_ros.core.up import carried_up, relative_attitudes
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.up import propagated_up, relative_attitudes
 
 
 def away_deg(found, motion):
@@ -24,10 +24,10 @@ def test_a_steady_sideways_pull_is_averaged_out():
     pulled = window.specific_force + np.array([0.0, 1.2, 0.0])
     window = Window(window.time, window.field, pulled, window.angular_rate)
     assert away_deg(pulled / np.linalg.norm(pulled, axis=1)[:, None], motion) > 6.0
-    assert away_deg(carried_up(window), motion) < 1.5
+    assert away_deg(propagated_up(window), motion) < 1.5
 
 
 def test_without_a_gyro_the_accelerometer_is_all_there_is():
     motion = turn()
     window = measure(Robot(), motion, np.random.default_rng(3))
-    assert away_deg(carried_up(window), motion) < 1.2
+    assert away_deg(propagated_up(window), motion) < 1.2

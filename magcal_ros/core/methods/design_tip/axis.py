@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.planes import Plane
 from magcal_ros.core.methods.design_tip.circle import FieldCircle
-from magcal_ros.core.methods.design_tip.door import TipSamples
 from magcal_ros.core.methods.design_tip.options import AxisSource, Options
-from magcal_ros.core.planes import Plane
-
-LEAST_NOISE = 1e-9
-"""Share of gravity below which noise is rounding."""
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples
 
 SMALLEST_AXIAL_GRAVITY = float(np.cos(np.radians(75.0)))
 """The field along the axis is known to 1/this of the inclination's own uncertainty."""
@@ -79,7 +76,10 @@ def find_axis(samples: TipSamples, circle: FieldCircle, options: Options) -> Tur
     centre, centre_sigma, noise = _centre_of_gravity(samples.down, circle)
     if float(np.linalg.norm(centre)) < SMALLEST_AXIAL_GRAVITY:
         raise _horizontal()
-    plane = _plane_of_gravity(samples.down, options)
+    try:
+        plane = options.plane(samples.down)
+    except Refusal:
+        plane = None
     direction = _weighed(centre, centre_sigma, plane, options.axis)
     axial = samples.down @ direction
     axial_gravity = float(axial.mean())
@@ -101,14 +101,7 @@ def _centre_of_gravity(down: FloatArray, circle: FieldCircle) -> tuple[FloatArra
     coefficients = covariance @ (design.T @ down)
     residual = down - design @ coefficients
     noise = float(np.sqrt((residual**2).sum() / (3.0 * max(len(down) - 3, 1))))
-    return coefficients[0], max(noise, LEAST_NOISE) * float(np.sqrt(covariance[0, 0])), noise
-
-
-def _plane_of_gravity(down: FloatArray, options: Options) -> Plane | None:
-    try:
-        return options.plane(down)
-    except Refusal:
-        return None
+    return coefficients[0], max(noise, ROUNDING) * float(np.sqrt(covariance[0, 0])), noise
 
 
 def _weighed(
@@ -127,14 +120,14 @@ def _weighed(
     if source is AxisSource.PLANE:
         return np.asarray(from_plane)
     centre_information = float(centre @ centre) / centre_sigma**2
-    plane_information = plane.normal_information(LEAST_NOISE)
+    plane_information = plane.normal_information(ROUNDING)
     direction = from_centre
     # The two are weighed in the tangent plane of the result, which a few rounds find.
     for _ in range(3):
         tangent = np.linalg.svd(direction[None, :])[2][1:].T
         of_plane = tangent.T @ plane_information @ tangent
-        pull = centre_information * tangent.T @ from_centre + of_plane @ tangent.T @ from_plane
-        step = tangent @ np.linalg.solve(of_plane + centre_information * np.eye(2), pull)
+        weighed = centre_information * tangent.T @ from_centre + of_plane @ tangent.T @ from_plane
+        step = tangent @ np.linalg.solve(of_plane + centre_information * np.eye(2), weighed)
         direction = direction + step
         direction = direction / np.linalg.norm(direction)
     return np.asarray(direction)

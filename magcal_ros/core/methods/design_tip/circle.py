@@ -6,15 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.conics import Conic
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.methods.design_tip.door import TipSamples, passive_rotation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.conics import Conic
+from magcal_ros.core.geometry.planes import Plane
 from magcal_ros.core.methods.design_tip.options import Options
-from magcal_ros.core.planes import Plane
-
-LEAST_NOISE = 1e-9
-"""Share of the field below which noise is rounding."""
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
 
 LARGEST_NORMAL_SIGMA = np.radians(10.0)
 LARGEST_THICKNESS = 0.25
@@ -129,7 +126,7 @@ def derotation(normal: FloatArray) -> FloatArray:
 
 
 def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
-    least_noise = LEAST_NOISE * float(np.linalg.norm(raw, axis=1).mean())
+    least_noise = ROUNDING * float(np.linalg.norm(raw, axis=1).mean())
     smallest, middle, largest = plane.spread
     if plane.normal_sigma(least_noise) > LARGEST_NORMAL_SIGMA:
         if largest < 2.0 * smallest:

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import FRD_FROM_FLU
-from magcal_ros.core.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import PARAMETERS
+from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimate import Estimate, Installation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
+from magcal_ros.core.geometry.rotations import rotation_angle
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.methods.design_tip.axial_field import BelievedField, believe
 from magcal_ros.core.methods.design_tip.axis import TurnAxis, find_axis
 from magcal_ros.core.methods.design_tip.circle import FieldCircle, fit_field_circle
-from magcal_ros.core.methods.design_tip.door import TipSamples, enter, leave, passive_rotation
-from magcal_ros.core.methods.design_tip.figures import measure_figures
 from magcal_ros.core.methods.design_tip.installation import Candidate, find_candidates
 from magcal_ros.core.methods.design_tip.options import Options
-from magcal_ros.core.methods.design_tip.reference import BelievedField, believe
+from magcal_ros.core.methods.design_tip.reliability import TipSolution, measure_figures
+from magcal_ros.core.methods.design_tip.tip_frame import TipSamples, enter, leave, passive_rotation
 from magcal_ros.core.methods.resampling import jackknife_covariance
-from magcal_ros.core.rotations import rotation_angle
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 SHORTEST_ARC = math.radians(45.0)
 STEEPEST_INCLINATION = math.radians(80.0)
@@ -37,20 +36,6 @@ STRENGTH_MARGIN = 0.1
 RIVAL_MARGIN = math.radians(2.0)
 RIVAL_DISTANCE = math.radians(5.0)
 """Rivals nearer than this are one answer."""
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The steps' results before their uncertainty is known."""
-
-    samples: TipSamples
-    circle: FieldCircle
-    axis: TurnAxis
-    chosen: Candidate
-    rival: Candidate | None
-    believed: BelievedField
-    correction: Correction
-    installation: Installation
 
 
 def fit(
@@ -103,19 +88,12 @@ def fit(
         noise_up=solution.axis.noise,
         inliers=np.ones(len(window), dtype=np.bool_),
         residual=residual,
-        figures=measure_figures(
-            solution.samples,
-            solution.axis,
-            solution.chosen,
-            solution.rival,
-            solution.believed,
-            noise_field,
-        ),
+        figures=measure_figures(solution, noise_field),
         message=f"closed form; {solution.believed.basis}",
     )
 
 
-def solve(window: Window, knowledge: Knowledge, options: Options) -> Solution:
+def solve(window: Window, knowledge: Knowledge, options: Options) -> TipSolution:
     """Take the tip's steps on whatever samples there are.
 
     Parameters
@@ -129,7 +107,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Solution:
 
     Returns
     -------
-    Solution
+    TipSolution
 
     Raises
     ------
@@ -142,7 +120,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Solution:
     chosen, rival, believed = _choose(samples, axis, circle, knowledge.reference)
     iron = chosen.circle.centre - believed.axial * chosen.circle.normal
     correction, installation = leave(chosen.roll, chosen.pitch, iron, knowledge.mounting)
-    return Solution(samples, circle, axis, chosen, rival, believed, correction, installation)
+    return TipSolution(samples, circle, axis, chosen, rival, believed, correction, installation)
 
 
 def _circle_or_reason(samples: TipSamples, options: Options) -> FieldCircle:
@@ -181,8 +159,8 @@ def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
     between = passive_rotation(chosen.roll, chosen.pitch).T @ passive_rotation(
         rival.roll, rival.pitch
     )
-    alike = rival.angle - chosen.angle < RIVAL_MARGIN
-    if alike and rotation_angle(between) > RIVAL_DISTANCE:
+    is_same_size = rival.angle - chosen.angle < RIVAL_MARGIN
+    if is_same_size and rotation_angle(between) > RIVAL_DISTANCE:
         raise Refusal(
             Reason.AMBIGUOUS,
             "Two installations of the magnetometer of the same size explain this turn. Turn about "
@@ -190,7 +168,7 @@ def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
         )
 
 
-def _axial_unknown(solution: Solution, options: Options) -> FloatArray:
+def _axial_unknown(solution: TipSolution, options: Options) -> FloatArray:
     unknown = np.zeros(PARAMETERS)
     if solution.believed.axial_unknown:
         along = solution.samples.mounting @ solution.chosen.circle.normal
@@ -198,7 +176,7 @@ def _axial_unknown(solution: Solution, options: Options) -> FloatArray:
     return unknown
 
 
-def _refuse_unusable(solution: Solution, reference: ReferenceField) -> None:
+def _refuse_unusable(solution: TipSolution, reference: ReferenceField) -> None:
     circle, believed = solution.circle, solution.believed
     if circle.arc < SHORTEST_ARC:
         raise Refusal(

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.methods.design_tip.axis import LEAST_NOISE, TurnAxis
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_angle
+from magcal_ros.core.methods.design_tip.axis import TurnAxis
 from magcal_ros.core.methods.design_tip.circle import FieldCircle
-from magcal_ros.core.methods.design_tip.door import TipSamples, passive_rotation
-from magcal_ros.core.rotations import rotation_angle
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
 
 CLEAR_SENSE = 20.0
 """Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
@@ -151,7 +151,7 @@ def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
     gravity = axis.across @ first + 1j * (axis.across @ second)
     field = circle.phasor / np.abs(circle.phasor).mean()
     same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
-    standard_error = max(axis.noise, LEAST_NOISE) / math.sqrt(len(field))
+    standard_error = max(axis.noise, ROUNDING) / math.sqrt(len(field))
     if abs(same - opposite) < CLEAR_SENSE * standard_error:
         return 0
     return 1 if same > opposite else -1

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from magcal_ros.core.conics import ConicFit
-from magcal_ros.core.planes import PlaneFit
+from magcal_ros.core.geometry.conics import ConicFit
+from magcal_ros.core.geometry.planes import PlaneFit
 
 
 class AxisSource(str, Enum):

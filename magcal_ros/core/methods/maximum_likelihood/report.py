@@ -1,113 +1,114 @@
-"""From the optimum to what the caller sees."""
+"""From the optimum, of one turn or of several, to what the caller sees."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray, FloatArray
-from magcal_ros.core.estimate import Estimate, Installation
-from magcal_ros.core.methods.maximum_likelihood import parameters as p
-from magcal_ros.core.methods.maximum_likelihood.attitudes import follow
-from magcal_ros.core.methods.maximum_likelihood.bend import bend_of_hard_iron
-from magcal_ros.core.methods.maximum_likelihood.covariance import (
-    correction_from,
-    correction_jacobian,
-    inverse_information,
-)
-from magcal_ros.core.methods.maximum_likelihood.doubt import Doubt
-from magcal_ros.core.methods.maximum_likelihood.linearise import Noise, chi_squares
-from magcal_ros.core.methods.maximum_likelihood.model import predict
-from magcal_ros.core.methods.maximum_likelihood.prepare import Prepared
-from magcal_ros.core.methods.maximum_likelihood.refine import Solution
-from magcal_ros.core.methods.maximum_likelihood.weights import passes_alone
+from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.estimation.averaging import Prepared
+from magcal_ros.core.estimation.block import TurnBlock
+from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.solver import Fit, Status
+from magcal_ros.core.estimation.uncertainty import correction_from
+from magcal_ros.core.estimation.weighting import Noise
+from magcal_ros.core.estimation.weights import passes_alone
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 
 METHOD = "maximum_likelihood"
 
 
-def twelve_covariance(
-    solution: Solution, information: FloatArray, scale: float, doubt: Doubt | None = None
-) -> FloatArray:
-    """Return the covariance of the twelve numbers in SI units, shape (12, 12).
+@dataclass(frozen=True, eq=False)
+class EstimateParts:
+    """What belongs to an estimate beside the optimum.
 
     Parameters
     ----------
-    solution : Solution
-    information : ndarray, shape (g, g)
-        On the free globals, prior times kappa included.
-    scale : float
-        Tesla of one field scale.
-    doubt : Doubt, optional
-        Of soft iron that was not fitted.
+    prepared : sequence of Prepared
+        The samples of each turn. Inliers and residuals are those of the last.
+    covariance : ndarray, shape (12, 12)
+        Of the twelve numbers in SI units.
+    axis : ndarray, shape (3,)
+        The last turn's axis in body axes.
+    arc : float
+        Radians.
+    figures : dict
+    swing : GyroSwing or None
+        Of gyro and compass over the last turn.
     """
-    problem = solution.problem
-    jacobian = correction_jacobian(solution.state.shared, problem.samples.mounting, scale)
-    free = problem.prior.free
-    of_globals = np.zeros((p.COUNT, p.COUNT))
-    of_globals[np.ix_(free, free)] = problem.kappa * inverse_information(information)
-    covariance = jacobian @ of_globals @ jacobian.T
-    covariance[9:, 9:] += scale**2 * bend_of_hard_iron(
-        solution.state.shared, _mean_turn(solution), problem.samples.mounting, of_globals
-    )
-    if doubt is not None:
-        covariance = doubt.widened(covariance, jacobian)
-    return np.asarray(0.5 * (covariance + covariance.T))
+
+    prepared: Sequence[Prepared]
+    covariance: FloatArray
+    axis: FloatArray
+    arc: float
+    figures: dict[Figure, float]
+    swing: GyroSwing | None
 
 
-def _mean_turn(solution: Solution) -> FloatArray:
-    return np.asarray(solution.state.attitude[solution.believed].mean(axis=0))
-
-
-def build_estimate(
-    solution: Solution,
-    prepared: Prepared,
-    covariance: FloatArray,
-    arc: float,
-    figures: dict[str, float],
-) -> Estimate:
+def build_estimate(fit: Fit, parts: EstimateParts) -> Estimate:
     """Put the numbers into the package's own form."""
-    shared, noise, scale = solution.state.shared, solution.problem.noise, prepared.scale
-    believed, residual = samples_believed(solution, prepared)
-    width = prepared.width
+    shared, scale = fit.shared, parts.prepared[-1].scale
+    inliers, residual = samples_inliers(fit.blocks[-1], parts.prepared[-1])
+    noises = [block.weighting.noise for block in fit.blocks]
     return Estimate(
         method=METHOD,
-        correction=correction_from(shared, prepared.all.mounting, scale),
-        covariance=covariance,
+        correction=correction_from(shared, fit.mounting, scale),
+        covariance=parts.covariance,
         installation=Installation(shared.roll, shared.pitch, shared.yaw),
-        axis=shared.body_axis[:, 2],
-        arc=arc,
+        axis=parts.axis,
+        arc=parts.arc,
         strength=scale * shared.strength,
         inclination=shared.inclination,
-        noise_field=scale * noise.field * float(np.sqrt(width)),
-        noise_up=noise.up * float(np.sqrt(width)),
-        inliers=believed,
+        noise_field=scale * _single_noise([noise.field for noise in noises], parts.prepared),
+        noise_up=_single_noise([noise.up for noise in noises], parts.prepared),
+        inliers=inliers,
         residual=scale * residual,
-        figures=figures,
-        message=_message(solution, figures),
+        figures=parts.figures | convergence_figures(fit),
+        message=message(fit),
+        swing=parts.swing,
     )
 
 
-def samples_believed(solution: Solution, prepared: Prepared) -> tuple[BoolArray, FloatArray]:
-    """Return which rows of the window the fit believed (n,), and their residuals (n, 3)."""
+def _single_noise(sigmas: Sequence[float], prepared: Sequence[Prepared]) -> float:
+    """Return the noise of one sample over all turns; some were fitted on averages."""
+    squares = [p.width * sigma**2 for p, sigma in zip(prepared, sigmas, strict=True)]
+    return math.sqrt(float(np.mean(squares)))
+
+
+def samples_inliers(block: TurnBlock, prepared: Prepared) -> tuple[BoolArray, FloatArray]:
+    """Return which rows of the window the fit counted (n,), and their residuals (n, 3)."""
     if prepared.all is prepared.averaged:
-        residual = predict(solution.state, prepared.all).field_residual
-        return solution.believed, residual
-    width = float(np.sqrt(prepared.width))
-    noise = solution.problem.noise
-    single = Noise(noise.up * width, noise.field * width, noise.wobble)
-    problem = replace(solution.problem, noise=single)
-    state = follow(solution.state.shared, problem, prepared.all)
-    prediction = predict(state, prepared.all)
-    chi = chi_squares(state, prediction, single)
+        return block.weighting.inliers, block.place.prediction.field_residual
+    width, noise = float(np.sqrt(prepared.width)), block.weighting.noise
+    wobble = block.wobble if block.wobble > 0.0 else noise.wobble
+    single = Noise(noise.up * width, noise.field * width, wobble)
+    rigid = isinstance(block, FreeBlock) and not block.leans
+    free = FreeBlock(block.place, block.weighting, leans=not rigid)
+    each = free.following(prepared.all, single)
     lengths = np.diff(np.append(prepared.first, len(prepared.all)))
-    stretch = np.repeat(solution.believed, lengths)
-    return stretch & passes_alone(chi), prediction.field_residual
+    inliers = np.repeat(block.weighting.inliers, lengths) & passes_alone(each.chi)
+    return inliers, each.place.prediction.field_residual
 
 
-def _message(solution: Solution, figures: dict[str, float]) -> str:
-    axis = "a rigid axis" if solution.problem.rigid else "a wobbling axis"
-    if figures.get("gyro_carried"):
+def convergence_figures(fit: Fit) -> dict[Figure, float]:
+    """Return how the optimisation ended, by name."""
+    return {
+        Figure.NOT_CONVERGED: float(fit.convergence.status is not Status.CONVERGED),
+        Figure.ITERATIONS: float(fit.convergence.iterations),
+        Figure.PREDICTED_DECREASE: fit.convergence.decrease,
+    }
+
+
+def message(fit: Fit) -> str:
+    """Say why the fit ended, and on which model."""
+    iron = "with soft iron" if fit.prior.has_soft_iron else "without soft iron"
+    if len(fit.blocks) > 1:
+        return f"{len(fit.blocks)} turns {fit.convergence.status.value} together, {iron}"
+    axis = "a wobbling axis" if fit.block.leans else "a rigid axis"
+    if not isinstance(fit.block, FreeBlock):
         axis = "the gyro's attitude"
-    iron = "with soft iron" if solution.problem.prior.has_soft_iron else "without soft iron"
-    return f"converged on {axis}, {iron}"
+    return f"{fit.convergence.status.value} on {axis}, {iron}"

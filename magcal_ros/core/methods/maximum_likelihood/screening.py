@@ -1,41 +1,73 @@
-"""What cannot carry a calibration is refused before any number is believed."""
+"""What cannot carry a calibration is refused before any number is used."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray, FloatArray
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimation.averaging import without_spikes
+from magcal_ros.core.estimation.block import TurnBlock
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.planes import plane_normal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_nonsense
-from magcal_ros.core.methods.maximum_likelihood.circle import plane_normal
-from magcal_ros.core.methods.maximum_likelihood.model import State
-from magcal_ros.core.methods.maximum_likelihood.prepare import without_spikes
-from magcal_ros.core.methods.maximum_likelihood.refine import Solution
-from magcal_ros.core.window import Window
+from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.samples.window import Window
 
-FEWEST_SAMPLES = 20
-WEAKEST_FORCE = 1.0
-"""m/s²; an accelerometer at rest reads 9.81."""
-WEAKEST_FIELD = 1e-9
-"""Tesla; the Earth's field is 20 to 70 millionths."""
-LEAST_MOTION = 2.5
-"""The raw field must move by this many times its own noise."""
-SMALLEST_MOTION = 0.005
-"""Spread of the field, or of the force, over its own size."""
-LEAST_ARC = math.radians(45.0)
-LEAST_ARC_ALONE = math.radians(90.0)
-"""Without a known field or a gyro."""
-ARC_TOLERANCE = math.radians(1.5)
-SMALLEST_RADIUS = 0.15
-STEEPEST = math.radians(80.0)
-WORST_FIELD_NOISE = 0.15
-WORST_WOBBLE = math.radians(30.0)
-FEWEST_BELIEVED = 0.4
-WIDEST_RIVAL = math.radians(5.0)
-WORST_STRAY = math.radians(20.0)
+
+@dataclass(frozen=True)
+class Screening:
+    """Bounds beyond which a turn is refused.
+
+    Parameters
+    ----------
+    fewest_samples : int
+    least_motion : float
+        The raw field must move by this many times its own noise.
+    smallest_motion : float
+        Spread of the field, or of the force, over its own size.
+    least_arc, least_arc_alone : float
+        Radians; the latter without a known field or a gyro.
+    full_arc : float
+        Radians from which a full circle is not asked for again.
+    arc_tolerance : float
+        Radians: the ends of an arc are known to no better.
+    smallest_radius : float
+        Of the circle, over the field's strength: below it the heading drowns in noise.
+    steepest : float
+        Radians of inclination at which too little of the field is level.
+    worst_field_noise : float
+        Over the field's strength.
+    worst_wobble : float
+        Radians: such a robot does not turn about an axis.
+    fewest_inliers : float
+        Share of the samples.
+    widest_rival : float
+        Radians of heading by which rival solutions may differ.
+    worst_stray : float
+        Radians between gyro and compass: no room distorts so much.
+    """
+
+    fewest_samples: int = 20
+    least_motion: float = 2.5
+    smallest_motion: float = 0.005
+    least_arc: float = math.radians(45.0)
+    least_arc_alone: float = math.radians(90.0)
+    full_arc: float = math.radians(300.0)
+    arc_tolerance: float = math.radians(1.5)
+    smallest_radius: float = 0.15
+    steepest: float = math.radians(80.0)
+    worst_field_noise: float = 0.15
+    worst_wobble: float = math.radians(30.0)
+    fewest_inliers: float = 0.4
+    widest_rival: float = math.radians(5.0)
+    worst_stray: float = math.radians(20.0)
+
+
+SCREENING = Screening()
 
 
 def check_window(window: Window, knowledge: Knowledge) -> None:
@@ -44,26 +76,11 @@ def check_window(window: Window, knowledge: Knowledge) -> None:
     Raises
     ------
     Refusal
-        `TOO_FEW_SAMPLES`, `GRAVITY_ABSENT`, `FIELD_ABSENT`, `FIELD_TOO_STEEP`, `NO_MOTION` or
-        `AXIS_ALONG_FIELD`.
+        As of `refuse_empty`, and `FIELD_TOO_STEEP`, `NO_MOTION` or `AXIS_ALONG_FIELD`.
     """
-    refuse_nonsense(window)
-    n = len(window)
-    if n < FEWEST_SAMPLES:
-        raise Refusal(
-            Reason.TOO_FEW_SAMPLES,
-            f"{n} samples are too few for a calibration; collect at least {FEWEST_SAMPLES},"
-            " better 500, over one turn",
-        )
-    if float(np.median(np.linalg.norm(window.specific_force, axis=1))) < WEAKEST_FORCE:
-        raise Refusal(
-            Reason.GRAVITY_ABSENT,
-            "the accelerometer shows no gravity; publish specific force with gravity included",
-        )
-    if float(np.median(np.linalg.norm(window.field, axis=1))) < WEAKEST_FIELD:
-        raise Refusal(Reason.FIELD_ABSENT, "the magnetometer reads zero; check that it is running")
+    refuse_empty(window, SCREENING.fewest_samples)
     dip = knowledge.reference.inclination
-    if not dip.is_unknown and abs(dip.value) > STEEPEST:
+    if not dip.is_unknown and abs(dip.value) > SCREENING.steepest:
         raise _too_steep(dip.value)
     _check_motion(window)
 
@@ -77,29 +94,45 @@ def _check_motion(window: Window) -> None:
             "the robot turned but its field did not change: the axis lies along the field; turn"
             " about another axis",
         )
+    turned = _turned_by_gyro(window)
+    if turned > SCREENING.least_arc:
+        raise Refusal(
+            Reason.FIELD_TOO_STEEP,
+            f"the gyro shows {math.degrees(turned):.0f} degrees of turn in which the field did not "
+            "change: it is too steep for a compass here, or the magnetometer does not measure it",
+        )
     raise Refusal(
         Reason.NO_MOTION,
         "the field did not change, so the robot did not turn; turn it once about its upright axis",
     )
 
 
+def _turned_by_gyro(window: Window) -> float:
+    """Return how far the gyro says the robot turned, radians; zero without one."""
+    if window.angular_rate is None or len(window) < 2:
+        return 0.0
+    steps = 0.5 * (window.angular_rate[1:] + window.angular_rate[:-1])
+    steps = steps * np.diff(window.time)[:, None]
+    return float(np.ptp(np.cumsum(steps @ unit(window.specific_force.mean(axis=0)))))
+
+
 def visible_motion(values: FloatArray) -> bool:
     """Return whether vectors (n, 3) spread by more than their sample-to-sample noise."""
     clean = values[without_spikes(values)]
-    if len(clean) < FEWEST_SAMPLES // 2:
+    if len(clean) < SCREENING.fewest_samples // 2:
         clean = values
     noise = float(np.median(np.abs(np.diff(clean, axis=0)))) / 0.954
     spread = math.sqrt(max(float(plane_normal(clean)[1][-1]), 0.0))
     size = float(np.median(np.linalg.norm(clean, axis=1)))
-    return spread > max(SMALLEST_MOTION * size, LEAST_MOTION * noise)
+    return spread > max(SCREENING.smallest_motion * size, SCREENING.least_motion * noise)
 
 
-def seen_arc(state: State, believed: BoolArray) -> float:
-    """Return how much of the circle the believed samples cover, radians up to a full turn.
+def seen_arc(block: TurnBlock) -> float:
+    """Return how much of the circle the inliers cover, radians up to a full turn.
 
     The turn minus its largest hole; a hole of a few samples' spacing is none.
     """
-    attitude = state.attitude[believed]
+    attitude = block.place.state.attitude[block.weighting.inliers]
     angle = np.arctan2(attitude[:, 1, 0] - attitude[:, 0, 1], attitude[:, 0, 0] + attitude[:, 1, 1])
     if len(angle) < 2:
         return 0.0
@@ -111,7 +144,7 @@ def seen_arc(state: State, believed: BoolArray) -> float:
 
 
 def check_solution(
-    solution: Solution, knowledge: Knowledge, arc: float, rival_gap: float, *, gyro: bool
+    block: TurnBlock, knowledge: Knowledge, arc: float, rival_gap: float, *, gyro: bool
 ) -> None:
     """Refuse a fit that explains the samples only in appearance.
 
@@ -121,16 +154,23 @@ def check_solution(
         `FIELD_NOT_ON_A_PLANE`, `FIELD_TOO_STEEP`, `AXIS_ALONG_FIELD`, `CIRCLE_TOO_SMALL`,
         `ARC_TOO_SHORT` or `AMBIGUOUS`.
     """
-    _check_agreement(solution)
-    _check_circle(solution)
+    _check_agreement(block)
+    _check_circle(block)
     _check_arc(arc, solved_by_knowledge=knowledge.reference.is_complete or gyro)
-    if rival_gap > WIDEST_RIVAL:
+    if rival_gap > SCREENING.widest_rival:
         raise Refusal(
             Reason.AMBIGUOUS,
             f"two calibrations explain this turn equally well and differ by"
-            f" {math.degrees(rival_gap):.0f} degrees of heading; turn a full circle, on level"
-            " ground or with the known field given",
+            f" {math.degrees(rival_gap):.0f} degrees of heading; {_other_turn(arc)}"
+            f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
         )
+
+
+def _other_turn(arc: float) -> str:
+    """Say which turn would tell two calibrations apart: another than the one that was made."""
+    if arc < SCREENING.full_arc:
+        return "turn a full circle on level ground"
+    return "turn once more on other ground, more slowly, with the robot upright"
 
 
 def check_gyro(stray: float) -> None:
@@ -141,7 +181,7 @@ def check_gyro(stray: float) -> None:
     Refusal
         `AXES_DISAGREE`.
     """
-    if stray > WORST_STRAY:
+    if stray > SCREENING.worst_stray:
         raise Refusal(
             Reason.AXES_DISAGREE,
             f"gyro and compass differ by {math.degrees(stray):.0f} degrees over the turn; check"
@@ -149,34 +189,36 @@ def check_gyro(stray: float) -> None:
         )
 
 
-def _check_agreement(solution: Solution) -> None:
-    noise = solution.problem.noise
-    believed = float(solution.believed.mean())
-    strength = abs(solution.state.shared.strength)
-    wobble = 0.0 if solution.problem.rigid else noise.wobble
-    if (
-        noise.field > WORST_FIELD_NOISE * strength
-        or wobble > WORST_WOBBLE
-        or believed < FEWEST_BELIEVED
-    ):
+def _check_agreement(block: TurnBlock) -> None:
+    noise = block.weighting.noise
+    inliers = float(block.weighting.inliers.mean())
+    strength = abs(block.place.state.shared.strength)
+    causes = []
+    if noise.field > SCREENING.worst_field_noise * strength:
+        causes.append(
+            f"the field strays by {noise.field / max(strength, 1e-9):.0%} of its strength"
+        )
+    if block.wobble > SCREENING.worst_wobble:
+        causes.append(f"the turn's axis wobbles by {math.degrees(block.wobble):.0f} degrees")
+    if inliers < SCREENING.fewest_inliers:
+        causes.append(f"only {inliers:.0%} of the samples fit")
+    if causes:
         raise Refusal(
             Reason.FIELD_NOT_ON_A_PLANE,
-            "the field does not follow one turn of the robot"
-            f" ({believed:.0%} of the samples fit, the rest of the field is"
-            f" {noise.field / max(strength, 1e-9):.0%}); turn about one axis, away from iron and"
-            " running motors",
+            f"the field does not follow one turn of the robot ({', '.join(causes)}); turn about one"
+            " axis, away from iron and running motors",
         )
 
 
-def _check_circle(solution: Solution) -> None:
-    shared = solution.state.shared
-    if abs(shared.inclination) > STEEPEST:
+def _check_circle(block: TurnBlock) -> None:
+    shared = block.place.state.shared
+    if abs(shared.inclination) > SCREENING.steepest:
         raise _too_steep(shared.inclination)
     axis = shared.world_axis[:, 2]
     across = float(np.linalg.norm(np.cross(axis, shared.field_enu))) / abs(shared.strength)
-    if across >= SMALLEST_RADIUS:
+    if across >= SCREENING.smallest_radius:
         return
-    if math.cos(shared.inclination) > 2.0 * SMALLEST_RADIUS:
+    if math.cos(shared.inclination) > 2.0 * SCREENING.smallest_radius:
         raise Refusal(
             Reason.AXIS_ALONG_FIELD,
             "the robot turned about an axis along the field, which shows nothing of the heading;"
@@ -190,12 +232,12 @@ def _check_circle(solution: Solution) -> None:
 
 
 def _check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
-    least = LEAST_ARC if solved_by_knowledge else LEAST_ARC_ALONE
-    if arc >= least - ARC_TOLERANCE:
+    least = SCREENING.least_arc if solved_by_knowledge else SCREENING.least_arc_alone
+    if arc >= least - SCREENING.arc_tolerance:
         return
     remedy = (
         "turn further, at best a full circle"
-        if arc < LEAST_ARC
+        if arc < SCREENING.least_arc
         else "turn further, or give the field's strength and inclination, or use a gyro"
     )
     raise Refusal(
@@ -205,8 +247,10 @@ def _check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
 
 
 def _too_steep(inclination: float) -> Refusal:
+    # A search may leave the quarter circle in which inclinations are told.
+    steep = math.degrees(math.asin(math.sin(inclination)))
     return Refusal(
         Reason.FIELD_TOO_STEEP,
-        f"at an inclination of {math.degrees(inclination):.0f} degrees too little of the field is"
+        f"at an inclination of {steep:.0f} degrees too little of the field is"
         " level for a compass; use another source of heading here",
     )

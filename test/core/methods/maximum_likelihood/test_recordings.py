@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_ros.core.attitude import wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.up import carried_up
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up import propagated_up
 
 RECORDINGS = Path(__file__).resolve().parents[5] / "shared" / "recordings"
 
@@ -56,7 +56,7 @@ class TestHandHeldTurn:
         yaw = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
         tilt = np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1))
         scored = (tilt < math.radians(45)) & ((whole.time < 48.0) | (whole.time > 62.0))
-        found = yaw_from_up_and_field(carried_up(whole), correction.apply(whole.field))
+        found = yaw_from_up_and_field(propagated_up(whole), correction.apply(whole.field))
         return math.sqrt(np.mean(wrap_angle(found - yaw)[scored] ** 2))
 
     def test_hard_iron(self):
@@ -75,7 +75,7 @@ def test_a_car_in_circles_against_its_gps_course():
         Belief(51.5e-6, 1.5e-6), Belief(math.radians(66.5), math.radians(1.0))
     )
     estimate = fit(whole, Knowledge(reference))
-    yaw = yaw_from_up_and_field(carried_up(whole), estimate.correction.apply(whole.field))
+    yaw = yaw_from_up_and_field(propagated_up(whole), estimate.correction.apply(whole.field))
     moving = truth[truth[:, 2] > 2.0]
     errors = []
     for lag in np.arange(-2.0, 2.01, 0.05):

@@ -4,8 +4,8 @@ import pytest
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.simulator import DEGREE, Robot, measure, turn
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 
 
 def window_of(robot=None, seed=1, **motion):
@@ -74,3 +74,39 @@ def test_a_gyro_that_belongs_to_another_robot():
     rate[:, 2] = 3.0 * np.sin(3.0 * plain.time)
     window = Window(plain.time, plain.field, plain.specific_force, rate)
     assert refusal(window) is Reason.AXES_DISAGREE
+
+
+def words_of(window, knowledge=None):
+    with pytest.raises(Refusal) as caught:
+        fit(window, Robot().knowledge() if knowledge is None else knowledge)
+    return str(caught.value)
+
+
+def test_a_field_that_follows_no_turn_is_told_by_how_much_it_strays():
+    clean = window_of()
+    phase = np.linspace(0.0, 2.0 * np.pi, len(clean))[:, None] * [7.0, 9.0, 11.0]
+    words = words_of(Window(clean.time, clean.field + 25e-6 * np.sin(phase), clean.specific_force))
+    assert "the field strays by" in words
+    assert "100% of the samples fit" not in words
+
+
+def test_a_turn_that_only_the_gyro_saw_is_none_the_robot_did_not_make():
+    robot = Robot(inclination=90.0 * DEGREE)
+    window = measure(robot, turn(), np.random.default_rng(1), gyro=True)
+    field = np.broadcast_to(window.field.mean(axis=0), window.field.shape)
+    still = Window(window.time, field, window.specific_force, window.angular_rate)
+    words = words_of(still, Knowledge())
+    assert "the gyro shows 359 degrees of turn" in words
+    assert "did not turn" not in words
+    assert "the robot did not turn" in words_of(Window(*[*samples_of(still)]), Knowledge())
+
+
+def samples_of(window):
+    return window.time, window.field, window.specific_force
+
+
+def test_no_inclination_is_told_beyond_the_vertical():
+    """A search that starts from nothing finds such a field on the far side of the vertical."""
+    robot = Robot(strength=55e-6, inclination=88.0 * DEGREE)
+    words = words_of(window_of(robot), Knowledge())
+    assert abs(float(words.partition("inclination of ")[2].split()[0])) <= 90.0

@@ -1,0 +1,308 @@
+"""Whether the magnetometer's axes are those of the IMU, and if not, which they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rpy_from_rotation
+from magcal_ros.core.geometry.signed_axes import (
+    is_mirrored,
+    likely_slip,
+    signed_permutations,
+    spoken,
+)
+from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.samples.alignment import FIELD, UP, Alignment, align, stretch_of
+from magcal_ros.core.samples.gyro_signs import gyro_contradicts
+from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class AxesTuning:
+    """When axes are excluded, and when it is said that they are wrong.
+
+    Parameters
+    ----------
+    remains : float
+        Misfit, in independent samples' chi-square, up to which a candidate remains.
+    likely : float
+        Misfit up to which candidates are ordered by what people do.
+    wrong : float
+        Misfit of the axes as given from which they are called wrong.
+    times : float
+        So many times the best's residual they must leave, too.
+    lift : float
+        Radians RMS of movement beside the turn from which the misfit alone decides.
+    worst_fit : float
+        Residual over the changing field beyond which even the best explains nothing.
+    least_turn : float
+        Radians between the first and some later attitude.
+    fewest : int
+        Samples.
+    dip_sigma : float
+        Radians that a reference inclination is trusted to at best.
+    attitude_error : float
+        Radians that propagated attitudes are off at best.
+    vaguest_dip : float
+        Radians of uncertainty beyond which the seen inclination says nothing.
+    least_dip : float
+        Radians of inclination from which its sign says something.
+    odd_angle : float
+        Radians off the nearest right angles from which it is said.
+    most_named : int
+        Candidates that are written out.
+    """
+
+    remains: float = 25.0
+    likely: float = 9.0
+    wrong: float = 50.0
+    times: float = 2.0
+    lift: float = math.radians(3.0)
+    worst_fit: float = 0.3
+    least_turn: float = math.radians(60.0)
+    fewest: int = 20
+    dip_sigma: float = math.radians(3.0)
+    attitude_error: float = math.radians(0.5)
+    vaguest_dip: float = math.radians(15.0)
+    least_dip: float = math.radians(10.0)
+    odd_angle: float = math.radians(15.0)
+    most_named: int = 3
+
+
+TUNING = AxesTuning()
+AS_THEY_SHOULD_BE: FloatArray = np.eye(3)
+MISLED_BY_AXES = (
+    Reason.AMBIGUOUS,
+    Reason.AXES_DISAGREE,
+    Reason.AXIS_ALONG_FIELD,
+    Reason.AXIS_HORIZONTAL,
+    Reason.FIELD_NOT_ON_A_PLANE,
+    Reason.FIELD_TOO_STEEP,
+    Reason.NO_SOLUTION,
+)
+"""Refusals that wrong axes can be the cause of."""
+
+
+GYRO_IS_WRONG = (
+    "the gyro turns against gravity: the axes of both sensors belong together, so an axis of the "
+    "gyro has the wrong sign or another one's place in the driver; REP-103 wants turns to the "
+    "left, nose down and right side down to be positive"
+)
+IF_THE_GYRO_IS_RIGHT = (
+    "This takes gyro and accelerometer for right: check first that the axes of both sensors belong "
+    "together, for a mirrored gyro looks the same"
+)
+LIFT = "lift the nose by 20° while it turns"
+
+
+@dataclass(frozen=True, eq=False)
+class AxesFound:
+    """What a movement shows of the magnetometer's axes.
+
+    Parameters
+    ----------
+    candidates : ndarray, shape (k, 3, 3)
+        What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
+        mounting that is known, in the body's. Empty if nothing does.
+    right : bool
+        Whether the axes as given are among them, or not excluded beyond doubt.
+    pose : ndarray, shape (3, 3)
+        The mounting that is known.
+    dip_known : bool
+        Whether a reference inclination told a field from its opposite.
+    """
+
+    candidates: FloatArray
+    right: bool
+    pose: FloatArray
+    dip_known: bool
+
+    @property
+    def meant(self) -> FloatArray | None:
+        """The likeliest axes, those as given where they are not excluded; None if none fit."""
+        if self.right:
+            return AS_THEY_SHOULD_BE
+        return self.candidates[0] if len(self.candidates) else None
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether the likeliest axes are such as no mounting makes."""
+        return self.meant is not None and is_mirrored(self.meant)
+
+    @property
+    def mount_rpy_deg(self) -> tuple[int, int, int] | None:
+        """What the parameter `mount_rpy_deg` should be; None where no mounting mends it."""
+        if self.meant is None or self.mirrored:
+            return None
+        return mount_of(self.meant, self.pose)
+
+    @property
+    def words(self) -> str:
+        """What is wrong and the line to change; empty if nothing is."""
+        if self.right:
+            return ""
+        if self.meant is None:
+            return (
+                "no mounting and no swapped or mirrored axes of the magnetometer make gyro and "
+                "field tell one turn: check the gyro's unit, axes and stamps, and turn away from "
+                "iron"
+            )
+        words = f"the magnetometer's axes do not belong to the IMU's: {self._say(self.meant)}"
+        others = self.candidates[1 : TUNING.most_named]
+        if len(self.candidates) > 1:
+            words += "; or " + "; or ".join(self._say(axes) for axes in others)
+            left = len(self.candidates) - 1 - len(others)
+            words += f"; or {left} more" if left else ""
+            words += f". To tell which, {self.movement}"
+        return f"{words}. {IF_THE_GYRO_IS_RIGHT}"
+
+    @property
+    def movement(self) -> str:
+        """What tells the remaining candidates apart; empty where one is left."""
+        if len(self.candidates) < 2:
+            return ""
+        first = self.candidates[0]
+        if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
+            len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+        ):
+            return "give the inclination of the field: only it tells all axes from their opposites"
+        return LIFT + ("" if self.dip_known else ", and give the field's inclination")
+
+    def _say(self, axes: FloatArray) -> str:
+        whole = np.rint(self.pose.T @ axes)
+        if not np.array_equal(np.abs(whole).sum(axis=0), np.ones(3)):
+            whole = axes
+        if is_mirrored(axes):
+            return f"{spoken(whole)} (mirrored: no mounting explains this; {likely_slip(whole)})"
+        named = " (NED)" if np.array_equal(whole, np.diag([1.0, -1.0, -1.0])) else ""
+        return f"{spoken(whole)}{named}: set `{parameter_line(mount_of(axes, self.pose))}`"
+
+
+def mount_of(axes: FloatArray, pose: FloatArray) -> tuple[int, int, int]:
+    """Return the mounting's roll, pitch and yaw in degrees of axes found on top of a known pose."""
+    roll, pitch, yaw = (
+        round(math.degrees(angle)) % 360 for angle in rpy_from_rotation(axes.T @ pose)
+    )
+    return _signed(roll), _signed(pitch), _signed(yaw)
+
+
+def parameter_line(rpy_deg: tuple[int, int, int]) -> str:
+    """Return the line for a parameter file."""
+    return f"mount_rpy_deg: [{', '.join(f'{angle}.0' for angle in rpy_deg)}]"
+
+
+def _signed(degrees: int) -> int:
+    return degrees - 360 if degrees > 180 else degrees
+
+
+def find_axes(
+    window: Window, knowledge: Knowledge = Knowledge(), tuning: AxesTuning = TUNING
+) -> AxesFound | None:
+    """Weigh all 48 ways in which the axes may lie.
+
+    Parameters
+    ----------
+    window : Window
+        A turn, at best with a lift of the nose; accelerometer and gyro must be right.
+    knowledge : Knowledge, optional
+        Its mounting is taken off first. Its inclination only tells apart what the gyro cannot: a
+        field and its opposite.
+    tuning : AxesTuning, optional
+
+    Returns
+    -------
+    AxesFound or None
+        None where there is no gyro or too little movement to say anything.
+    """
+    if window.angular_rate is None or len(window) < tuning.fewest:
+        return None
+    stretch = stretch_of(
+        Window(
+            window.time,
+            window.field @ knowledge.mounting.to_body.T,
+            window.specific_force,
+            window.angular_rate,
+        )
+    )
+    if np.ptp(np.cumsum(stretch.turn, axis=0), axis=0).max() < tuning.least_turn:
+        return None
+    # Axes and their opposites explain the same turn, with the opposite field and hard iron.
+    every = signed_permutations()
+    proper = np.array([axes for axes in every if not is_mirrored(axes)])
+    found = align(stretch, proper)
+    dip = knowledge.reference.inclination
+    pulls = np.array([[_pull(found, k, s, dip, tuning) for k in range(24)] for s in (1.0, -1.0)])
+    axes = np.concatenate([proper, -proper])
+    misfit = np.concatenate([found.misfit, found.misfit]) + pulls.ravel()
+    misfit -= misfit.min()
+    rms = np.concatenate([found.rms, found.rms])
+    return _decide(axes, misfit, rms, found.tilt_spread > tuning.lift, knowledge, tuning)
+
+
+def _decide(
+    axes: FloatArray,
+    misfit: FloatArray,
+    rms: FloatArray,
+    lifted: bool,
+    knowledge: Knowledge,
+    tuning: AxesTuning,
+) -> AxesFound:
+    given = int(np.argmax([np.array_equal(each, AS_THEY_SHOULD_BE) for each in axes]))
+    best = int(np.argmin(misfit))
+    dip = knowledge.reference.inclination
+    dip_known = not dip.is_unknown and abs(dip.value) > tuning.least_dip
+    pose = knowledge.mounting.pose
+    if rms[best] > tuning.worst_fit:
+        return AxesFound(np.zeros((0, 3, 3)), False, pose, dip_known)
+    plainly = lifted or rms[given] > tuning.times * rms[best]
+    wrong = misfit[given] > tuning.wrong and plainly
+    order = {axes.tobytes(): rank for rank, axes in enumerate(signed_permutations())}
+    remaining = [k for k in range(len(axes)) if misfit[k] < tuning.remains]
+    remaining = [k for k in remaining if not (wrong and k == given)]
+    remaining.sort(key=lambda k: (misfit[k] > tuning.likely, order[(axes[k] + 0.0).tobytes()]))
+    return AxesFound(axes[remaining], not wrong, pose, dip_known)
+
+
+def _pull(found: Alignment, k: int, sign: float, dip: Belief, tuning: AxesTuning) -> float:
+    """Return the chi-square of a candidate's inclination against the reference."""
+    given_up = not np.isfinite(found.covariance[k]).all()
+    if dip.is_unknown or abs(dip.value) < tuning.least_dip or given_up:
+        return 0.0
+    state = found.parameters[k]
+    up = state[UP] / np.linalg.norm(state[UP])
+    field = sign * state[FIELD]
+    size = float(np.linalg.norm(field))
+    along = float(up @ field) / size
+    level = math.sqrt(max(1.0 - along**2, 1e-6))
+    slope = (up - along * field / size) / size / level
+    variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
+    # The gyro's own wandering looks like a small tilt, which shows nothing of the field.
+    variance += (tuning.attitude_error / max(found.tilt_spread, 1e-6)) ** 2
+    seen = -math.asin(max(-1.0, min(1.0, along)))
+    if variance > tuning.vaguest_dip**2:
+        return 0.0
+    allowed = tuning.dip_sigma**2 + dip.sigma**2
+    return (seen - dip.value) ** 2 / (allowed + variance)
+
+
+def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
+    # The field's axes are measured against the gyro's.
+    if gyro_contradicts(window):
+        return Refusal(Reason.AXES_DISAGREE, GYRO_IS_WRONG)
+    found = find_axes(window, knowledge)
+    if found is None or found.right or found.meant is None:
+        return None
+    return Refusal(Reason.AXES_DISAGREE, found.words)
+
+
+def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return a method's refusal, or that of the wrong axes behind it."""
+    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
+    return explained(refusal, window) if wrong is None else wrong

@@ -1,0 +1,175 @@
+"""The one way to grade a figure: of a turn, of a recheck and of a drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason
+
+
+class Grade(str, Enum):
+    """From best to worst; a refused calibration is not put in force by itself."""
+
+    EXCELLENT = "excellent"
+    GOOD = "good"
+    WARN = "warn"
+    REFUSED = "refused"
+
+    @property
+    def rank(self) -> int:
+        """Zero for the best."""
+        return list(Grade).index(self)
+
+
+class Aspect(str, Enum):
+    """Which of the two grades a check speaks to."""
+
+    QUALITY = "quality"
+    CONFIDENCE = "confidence"
+
+
+DEGREES = 180.0 / math.pi
+SCALES = {"°": DEGREES, "%": 100.0}
+"""From SI to the unit people see; all others are shown as they are."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The bounds of the grades for one figure, of which only the size counts.
+
+    Parameters
+    ----------
+    figure : Figure
+        What is graded.
+    good, warn : float
+        Worst values of these grades, in the unit people see; beyond `warn` it is refused.
+    words : str
+        What the figure is.
+    remedy : str
+        What to do when it falls short.
+    excellent : float or None
+        Worst value of this grade; None where nothing is better than good.
+    unit : str
+        Unit people see: "°", "%", "σ", "" ...
+    aspect : Aspect
+        Quality or confidence.
+    at_least : bool
+        Whether more is better; usually less is.
+    after_full : str
+        What to do instead where the full circle was seen already; empty where that is the same.
+    """
+
+    figure: Figure
+    good: float
+    warn: float
+    words: str
+    remedy: str
+    excellent: float | None = None
+    unit: str = "°"
+    aspect: Aspect = Aspect.QUALITY
+    at_least: bool = False
+    after_full: str = ""
+
+    @property
+    def scale(self) -> float:
+        """What a figure (SI) is multiplied by for the unit people see."""
+        return SCALES.get(self.unit, 1.0)
+
+    def check(
+        self,
+        figure: float,
+        *,
+        excess: float | None = None,
+        note: str = "",
+        before: float | None = None,
+    ) -> Check:
+        """Grade one value of the figure.
+
+        Parameters
+        ----------
+        figure : float
+            SI units; what is shown.
+        excess : float, optional
+            The part of it that counts, where some of it is no fault; by default all of it.
+        note : str
+            Said of the value.
+        before : float, optional
+            The figure of the raw field, SI units.
+        """
+        value = abs(figure * self.scale)
+        grade = self._grade(value if excess is None else abs(excess * self.scale))
+        words = f"{self.words} {shown(value)}{self.unit}{note}"
+        if grade.rank >= Grade.WARN.rank:
+            limit = self.good if grade is Grade.WARN else self.warn
+            side = "more" if self.at_least else "less"
+            words += f" (want {limit:g}{self.unit} or {side}): {self.remedy}"
+        raw = None if before is None else before * self.scale
+        return Check(self.figure, self.aspect, grade, words, value, raw, self)
+
+    def _grade(self, value: float) -> Grade:
+        bounds = (self.excellent, self.good, self.warn)
+        if not math.isfinite(value):
+            return Grade.REFUSED
+        for grade, bound in zip(Grade, bounds, strict=False):
+            if bound is not None and (value >= bound if self.at_least else value <= bound):
+                return grade
+        return Grade.REFUSED
+
+
+def shown(value: float) -> str:
+    """Write a size as people do: three digits, all before the point, no powers of ten."""
+    if 0.0 < value < 1e-3:
+        return "below 0.001"
+    return f"{value:.0f}" if 999.5 <= value < 1e7 else f"{value:.3g}"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One figure, graded and put into words.
+
+    Parameters
+    ----------
+    figure : Figure or Reason
+        What was looked at; of a refusal its reason.
+    aspect : Aspect
+        Which grade it speaks to.
+    grade : Grade
+        How good it is.
+    words : str
+        The same in words, with what to do if it falls short.
+    value, before : float, optional
+        The figure in the unit people see, and what it was in the raw field.
+    bound : Bound, optional
+        What it was graded by.
+    """
+
+    figure: Figure | Reason
+    aspect: Aspect
+    grade: Grade
+    words: str
+    value: float | None = None
+    before: float | None = None
+    bound: Bound | None = None
+
+    @property
+    def name(self) -> str:
+        """What the figure is."""
+        return "" if self.bound is None else self.bound.words
+
+    @property
+    def unit(self) -> str:
+        """Unit people see."""
+        return "" if self.bound is None else self.bound.unit
+
+    @property
+    def key(self) -> str:
+        """Under which name JSON and status tell it."""
+        return self.figure.key if isinstance(self.figure, Figure) else self.figure.value
+
+
+def worst(grades: list[Grade]) -> Grade:
+    """Return the worst of some grades; of none that nothing is known, which is refused."""
+    return max(grades, key=lambda grade: grade.rank, default=Grade.REFUSED)

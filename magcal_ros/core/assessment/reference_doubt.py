@@ -1,0 +1,88 @@
+"""Whether the reference field may be the wrong one, as the hard iron that follows from it tells.
+
+The hard iron along a turn's axis is what is left of the field there after the reference's part.
+So an inclination of the wrong sign looks like a magnet of twice that part, and nothing else in the
+turn objects. A robot may carry such a magnet; a person has to look.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Aspect, Check, Grade, shown
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.knowledge import Knowledge
+
+
+@dataclass(frozen=True)
+class DoubtTuning:
+    """When a hard iron along the axis makes the reference doubtful.
+
+    Parameters
+    ----------
+    noticeable : float
+        Strengths of the field; a smaller one is what robots have, whatever the other sign says.
+    several : float
+        Times smaller that it would be with the other sign of the inclination.
+    field : float
+        Strengths of the field from which it is doubtful in any case.
+    shown : float
+        Sigmas by which the turn's own wobble would betray the other sign: then it is shown.
+    """
+
+    noticeable: float = 0.4
+    several: float = 3.0
+    field: float = 1.0
+    shown: float = 10.0
+
+
+def check_reference(
+    estimate: Estimate,
+    figures: Mapping[Figure, float],
+    knowledge: Knowledge,
+    tuning: DoubtTuning = DoubtTuning(),
+) -> Check | None:
+    """Weigh the hard iron along the turn's axis; None where more than the reference shows it."""
+    if not knowledge.reference.is_complete or _is_shown(estimate, figures, tuning):
+        return None
+    axial_field = -estimate.strength * math.sin(estimate.inclination)
+    correction = estimate.correction
+    axial = float(estimate.axis @ correction.matrix @ correction.hard_iron)
+    own, other = abs(axial), abs(axial + 2.0 * axial_field)
+    words = f"hard iron along the turn's axis, by the reference field, {_microtesla(own)}"
+    found = Grade.EXCELLENT
+    if own > tuning.noticeable * estimate.strength and own > tuning.several * other:
+        found = Grade.WARN
+        words += (
+            f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
+            "reference.inclination_deg (positive where the field points down, as in the north), or "
+            "turn on ramps"
+        )
+    elif own > tuning.field * estimate.strength:
+        found = Grade.WARN
+        words += (
+            f", more than the field itself ({_microtesla(estimate.strength)}): check "
+            "reference.strength_ut and inclination_deg, or turn on ramps"
+        )
+    return Check(Figure.AXIAL_IRON, Aspect.CONFIDENCE, found, words)
+
+
+def _is_shown(estimate: Estimate, figures: Mapping[Figure, float], tuning: DoubtTuning) -> bool:
+    """Whether the samples would contradict the other sign by themselves."""
+    if Figure.INSTALLATION_YAW_SIGMA in figures or Figure.SPHERE_EXTENT in figures:
+        return True
+    wobble, count = figures.get(Figure.WOBBLE, 0.0), np.count_nonzero(estimate.inliers)
+    axial_field = estimate.strength * math.sin(abs(estimate.inclination))
+    noise = math.hypot(estimate.noise_field, axial_field * estimate.noise_up)
+    independent = count / max(figures.get(Figure.KAPPA, 1.0), 1.0)
+    swing = 2.0 * axial_field * wobble * math.sqrt(2.0 * independent)
+    return swing > tuning.shown * noise
+
+
+def _microtesla(value: float) -> str:
+    return f"{shown(value * 1e6)} µT"

@@ -1,0 +1,339 @@
+"""How good and how certain a calibration is, in grades and in words.
+
+Quality asks whether the samples agree with the model; confidence asks whether enough was seen.
+The two never mix: a clean circle proves neither the heading nor the other way round.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
+from magcal_ros.core.assessment.reference_doubt import DoubtTuning, check_reference
+from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOUNDS
+from magcal_ros.core.calibration.calibration import Evidence
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures, sideways_pull
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.units import Z_NOT_UP, likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class VerdictTuning:
+    """What a verdict allows for; from simulation and about ten recordings.
+
+    Parameters
+    ----------
+    bounds : tuple of Bound
+        The bounds of the grades, the weightiest first.
+    chance, chance_with_soft_iron : float
+        Heading sigmas of the whole turn by which its halves may differ; a half hardly shows
+        iron.
+    allowed_sigmas : float
+        Of the reference field's own belief, which its radius may be off before it counts.
+    several : float
+        Times the heading's sigma from which soft iron that was not shown is worth a word.
+    nearly_full : float
+        Radians of arc from which a steady sideways pull can be told from a slope.
+    on_its_side : float
+        Radians that a turn's axis leans from the body's z, from which that is the trouble.
+    costly : float
+        Radians of heading on a slope, and times the level's, from which an axial hard iron that
+        was not shown is worth a word.
+    earths_field_ut : tuple of float
+        Outside of these a strength is no Earth's: a warning that names the likely unit.
+    beyond_iron_ut : tuple of float
+        Outside of these it is none that iron on the robot could make of it either: refused.
+    gravity_misfits : tuple of float
+        How far the accelerometer's length may be off gravity: excellent, good; beyond it warns.
+    reasons : int
+        How many reasons a summary names.
+    doubt : DoubtTuning
+        When the reference field may be the wrong one.
+    """
+
+    bounds: tuple[Bound, ...] = TURN_BOUNDS
+    chance: float = 3.0
+    chance_with_soft_iron: float = 8.0
+    allowed_sigmas: float = 2.0
+    several: float = 2.0
+    nearly_full: float = math.radians(300.0)
+    on_its_side: float = math.radians(45.0)
+    costly: tuple[float, float] = (math.radians(0.5), 2.0)
+    earths_field_ut: tuple[float, float] = (20.0, 70.0)
+    beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
+    gravity_misfits: tuple[float, float] = (0.03, 0.15)
+    reasons: int = 2
+    doubt: DoubtTuning = field(default_factory=DoubtTuning)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The judgement on one estimate.
+
+    Parameters
+    ----------
+    checks : tuple of Check
+        Everything that was looked at.
+    not_shown : tuple of str
+        What this turn could not show.
+    summary : str
+        One sentence.
+    """
+
+    checks: tuple[Check, ...]
+    not_shown: tuple[str, ...]
+    summary: str
+
+    @property
+    def quality(self) -> Grade:
+        """The worst grade among the checks of quality."""
+        return self._worst(Aspect.QUALITY)
+
+    @property
+    def confidence(self) -> Grade:
+        """The worst grade among the checks of confidence."""
+        return self._worst(Aspect.CONFIDENCE)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the calibration may be put in force without asking a person."""
+        return Grade.REFUSED not in (self.quality, self.confidence)
+
+    def _worst(self, aspect: Aspect) -> Grade:
+        grades = [check.grade for check in self.checks if check.aspect is aspect]
+        return worst(grades)
+
+    def evidence(self, estimate: Estimate) -> Evidence:
+        """Return what is stored of the verdict beside the numbers that it is on."""
+        return Evidence(
+            estimate.method,
+            self.quality.value,
+            self.confidence.value,
+            self.summary,
+            tuple(check.words for check in self.checks),
+            self.not_shown,
+            figures={figure.value: value for figure, value in estimate.figures.items()},
+        )
+
+
+NO_YAW = "the yaw of the installation: mount the sensor square, or compare with a known heading"
+NO_MOUNTING = (
+    "the mounting of the magnetometer against the IMU: this method took their axes for aligned and "
+    "corrects nothing of it"
+)
+NOT_COMPARED = (
+    "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
+    " checked, because "
+)
+NO_GYRO = NOT_COMPARED + "there is no gyro"
+GYRO_UNUSED = NOT_COMPARED + "this method does not look at the gyro"
+GYRO_EXPLAINS = "the gyro's turning explains the samples"
+GYRO_CONTRADICTS = (
+    "the gyro's turning does not explain the samples: check the axes and the stamps of the gyro, "
+    "and keep the sensor near the turn's centre, away from iron"
+)
+CONVERGED = "the optimisation converged"
+NOT_CONVERGED = (
+    "the optimisation did not converge, so the numbers may still be off by more than they say: "
+    "turn once more, evenly, away from moving iron"
+)
+NO_REFERENCE = "the size of the field: the reference field is not known"
+
+
+def judge(
+    estimate: Estimate,
+    knowledge: Knowledge,
+    window: Window | None = None,
+    tuning: VerdictTuning = VerdictTuning(),
+) -> Verdict:
+    """Weigh an estimate.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What a method found.
+    knowledge : Knowledge
+        What it was told beforehand.
+    window : Window, optional
+        The samples; without them gravity is not checked.
+    tuning : VerdictTuning
+
+    Returns
+    -------
+    Verdict
+    """
+    figures = judged_figures(estimate, tuning)
+    has_gyro = window is not None and window.angular_rate is not None
+    if window is not None and has_gyro and estimate.arc > tuning.nearly_full:
+        figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
+    checks = [_check(b, figures, knowledge, tuning) for b in tuning.bounds if b.figure in figures]
+    doubt = check_reference(estimate, figures, knowledge, tuning.doubt)
+    if doubt is not None:
+        checks.append(doubt)
+    checks.append(_check_strength(estimate.strength, tuning))
+    if Figure.GYRO_CARRIED in figures:
+        holds = figures[Figure.GYRO_CARRIED] > 0.0
+        checks.append(_check_flag(Figure.GYRO_CARRIED, holds, GYRO_EXPLAINS, GYRO_CONTRADICTS))
+    if Figure.NOT_CONVERGED in figures:
+        holds = figures[Figure.NOT_CONVERGED] == 0.0
+        checks.append(_check_flag(Figure.NOT_CONVERGED, holds, CONVERGED, NOT_CONVERGED))
+    if window is not None:
+        checks.append(_check_gravity(window, tuning))
+    not_shown = _not_shown(estimate, figures, knowledge, tuning, has_gyro=has_gyro)
+    verdict = Verdict(tuple(checks), not_shown, "")
+    return replace(verdict, summary=_summary(verdict, estimate, figures, tuning))
+
+
+def judged_figures(estimate: Estimate, tuning: VerdictTuning) -> dict[Figure, float]:
+    """Return every figure that can be graded; SI units."""
+    figures = {
+        Figure.ARC: estimate.arc,
+        Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
+        Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
+    }
+    figures |= common_figures(estimate) | dict(estimate.figures)
+    with_iron = figures.get(Figure.HEADING_SIGMA_SOFT_IRON, 0.0)
+    if with_iron > tuning.several * figures[Figure.HEADING_SIGMA]:
+        figures[Figure.UNSEEN_SOFT_IRON] = with_iron
+    return figures
+
+
+def _check(
+    bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge, tuning: VerdictTuning
+) -> Check:
+    """Grade one figure; what chance or the reference's own uncertainty explains does not count."""
+    figure = figures[bound.figure]
+    if bound.after_full and figures[Figure.AXIS_LEAN] > tuning.on_its_side:
+        bound = replace(bound, remedy=Z_NOT_UP)
+    elif bound.after_full and figures[Figure.ARC] > tuning.nearly_full:
+        bound = replace(bound, remedy=bound.after_full)
+    if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
+        bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
+    if bound.figure is Figure.SPLIT_HALF:
+        # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
+        with_iron = figures.get(Figure.SOFT_IRON)
+        sigmas = tuning.chance_with_soft_iron if with_iron else tuning.chance
+        chance = sigmas * figures[Figure.HEADING_SIGMA]
+        excess = math.sqrt(max(figure**2 - chance**2, 0.0))
+        note = f", of which chance may be {shown(chance * DEGREES)}°"
+        return bound.check(figure, excess=excess, note=note)
+    if bound.figure is Figure.RADIUS_MISFIT:
+        allowed = tuning.allowed_sigmas * _radius_sigma(knowledge)
+        note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
+        return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
+    return bound.check(figure)
+
+
+def _radius_sigma(knowledge: Knowledge) -> float:
+    """Return how uncertain the reference's level field is, relative."""
+    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
+    if strength.is_unknown or dip.is_unknown:
+        return 0.0
+    return math.hypot(
+        strength.sigma / (abs(strength.value) or 1.0), math.tan(dip.value) * dip.sigma
+    )
+
+
+def refuse(refusal: Refusal) -> Verdict:
+    """Turn a method's refusal into a verdict."""
+    words = str(refusal)
+    checks = tuple(Check(refusal.reason, aspect, Grade.REFUSED, words) for aspect in Aspect)
+    return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
+
+
+def _check_strength(strength: float, tuning: VerdictTuning) -> Check:
+    microtesla = strength * 1e6
+    low, high = tuning.earths_field_ut
+    grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
+    words = f"field strength {microtesla:.1f} µT"
+    if grade is Grade.WARN:
+        least, most = tuning.beyond_iron_ut
+        grade = grade if least <= microtesla <= most else Grade.REFUSED
+        hint = likely_field_unit(strength)
+        words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
+    return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
+
+
+def _check_flag(figure: Figure, holds: bool, good: str, bad: str) -> Check:
+    grade = Grade.EXCELLENT if holds else Grade.WARN
+    return Check(figure, Aspect.QUALITY, grade, good if holds else bad)
+
+
+def _check_gravity(window: Window, tuning: VerdictTuning) -> Check:
+    size = float(np.median(np.linalg.norm(window.specific_force, axis=1)))
+    misfit = abs(size / STANDARD_GRAVITY - 1.0)
+    excellent, good = tuning.gravity_misfits
+    grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD
+    words = f"acceleration at rest {size:.3g} m/s²"
+    if not misfit <= good:
+        grade = Grade.WARN
+        hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
+        words += f" is not gravity's ({STANDARD_GRAVITY:.2f} m/s²): {hint}"
+    return Check(Figure.GRAVITY, Aspect.QUALITY, grade, words)
+
+
+def _not_shown(
+    estimate: Estimate,
+    figures: Mapping[Figure, float],
+    knowledge: Knowledge,
+    tuning: VerdictTuning,
+    *,
+    has_gyro: bool,
+) -> tuple[str, ...]:
+    found = []
+    if estimate.installation is None:
+        found.append(NO_MOUNTING)
+    elif Figure.INSTALLATION_YAW_SIGMA not in figures:
+        found.append(NO_YAW)
+    level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
+    least, times = tuning.costly
+    if tilted > times * level and tilted > least:
+        known = knowledge.reference.is_complete
+        found.append(
+            "the hard iron along the turn's axis: fine on the level, but at 10° of tilt it costs "
+            f"{tilted * DEGREES:.1f}° (1σ) of heading; "
+            f"{'' if known else 'give the reference field, or '}turn on ramps"
+        )
+    if Figure.GYRO_COMPASS_SWING not in figures:
+        found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
+    if not knowledge.reference.is_complete:
+        found.append(NO_REFERENCE)
+    return tuple(found)
+
+
+def _summary(
+    verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float], tuning: VerdictTuning
+) -> str:
+    grades = f"quality {verdict.quality.value}, confidence {verdict.confidence.value}"
+    if not verdict.accepted:
+        return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED, tuning)}."
+    x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
+    words = (
+        f"{grades}: heading ±{figures[Figure.HEADING_SIGMA] * DEGREES:.2f}° on the level, "
+        f"±{figures[Figure.HEADING_SIGMA_TILTED] * DEGREES:.2f}° at 10° of tilt (1σ); "
+        f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
+    )
+    if estimate.installation is not None:
+        roll, pitch = estimate.installation.roll, estimate.installation.pitch
+        words += f", installation roll {roll * DEGREES:.2f}°, pitch {pitch * DEGREES:.2f}°"
+        if Figure.INSTALLATION_YAW_SIGMA in figures:
+            yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
+            words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
+    warnings = _reasons(verdict, Grade.WARN, tuning)
+    return f"Calibrated, {words}.{' But ' + warnings + '.' if warnings else ''}"
+
+
+def _reasons(verdict: Verdict, grade: Grade, tuning: VerdictTuning) -> str:
+    """Return the first reasons for a grade: the table holds the weightiest first."""
+    words = [check.words for check in verdict.checks if check.grade is grade]
+    more = len(words) - tuning.reasons
+    return "; ".join(words[: tuning.reasons]) + (f"; and {more} more" if more > 0 else "")

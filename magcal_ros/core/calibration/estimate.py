@@ -1,0 +1,151 @@
+"""What a method returns: the correction, how sure it is, and why it stopped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
+
+
+@dataclass(frozen=True)
+class Installation:
+    """How far the magnetometer is turned from its nominal pose in the IMU's frame.
+
+    Radians as in a URDF origin. After one turn the yaw is zero by convention, because one
+    rotation cannot show it; turns on different tilts do.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float = 0.0
+
+    @property
+    def pose(self) -> FloatArray:
+        """Sensor axes to body axes, shape (3, 3)."""
+        return rotation_from_rpy(self.roll, self.pitch, self.yaw)
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole turn from the nominal pose."""
+        return rotation_angle(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class GyroSwing:
+    """How the compass swings against the gyro over a turn: what is judged, and what is drawn.
+
+    Parameters
+    ----------
+    heading : ndarray, shape (s,)
+        ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians.
+    deviation : ndarray, shape (s,)
+        Compass less gyro there, radians; what is the gyro's own taken off.
+    rms : float
+        Of the deviation, less what the noise of single samples leaves in means, radians.
+    """
+
+    heading: FloatArray
+    deviation: FloatArray
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The result of one method on one window.
+
+    Parameters
+    ----------
+    method : str
+        Name of the method.
+    correction : Correction
+        The twelve numbers.
+    covariance : ndarray, shape (12, 12)
+        Of the twelve numbers (A row by row, then h in tesla), what the turn could not show
+        included. It is singular where a direction is fixed by convention.
+    installation : Installation or None
+        Installation error, where the method knows one.
+    axis : ndarray, shape (3,)
+        The turn's axis in body axes, unit, upwards.
+    arc : float
+        Radians of the turn that were seen.
+    strength, inclination : float
+        Of the reference field as the method believes it after the fit: tesla, radians.
+    noise_field, noise_up : float
+        Standard deviations found in the samples: tesla per axis, radians of tilt per axis.
+    inliers : ndarray of bool, shape (n,)
+        Samples that the fit believed.
+    residual : ndarray, shape (n, 3)
+        Raw field minus the model's, tesla.
+    figures : mapping of Figure to float
+        Everything else the method measured; SI units.
+    message : str
+        Why it stopped.
+    swing : GyroSwing or None
+        What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared.
+    """
+
+    method: str
+    correction: Correction
+    covariance: FloatArray
+    installation: Installation | None
+    axis: FloatArray
+    arc: float
+    strength: float
+    inclination: float
+    noise_field: float
+    noise_up: float
+    inliers: BoolArray
+    residual: FloatArray
+    figures: Mapping[Figure, float] = field(default_factory=dict)
+    message: str = ""
+    swing: GyroSwing | None = None
+
+    def __post_init__(self) -> None:
+        shape = (PARAMETERS, PARAMETERS)
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, "covariance"))
+        object.__setattr__(self, "axis", frozen_array(self.axis, (3,), "axis"))
+
+    @property
+    def circle_radius(self) -> float:
+        """Horizontal part of the reference field as the method believes it, tesla."""
+        return self.strength * math.cos(self.inclination)
+
+    def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
+        """Return the yaw's standard deviation from the twelve numbers' covariance alone.
+
+        Parameters
+        ----------
+        up, field_body : ndarray, shape (..., 3)
+            The pose: up and the true field in body axes, any length for up, tesla for the field.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Radians.
+        """
+        jacobian = yaw_jacobian(self.correction, up, field_body)
+        variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray) -> FloatArray:
+    """Return the derivative of the yaw by the twelve numbers, shape (..., 12), radians each.
+
+    The yaw turns with the field's part towards east: d(yaw) = (east . dm) / |m x u|, for
+    east = (m x u)/|m x u| and a change dm of the field in body axes.
+    """
+    across = np.cross(field_body, unit(up))
+    gradient = across / np.sum(across**2, axis=-1, keepdims=True)
+    uncorrected = correction.undo(field_body) - correction.hard_iron
+    by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
+    by_iron = -gradient @ correction.matrix
+    flat = by_matrix.reshape(*by_matrix.shape[:-2], 9)
+    return np.concatenate([flat, by_iron], axis=-1)

@@ -1,0 +1,116 @@
+"""Figures that every method's estimate has, whatever the method measured besides."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import field_in_enu, unit
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.samples.window import Window
+
+CHECKED_TILT = math.radians(10.0)
+HEADINGS = 24
+UP: FloatArray = np.array([0.0, 0.0, 1.0])
+
+
+def common_figures(estimate: Estimate) -> dict[Figure, float]:
+    """Measure an estimate.
+
+    Returns
+    -------
+    dict of Figure to float
+        heading_sigma, heading_sigma_tilted : rad, predicted from the covariance, root mean square
+        over all headings on the level and on slopes of 10°;
+        residual_ratio : rms residual of the believed samples over the level field;
+        outlier_share : share of the samples that was not believed;
+        installation_angle : rad, where the method knows one;
+        radius_misfit : relative, where the method compared radii;
+        ellipse_excess : longer axis of the turn's ellipse over the shorter less one, where the
+        method measured it and did not take it as soft iron.
+    """
+    residual = estimate.residual[estimate.inliers]
+    rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
+    figures = {
+        Figure.HEADING_SIGMA: predicted_heading_sigma(estimate, 0.0),
+        Figure.HEADING_SIGMA_TILTED: predicted_heading_sigma(estimate, CHECKED_TILT),
+        Figure.RESIDUAL_RATIO: rms / max(estimate.circle_radius, 1e-12),
+        Figure.OUTLIER_SHARE: 1.0 - float(np.mean(estimate.inliers)),
+    }
+    if estimate.installation is not None:
+        figures[Figure.INSTALLATION_ANGLE] = estimate.installation.angle
+    if Figure.RADIUS_RATIO in estimate.figures:
+        figures[Figure.RADIUS_MISFIT] = abs(estimate.figures[Figure.RADIUS_RATIO] - 1.0)
+    if Figure.ELLIPSE_RATIO in estimate.figures and not estimate.figures.get(Figure.SOFT_IRON):
+        figures[Figure.ELLIPSE_EXCESS] = estimate.figures[Figure.ELLIPSE_RATIO] - 1.0
+    return figures
+
+
+def predicted_heading_sigma(estimate: Estimate, tilt: float) -> float:
+    """Return the yaw's standard deviation from the covariance of the twelve numbers.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What was found.
+    tilt : float
+        Radians. Zero for the level; otherwise over slopes to all four sides.
+
+    Returns
+    -------
+    float
+        Radians, root mean square over 24 headings.
+    """
+    reference = field_in_enu(estimate.strength, estimate.inclination)
+    jacobian = heading_jacobian(estimate.correction, reference, tilt)
+    return rms_sigma(jacobian, estimate.covariance)
+
+
+def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
+    """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
+
+    Parameters
+    ----------
+    correction : Correction
+        The twelve numbers.
+    field_enu : ndarray, shape (3,)
+        The Earth's field, tesla.
+    tilt : float
+        Radians. Zero for the level; otherwise over slopes to all four sides.
+
+    Returns
+    -------
+    ndarray, shape (24, 12), or (96, 12) on slopes
+    """
+    leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
+    yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
+    poses = np.array([rotation_from_rpy(r, p, y).T for r, p in leanings for y in yaws])
+    return yaw_jacobian(correction, poses @ UP, poses @ field_enu)
+
+
+def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
+    """Return the root mean square over rows of what a covariance means for them."""
+    variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
+    return math.sqrt(max(float(variance.mean()), 0.0))
+
+
+def sideways_pull(window: Window) -> float:
+    """Return the angle between the gyro's mean axis and the mean specific force, radians.
+
+    Over a full turn about any axis the true up averages to that axis. What is left is a steady
+    pull to one side, as of a car in a circle. The mean goes over the angle, so a pause does not
+    weigh.
+    """
+    rate = window.angular_rate
+    if rate is None:
+        return 0.0
+    # A turn there and back has no mean rate, and an axis all the same.
+    along = np.linalg.svd(rate, full_matrices=False)[2][0]
+    axis = unit(np.sign(rate @ along) @ rate)
+    mean = unit(np.abs(rate @ axis) @ unit(window.specific_force))
+    return math.acos(min(abs(float(axis @ mean)), 1.0))

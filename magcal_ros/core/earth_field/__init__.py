@@ -1,0 +1,1 @@
+"""The Earth's field at a place."""

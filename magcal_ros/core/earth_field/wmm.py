@@ -1,0 +1,220 @@
+"""The Earth's field at a place and a date, from the World Magnetic Model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+
+from magcal_ros.core.earth_field.harmonics import Harmonics
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.knowledge import Belief
+
+ALTITUDES = (-1000.0, 850_000.0)
+"""Metres between which the model holds (WMM2025 Technical Report)."""
+
+FIRST_YEAR = 2015.0
+"""Begin of the oldest model that is shipped; a clock that was never set is earlier still."""
+
+LIFE = 5.0
+"""Years for which a model is made."""
+
+MOST_YEARS_LATE = 5.0
+"""Years after the end of its life during which a model is still used, with grown sigmas."""
+
+DRIFT_STRENGTH = 30e-9
+DRIFT_INCLINATION = math.radians(0.05)
+"""What a model loses each year after its life, per component: WMM2010, 2015 and 2020 carried on
+for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05° a year (RMS
+over the globe)."""
+
+BLACKOUT = 2000e-9
+CAUTION = 6000e-9
+"""Level field in tesla below which a compass is of no use, or to be doubted (WMM2025 Technical
+Report, blackout and caution zones)."""
+
+EARTH_RADIUS = 6_371_200.0
+NANO = 1e-9
+
+
+@dataclass(frozen=True)
+class Errors:
+    """The published error model (1 σ) of a World Magnetic Model.
+
+    Parameters
+    ----------
+    strength_nt, inclination_deg : float
+        Everywhere the same.
+    declination_deg, declination_nt_deg : float
+        √(declination_deg² + (declination_nt_deg / level field in nT)²).
+    """
+
+    strength_nt: float
+    inclination_deg: float
+    declination_deg: float
+    declination_nt_deg: float
+
+
+ERRORS = {
+    2015: Errors(152.0, 0.22, 0.23, 5430.0),
+    2020: Errors(148.0, 0.21, 0.26, 5625.0),
+    2025: Errors(138.0, 0.20, 0.26, 5417.0),
+}
+"""By the year in which a model begins: the models that are shipped (their Technical Reports)."""
+
+
+class NoModel(MagcalError):
+    """The World Magnetic Model cannot be asked; the text says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place on Earth (WGS 84).
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : float
+        Degrees, positive north and east.
+    altitude : float
+        Metres above the ellipsoid or the sea, which is all the same to the field.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude: float = 0.0
+
+    def __post_init__(self) -> None:
+        low, high = ALTITUDES
+        on_earth = abs(self.latitude_deg) <= 90.0 and abs(self.longitude_deg) <= 180.0
+        if not (on_earth and low <= self.altitude <= high):
+            raise ValueError(f"there is no field model for {self.words}, {self.altitude:g} m")
+
+    @property
+    def words(self) -> str:
+        """The place as people write it."""
+        north, east = self.latitude_deg, self.longitude_deg
+        return (
+            f"{abs(north):.2f}°{'N' if north >= 0.0 else 'S'} "
+            f"{abs(east):.2f}°{'E' if east >= 0.0 else 'W'}"
+        )
+
+    def distance(self, other: Place) -> float:
+        """Return the way to another place along the ground, metres (haversine)."""
+        a, b = math.radians(self.latitude_deg), math.radians(other.latitude_deg)
+        east = math.radians(other.longitude_deg - self.longitude_deg)
+        share = math.sin((b - a) / 2.0) ** 2 + math.cos(a) * math.cos(b) * math.sin(east / 2.0) ** 2
+        return 2.0 * EARTH_RADIUS * math.asin(math.sqrt(min(share, 1.0)))
+
+
+@dataclass(frozen=True)
+class ModelField:
+    """What the model says, with its own uncertainty.
+
+    Parameters
+    ----------
+    strength, inclination, declination : Belief
+        Tesla and radians, signs as everywhere in this package. The sigmas are those of the
+        model's published error model, which holds for the open air anywhere on Earth.
+    model : str
+        Which one, in words.
+    years_late : float
+        By how much the date lies after the model's life, years; zero inside it.
+    """
+
+    strength: Belief
+    inclination: Belief
+    declination: Belief
+    model: str
+    years_late: float = 0.0
+
+    @property
+    def level(self) -> float:
+        """Horizontal part, tesla."""
+        return self.strength.value * math.cos(self.inclination.value)
+
+
+def decimal_year(stamp: float) -> float:
+    """Return seconds since 1970 (UTC) as a year with its fraction."""
+    moment = np.datetime64(math.floor(stamp), "s")
+    year = moment.astype("datetime64[Y]")
+    begin, end = year.astype("datetime64[s]"), (year + 1).astype("datetime64[s]")
+    return 1970.0 + int(year.astype(int)) + float((moment - begin) / (end - begin))
+
+
+def year_of(stamps: Iterable[float], clock: float) -> float:
+    """Return the date as a decimal year.
+
+    A stamp is right in a replayed drive, and where the clock was never set; the clock is right
+    where a stamp lies in the future.
+
+    Parameters
+    ----------
+    stamps : iterable of float
+        Seconds since 1970, or since the start of a simulation or a machine: then they say nothing.
+    clock : float
+        Seconds since 1970 for where no stamp says anything.
+    """
+    years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
+    return min((year for year in years if year >= FIRST_YEAR), default=decimal_year(clock))
+
+
+def model_field(place: Place, year: float) -> ModelField:
+    """Return the field of the World Magnetic Model whose life contains the date.
+
+    Parameters
+    ----------
+    place : Place
+        Where.
+    year : float
+        When, decimal year.
+
+    Returns
+    -------
+    ModelField
+        After the newest model's life with sigmas that grow year by year.
+
+    Raises
+    ------
+    NoModel
+        If no model comes near the date.
+    """
+    base = _newest_model(year)
+    late = max(year - (base + LIFE), 0.0)
+    angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)
+    north, east, down = _load(base).field(*angles, place.altitude / 1000.0, year)
+    level = math.hypot(north, east)
+    errors = ERRORS[base]
+    by_place = errors.declination_nt_deg * NANO / max(level, NANO)
+    by_drift = late * DRIFT_STRENGTH / max(level, NANO)
+    declination = math.radians(math.hypot(errors.declination_deg, by_place))
+    inclination = math.radians(errors.inclination_deg)
+    return ModelField(
+        Belief(
+            math.hypot(level, down), math.hypot(errors.strength_nt * NANO, late * DRIFT_STRENGTH)
+        ),
+        Belief(math.atan2(down, level), math.hypot(inclination, late * DRIFT_INCLINATION)),
+        Belief(math.atan2(east, north), min(math.hypot(declination, by_drift), math.pi)),
+        f"World Magnetic Model {base}",
+        late,
+    )
+
+
+def _newest_model(year: float) -> int:
+    """Return the model of the date, or the newest one that came before, by its first year."""
+    begun = [base for base in ERRORS if base <= year]
+    if not begun or not year <= max(begun) + LIFE + MOST_YEARS_LATE:
+        raise NoModel(
+            f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
+            "magcal_ros up to date"
+        )
+    return max(begun)
+
+
+@lru_cache(maxsize=len(ERRORS))
+def _load(base: int) -> Harmonics:
+    coefficients = files("magcal_ros.core.earth_field") / "coefficients" / f"WMM{base}.COF"
+    return Harmonics.parse(coefficients.read_text(encoding="ascii"))

@@ -1,0 +1,1 @@
+"""The estimator: joint maximum likelihood over accelerometer, magnetometer and gyro."""

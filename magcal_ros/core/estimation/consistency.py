@@ -1,0 +1,130 @@
+"""Whether gyro and corrected compass tell the same turn.
+
+A robot that spins in a distorted room draws a clean circle, and only the gyro shows that the field
+does not stand still. What counts is the swing that lasts: noise of single samples and the gyro's
+own bias and scale are taken off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.estimate import GyroSwing
+from magcal_ros.core.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class SwingTuning:
+    """How what is the gyro's own is told from a swing of the compass.
+
+    Parameters
+    ----------
+    sector : float
+        Radians of the turn over which the stray is averaged.
+    bias, scale : float
+        What gyros have of both (rad/s and one). A slope beyond it is taken off only where it
+        leaves little behind: a swing once a turn looks like a slope in part, and must not pass for
+        the gyro's.
+    rounds : int
+        Of Cauchy weights; they settle sooner.
+    spike : float
+        Times the median stray beyond which a sector does not count.
+    """
+
+    sector: float = math.radians(12.0)
+    bias: float = 0.003
+    scale: float = 0.01
+    rounds: int = 10
+    spike: float = 6.0
+
+
+SWING = SwingTuning()
+
+
+def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatArray) -> GyroSwing:
+    """Return how the compass's turn lastingly strays from the gyro's.
+
+    Parameters
+    ----------
+    relative : ndarray, shape (n, 3, 3)
+        Rotations from the first sample's body axes to each sample's, by the gyro.
+    attitude : ndarray, shape (n, 3, 3)
+        Body axes by up and corrected field, from ENU axes.
+    time : ndarray, shape (n,)
+        Seconds.
+    """
+    back = np.swapaxes(relative, 1, 2)
+    away = back @ attitude
+    stray = np.unwrap(_turn_about_z(away @ away[len(away) // 2].T))
+    turned = np.unwrap(_turn_about_z(back))
+    noise = _sample_noise(stray)
+    yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
+    sectors = _sectors(stray, turned, time, yaw, noise)
+    left = _without_gyro_errors(sectors)
+    kept = np.abs(left) <= SWING.spike * np.median(np.abs(left)) + noise
+    lasting = np.mean(left[kept] ** 2) - np.mean(noise**2 / sectors.count[kept])
+    return GyroSwing(sectors.heading[kept], left[kept], math.sqrt(max(float(lasting), 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sectors:
+    """Means over sectors of the turn, and how many samples each has; each shape (s,)."""
+
+    stray: FloatArray
+    turned: FloatArray
+    time: FloatArray
+    heading: FloatArray
+    count: FloatArray
+
+
+def _sample_noise(stray: FloatArray) -> float:
+    """Return the noise of single samples from second differences, which no slow swing enters."""
+    bend = np.diff(stray, 2)
+    return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0) if len(bend) else 0.0
+
+
+def _sectors(
+    stray: FloatArray, turned: FloatArray, time: FloatArray, yaw: FloatArray, noise: float
+) -> _Sectors:
+    index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
+    size = int(index.max()) + 1
+    middle = np.array([np.median(stray[index == sector]) for sector in range(size)])
+    good = np.abs(stray - middle[index]) <= 4.0 * noise + 1e-6
+    good |= (np.bincount(index, good, size) == 0.0)[index]
+    count = np.bincount(index, good, size)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(index, good * values, size) / count)
+
+    heading = np.arctan2(mean(np.sin(yaw)), mean(np.cos(yaw)))
+    return _Sectors(mean(stray), mean(turned), mean(time), heading, count.astype(float))
+
+
+def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
+    """Return the sectors' stray without offset, bias and scale as far as a gyro may have them."""
+    rows = np.column_stack(
+        [
+            np.ones_like(sectors.stray),
+            sectors.time - sectors.time.mean(),
+            sectors.turned - sectors.turned.mean(),
+        ]
+    )
+    believed = np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
+    left = sectors.stray - np.median(sectors.stray)
+    for _ in range(SWING.rounds):
+        scale = float(np.median(np.abs(left))) + 1e-9
+        weight = 1.0 / (1.0 + (left / (3.0 * scale)) ** 2)
+        spread = float(np.sum(weight * left**2) / np.sum(weight)) + 1e-12
+        weighted = rows.T * weight / spread
+        found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.stray)
+        left = sectors.stray - rows @ found
+    return np.asarray(left)
+
+
+def _turn_about_z(rotations: FloatArray) -> FloatArray:
+    return np.arctan2(
+        rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
+    )

@@ -1,0 +1,162 @@
+"""Soft iron that the samples neither show nor exclude (doc/estimator.md, section 9).
+
+Seen from the optimum without soft iron, one step towards the optimum with it tells the fall of
+chi-square, where the globals would go, and how much of the prior's volume the samples would leave:
+the Occam factor of the marginal likelihood (MacKay, "Information theory, inference, and learning
+algorithms", 2003, section 28.1). Where both models remain possible, the covariance is that of
+their mixture about the simpler one (Hoeting et al., "Bayesian model averaging", 1999).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.estimation import parameters as p
+from magcal_ros.core.estimation.prior import SOFT_IRON_INDICES, Prior
+from magcal_ros.core.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class SoftIronRule:
+    """When soft iron is fitted, and when it is doubted; falls of chi-square per independent sample.
+
+    Parameters
+    ----------
+    prior_odds : float
+        Twice the log odds against soft iron worth mentioning, about two to one.
+    least_fall : float
+        On short arcs Occam's factor is weak; less than this is asked for by chance too often.
+    most_fall, most_fall_rigid : float
+        What leaves no doubt, on a wobbling or gyro-propagated axis and on a rigid one.
+    chance : float
+        A fall that noise alone brings easily; below it nothing speaks for soft iron.
+    least_probability : float
+        A smaller doubt would mostly widen what needs no widening.
+    worth_a_fit : float
+        A fall, seen from the optimum without soft iron, that may yet come to the least one asked
+        for when it is fitted.
+    clear : float
+        An expected fall that leaves little doubt.
+    honest_share : float
+        A smaller share of inliers may hide soft iron: it is fitted, whatever the rest says.
+    few_kept : float
+        A model that throws more of the simpler one's inliers away, to fit the rest better,
+        explains nothing.
+    """
+
+    prior_odds: float = 1.4
+    least_fall: float = 14.0
+    most_fall: float = 25.0
+    most_fall_rigid: float = 20.0
+    chance: float = 4.0
+    least_probability: float = 0.02
+    worth_a_fit: float = 7.0
+    clear: float = 100.0
+    honest_share: float = 0.97
+    few_kept: float = 0.9
+
+
+RULE = SoftIronRule()
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What soft iron would bring, seen from the optimum without it.
+
+    Parameters
+    ----------
+    gain : float
+        Expected fall of chi-square, per independent sample.
+    occam : float
+        Twice the logarithm of prior over posterior volume of the soft-iron numbers.
+    step : ndarray, shape (18,)
+        To the optimum with soft iron.
+    covariance : ndarray, shape (18, 18)
+        Of the globals with soft iron, zero where not free.
+    """
+
+    gain: float
+    occam: float
+    step: FloatArray
+    covariance: FloatArray
+
+    def needed(self, most: float, rule: SoftIronRule = RULE) -> float:
+        """Return by how much chi-square must fall, per independent sample, for it to be fitted."""
+        return min(max(self.occam + rule.prior_odds, rule.least_fall), most)
+
+    def probability(self, gain: float, rule: SoftIronRule = RULE) -> float:
+        """Return how likely soft iron is although it was left out.
+
+        Parameters
+        ----------
+        gain : float
+            Fall of chi-square, per independent sample, that the fit with soft iron found.
+        rule : SoftIronRule
+        """
+        if gain < rule.chance:
+            return 0.0
+        against = self.occam + rule.prior_odds - gain
+        likely = 1.0 / (1.0 + math.exp(min(0.5 * against, 50.0)))
+        return likely if likely > rule.least_probability else 0.0
+
+
+def look_for_soft_iron(covariance: FloatArray, gradient: FloatArray, prior: Prior) -> Look:
+    """Take one step with soft iron freed.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (f, f)
+        Of the globals that `prior` frees, per independent sample, with soft iron among them.
+    gradient : ndarray, shape (f,)
+    prior : Prior
+    """
+    free = prior.free
+    move = covariance @ gradient
+    step, spread = np.zeros(p.COUNT), np.zeros((p.COUNT, p.COUNT))
+    step[free] = move
+    spread[np.ix_(free, free)] = covariance
+    return Look(float(gradient @ move), occam_factor(spread, prior), step, spread)
+
+
+def occam_factor(covariance: FloatArray, prior: Prior) -> float:
+    """Return twice the logarithm of prior over posterior volume of the free soft-iron numbers.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (18, 18)
+        Of all globals where soft iron is fitted.
+    prior : Prior
+        Frees soft iron.
+    """
+    iron = SOFT_IRON_INDICES[np.isin(SOFT_IRON_INDICES, prior.free)]
+    posterior = float(np.linalg.slogdet(covariance[np.ix_(iron, iron)])[1])
+    return -float(np.log(prior.information[iron]).sum()) - posterior
+
+
+@dataclass(frozen=True, eq=False)
+class Doubt:
+    """Soft iron that was not fitted, and how likely it is all the same."""
+
+    look: Look
+    probability: float
+
+    def widened(self, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
+        """Return the mean square error of the estimate, whichever of the two models is true.
+
+        With the simpler model's numbers as the estimate and p the richer one's probability it is
+        `(1 - p) C_simple + p (C_rich + d d^T)`: the mixture about the simpler estimate, not about
+        its mean.
+
+        Parameters
+        ----------
+        covariance : ndarray, shape (12, 12)
+            Without soft iron.
+        jacobian : ndarray, shape (12, 18)
+            Of the twelve numbers by the globals.
+        """
+        likely, away = self.probability, jacobian @ self.look.step
+        rich = jacobian @ self.look.covariance @ jacobian.T
+        return np.asarray((1.0 - likely) * covariance + likely * (rich + np.outer(away, away)))

@@ -1,0 +1,103 @@
+"""Errors that do not average out, as a covariance of the twelve numbers (doc/estimator.md, 10).
+
+A heading error that goes once round with the robot, whatever made it, is what a hard iron across
+the turn's axis would make: `(field level) times (radians)`. So centripetal lean, latency, the
+lasting stray of gyro against compass and the gap between fits with and without the gyro all enter
+as hard iron in the plane of the turn. The magnetometer's axes enter as a turn about the axis of the
+robot's, which one turn cannot show.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.estimation.parameters import Globals
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.rotations import skew
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class Turning:
+    """How fast a robot turned, rad/s.
+
+    Parameters
+    ----------
+    rms : float
+        Root mean square of the rate.
+    spread : float
+        Its standard deviation: a latency shifts an even turn as a whole, and that shows nothing.
+    """
+
+    rms: float
+    spread: float
+
+    @classmethod
+    def of(cls, window: Window, arc: float) -> Turning:
+        """Return it by the gyro; without one, by an even turn of `arc` radians."""
+        rate = window.angular_rate
+        if rate is None:
+            even = arc / max(float(np.ptp(window.time)), 1e-3)
+            return cls(even, 0.0)
+        about = rate @ unit(rate.mean(axis=0)) if rate.mean(axis=0).any() else rate[:, 2]
+        return cls(math.sqrt(float(np.mean(np.sum(rate**2, axis=1)))), float(about.std()))
+
+
+@dataclass(frozen=True)
+class Lasting:
+    """What the residuals show of errors that last; radians of heading, RMS around the turn.
+
+    Parameters
+    ----------
+    stray : float
+        Lasting swing between the gyro's yaw and the compass's; zero without a gyro.
+    gap : float
+        Heading between the fit with gyro-propagated attitudes and the one without; zero where
+        there is but one, or where the two must differ.
+    """
+
+    stray: float = 0.0
+    gap: float = 0.0
+
+
+def systematic_covariance(
+    shared: Globals,
+    mounting: FloatArray,
+    scale: float,
+    systematics: Systematics,
+    turning: Turning,
+    seen: Lasting,
+) -> FloatArray:
+    """Return what lasting errors add to the covariance of the twelve numbers, shape (12, 12).
+
+    Parameters
+    ----------
+    shared : Globals
+        The optimum.
+    mounting : ndarray, shape (3, 3)
+    scale : float
+        Tesla of one field scale.
+    systematics : Systematics
+    turning : Turning
+    seen : Lasting
+    """
+    distortion = shared.distortion(mounting)
+    axis = shared.body_axis[:, 2]
+    strength = scale * abs(shared.strength)
+    level = strength * math.cos(shared.inclination)
+    upright = strength * abs(math.sin(shared.inclination))
+    lean = systematics.lever_arm * turning.rms**2 / STANDARD_GRAVITY
+    late = systematics.latency * turning.spread
+    lasting = (upright * lean) ** 2 + level**2 * (late**2 + seen.stray**2 + seen.gap**2)
+    across = np.eye(3) - np.outer(axis, axis)
+    covariance = np.zeros((12, 12))
+    of_iron = systematics.field**2 * np.eye(3) + lasting * across
+    covariance[9:, 9:] = distortion @ of_iron @ distortion.T
+    turned = (-skew(axis) @ np.linalg.inv(distortion)).ravel()
+    covariance[:9, :9] = systematics.axes**2 * np.outer(turned, turned)
+    return covariance

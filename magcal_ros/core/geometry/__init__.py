@@ -1,0 +1,1 @@
+"""Shapes and turns in space, without a word of calibration."""

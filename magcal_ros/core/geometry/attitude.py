@@ -1,0 +1,96 @@
+"""Up, tilt and tilt-compensated yaw from specific force and field (FLU body, ENU world)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+
+STANDARD_GRAVITY = 9.80665
+"""m/s², what an accelerometer at rest reads upwards."""
+
+FRD_FROM_FLU: FloatArray = np.diag([1.0, -1.0, -1.0])
+"""Body axes forward-right-down from forward-left-up, and the other way round."""
+
+
+def unit(vectors: FloatArray) -> FloatArray:
+    """Scale vectors (..., 3) to length one; a zero vector stays zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
+
+
+def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
+    """Return the ENU yaw to magnetic north.
+
+    East is the field crossed with up, north is up crossed with east (Vitali, ST design tip
+    DT0103, computes the same in NED); the yaw is the angle of body x in that plane.
+
+    Parameters
+    ----------
+    up : ndarray, shape (..., 3)
+        Up in body axes, of any positive length.
+    field : ndarray, shape (..., 3)
+        Field in body axes, of any positive length.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        Radians in (-pi, pi]; zero where body x points to magnetic east, counter-clockwise positive.
+    """
+    up = unit(up)
+    east = np.cross(field, up)
+    north = np.cross(up, east)
+    return np.asarray(np.arctan2(north[..., 0], east[..., 0]))
+
+
+def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
+    """Return the rotation from magnetic ENU to body axes seen by gravity and field.
+
+    Parameters
+    ----------
+    up, field : ndarray, shape (..., 3)
+        In body axes. They must not be parallel.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Its columns are east, north and up in body axes.
+    """
+    up = unit(up)
+    east = unit(np.cross(field, up))
+    return np.stack([east, np.cross(up, east), up], axis=-1)
+
+
+def field_in_enu(strength: float, inclination: float, declination: float = 0.0) -> FloatArray:
+    """Return the reference field in ENU, shape (3,), in the unit of `strength`.
+
+    Parameters
+    ----------
+    strength : float
+        Length of the field vector.
+    inclination : float
+        Radians below the horizon, positive where the field points down.
+    declination : float
+        Radians by which magnetic north lies east of true north; zero gives magnetic ENU.
+    """
+    level = strength * np.cos(inclination)
+    return np.array(
+        [level * np.sin(declination), level * np.cos(declination), -strength * np.sin(inclination)]
+    )
+
+
+def wrap_angle(angle: FloatArray | float) -> FloatArray:
+    """Bring radians into (-pi, pi]."""
+    return np.asarray(np.pi - np.mod(np.pi - np.asarray(angle), 2.0 * np.pi))
+
+
+def wrapped(angle: float) -> float:
+    """Bring one angle in radians into [-pi, pi], in plain floats for the path of every message."""
+    return math.remainder(angle, math.tau)
+
+
+def true_yaw(magnetic_yaw: float, declination: float) -> float:
+    """Return the ENU yaw to true north, radians in (-pi, pi]: declination is positive east."""
+    return float(wrap_angle(magnetic_yaw - declination))

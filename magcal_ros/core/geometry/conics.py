@@ -1,0 +1,228 @@
+"""Circles and ellipses through points of a plane.
+
+All fits first move the points to their centroid and scale them to unit size. The forms that fix
+the constant term at -1 are singular for a curve through the origin; a centroid lies inside every
+ellipse, never on it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+
+import numpy as np
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+
+LINE_RATIO = 1e-6
+"""Points narrower than this share of their length are a line."""
+
+LARGEST_RADIUS = 1e4
+"""Radii beyond this many times the points' own size are a line, too."""
+
+
+@dataclass(frozen=True, eq=False)
+class Conic:
+    """A circle or an ellipse.
+
+    Parameters
+    ----------
+    centre : ndarray, shape (2,)
+        In the points' unit.
+    radii : ndarray, shape (2,)
+        Half axes; the first lies at `angle`, the second 90° further.
+    angle : float
+        Radians from x to the first half axis, in (-pi/2, pi/2].
+    """
+
+    centre: FloatArray
+    radii: FloatArray
+    angle: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))
+        object.__setattr__(self, "radii", frozen_array(self.radii, (2,), "radii"))
+
+    @property
+    def radius(self) -> float:
+        """Geometric mean of the half axes: the radius of the circle of the same area."""
+        return math.sqrt(float(self.radii[0] * self.radii[1]))
+
+    @property
+    def ratio(self) -> float:
+        """Longer half axis over the shorter, 1 or more."""
+        return float(self.radii.max() / self.radii.min())
+
+
+def _fit_linearly(points: FloatArray, quadratic: int) -> Conic:
+    """Fit ax² + by² + 2cxy + 2dx + 2ey = 1 by linear least squares (DT0103).
+
+    Of `quadratic` terms one makes a circle (a = b, no c), two an ellipse along the axes (no c).
+    """
+    frame = _Frame.of(points, least=quadratic + 2)
+    x, y = frame.points.T
+    squares = [x * x + y * y] if quadratic == 1 else [x * x, y * y, 2.0 * x * y][:quadratic]
+    *form, d, e = _least_squares([*squares, 2.0 * x, 2.0 * y])
+    a, b, c = {1: (*form, *form, 0.0), 2: (*form, 0.0), 3: form}[quadratic]
+    return frame.conic(a, b, c, d, e, -1.0)
+
+
+def _fit_ellipse_halir_flusser(points: FloatArray) -> Conic:
+    """Fit any ellipse under the constraint that it is one (Halír and Flusser, 1998).
+
+    With the scatter of the quadratic terms S1, of the linear terms S3 and between them S2, the
+    quadratic coefficients are the eigenvector of C⁻¹ (S1 - S2 S3⁻¹ S2ᵀ) for which 4ac - b² > 0.
+    """
+    frame = _Frame.of(points, least=5)
+    x, y = frame.points.T
+    quadratic = np.column_stack([x * x, x * y, y * y])
+    linear = np.column_stack([x, y, np.ones_like(x)])
+    to_linear = -np.linalg.solve(linear.T @ linear, linear.T @ quadratic)
+    reduced = quadratic.T @ quadratic + quadratic.T @ linear @ to_linear
+    constrained = np.array([reduced[2] / 2.0, -reduced[1], reduced[0] / 2.0])
+    values, vectors = np.linalg.eig(constrained)
+    # Rounding may make two columns fulfil the constraint, or leave a complex pair: judge each
+    # column by itself and let the residual, which is the eigenvalue, decide.
+    columns = np.real(vectors)
+    fulfilled = 4.0 * columns[0] * columns[2] - columns[1] ** 2 > 1e-12
+    if not fulfilled.any():
+        raise _not_an_ellipse()
+    best = int(np.argmin(np.where(fulfilled, np.abs(values), np.inf)))
+    a, b, c = (float(v) for v in columns[:, best])
+    d, e, f = (float(v) for v in to_linear @ columns[:, best])
+    return frame.conic(a, c, b / 2.0, d / 2.0, e / 2.0, f)
+
+
+def _fit_circle_taubin(points: FloatArray) -> Conic:
+    """Fit a circle with Taubin's normalisation, nearly unbiased on short arcs.
+
+    Taubin (1991) divides the algebraic distance by its mean gradient; solved here by singular
+    values after Chernov, Circular and Linear Regression (2010).
+    """
+    frame = _Frame.of(points, least=3)
+    x, y = frame.points.T
+    square = x * x + y * y
+    mean_square = float(square.mean())
+    scaled = (square - mean_square) / (2.0 * math.sqrt(mean_square))
+    weights = np.linalg.svd(np.column_stack([scaled, x, y]), full_matrices=False)[2][2]
+    a = float(weights[0]) / (2.0 * math.sqrt(mean_square))
+    b, c = float(weights[1]) / 2.0, float(weights[2]) / 2.0
+    return frame.conic(a, a, 0.0, b, c, -mean_square * a)
+
+
+class ConicFit(str, Enum):
+    """The conic fits by name."""
+
+    TAUBIN = "taubin"
+    CIRCLE = "circle"
+    ELLIPSE = "ellipse"
+    ROTATED_ELLIPSE = "rotated_ellipse"
+    HALIR_FLUSSER = "halir_flusser"
+
+    def __call__(self, points: FloatArray) -> Conic:
+        """Fit a curve.
+
+        Parameters
+        ----------
+        points : ndarray, shape (n, 2)
+            In any unit.
+
+        Returns
+        -------
+        Conic
+            Of an ellipse along the axes the first half axis lies along x.
+
+        Raises
+        ------
+        Refusal
+            For fewer points than the curve has parameters, a line, one point, a curve that is no
+            ellipse, or numbers that are not finite.
+        """
+        return _FITS[self](points)
+
+
+_FITS: dict[ConicFit, Callable[[FloatArray], Conic]] = {
+    ConicFit.TAUBIN: _fit_circle_taubin,
+    ConicFit.CIRCLE: partial(_fit_linearly, quadratic=1),
+    ConicFit.ELLIPSE: partial(_fit_linearly, quadratic=2),
+    ConicFit.ROTATED_ELLIPSE: partial(_fit_linearly, quadratic=3),
+    ConicFit.HALIR_FLUSSER: _fit_ellipse_halir_flusser,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """Points brought to their centroid and unit size, and the way back."""
+
+    points: FloatArray
+    centroid: FloatArray
+    size: float
+
+    @classmethod
+    def of(cls, points: FloatArray, least: int) -> _Frame:
+        if not np.isfinite(points).all():
+            raise Refusal(
+                Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting."
+            )
+        if len(points) < least:
+            raise Refusal(
+                Reason.TOO_FEW_SAMPLES,
+                f"This curve needs {least} points, not {len(points)}. Collect more samples.",
+            )
+        centroid = points.mean(axis=0)
+        values = np.linalg.svd(points - centroid, compute_uv=False) / math.sqrt(len(points))
+        if values[1] <= LINE_RATIO * values[0] or values[0] == 0.0:
+            raise Refusal(
+                Reason.FIELD_ON_A_LINE,
+                "The samples lie on a line or on one point. Turn further round.",
+            )
+        size = float(np.hypot(values[0], values[1]))
+        return cls((points - centroid) / size, centroid, size)
+
+    def conic(self, a: float, b: float, c: float, d: float, e: float, f: float) -> Conic:
+        """Return the ellipse a x² + b y² + 2c xy + 2d x + 2e y + f = 0 of the moved points."""
+        form = np.array([[a, c], [c, b]])
+        values, axes = np.linalg.eigh(form)
+        if values[0] * values[1] <= 0.0:
+            raise _not_an_ellipse()
+        centre = -np.linalg.solve(form, np.array([d, e]))
+        level = -(f + d * centre[0] + e * centre[1])
+        squares = level / values
+        if not (squares > 0.0).all():
+            raise _not_an_ellipse()
+        if squares.max() > LARGEST_RADIUS**2:
+            raise Refusal(
+                Reason.FIELD_ON_A_LINE,
+                "The samples bend too little to show a circle. Turn further round.",
+            )
+        radii, angle = np.sqrt(squares), math.atan2(float(axes[1, 0]), float(axes[0, 0]))
+        if c == 0.0:
+            radii, angle = np.sqrt(level / np.array([a, b])), 0.0
+        return Conic(
+            self.centroid + self.size * centre,
+            self.size * radii,
+            math.pi / 2.0 - (math.pi / 2.0 - angle) % math.pi,
+        )
+
+
+def _least_squares(columns: list[FloatArray]) -> list[float]:
+    design = np.column_stack(columns)
+    solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(design)), rcond=1e-12)
+    if rank < len(columns):
+        raise Refusal(
+            Reason.FIELD_ON_A_LINE,
+            "The samples do not determine a curve. Turn further round.",
+        )
+    return [float(value) for value in solution]
+
+
+def _not_an_ellipse() -> Refusal:
+    return Refusal(
+        Reason.CIRCLE_TOO_SMALL,
+        "The samples fit a parabola or a hyperbola better than an ellipse. Turn further round, or "
+        "fit a circle instead.",
+    )

@@ -1,0 +1,133 @@
+"""Rotation matrices: the few that calibration needs, without singularities.
+
+Every matrix here is *active*: `R @ v` turns the vector `v`. A frame change "from body to sensor"
+is the inverse of the sensor's pose in the body.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+
+
+def skew(v: FloatArray) -> FloatArray:
+    """Return the matrix of the cross product: `skew(v) @ w == np.cross(v, w)`, shape (3, 3)."""
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def exp_rotation(vector: FloatArray) -> FloatArray:
+    """Turn by |vector| radians about `vector` (Rodrigues' formula), shape (3, 3)."""
+    angle = float(np.linalg.norm(vector))
+    k = skew(vector)
+    if angle < 1e-8:
+        return np.eye(3) + k + 0.5 * k @ k
+    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    return np.asarray(np.eye(3) + s * k + c * k @ k)
+
+
+def skews(vectors: FloatArray) -> FloatArray:
+    """Return the cross-product matrices of vectors (n, 3), shape (n, 3, 3)."""
+    out = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
+    out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
+    return out
+
+
+def exp_rotations(vectors: FloatArray) -> FloatArray:
+    """Return Rodrigues' rotation for each vector (n, 3) of radians, shape (n, 3, 3)."""
+    angle = np.linalg.norm(vectors, axis=1)
+    safe = np.maximum(angle, 1e-8)
+    sine = np.where(angle < 1e-8, 1.0, np.sin(safe) / safe)
+    # 1 - cos by the half angle: no cancellation for small steps.
+    versine = np.where(angle < 1e-8, 0.5, 2.0 * (np.sin(0.5 * safe) / safe) ** 2)
+    k = skews(vectors)
+    return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
+
+
+def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
+    """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
+    k = skew(axis)
+    s, c = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
+    return np.asarray(np.eye(3) + s * k + c * (k @ k))
+
+
+def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray:
+    """Return the pose Rz(yaw) Ry(pitch) Rx(roll) of a link in its parent (REP-103, URDF).
+
+    Parameters
+    ----------
+    roll, pitch, yaw : float
+        Radians about the fixed axes x, y, z, in this order.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Takes vectors from the link's axes to the parent's.
+    """
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
+    """Return roll, pitch, yaw in radians of a pose: the inverse of `rotation_from_rpy`.
+
+    Pitch lies within ±90°. At ±90° roll and yaw turn about one axis and yaw is taken as zero.
+    """
+    pitch = math.asin(min(1.0, max(-1.0, -float(pose[2, 0]))))
+    if math.hypot(float(pose[0, 0]), float(pose[1, 0])) < 1e-9:
+        roll = math.atan2(-float(pose[1, 2]), float(pose[1, 1]))
+        return roll, pitch, 0.0
+    roll = math.atan2(float(pose[2, 1]), float(pose[2, 2]))
+    yaw = math.atan2(float(pose[1, 0]), float(pose[0, 0]))
+    return roll, pitch, yaw
+
+
+def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray | None:
+    """Return the rotation of a quaternion of any length, shape (3, 3); None if it has none."""
+    size = math.sqrt(x * x + y * y + z * z + w * w)
+    if not 1e-6 < size < math.inf:
+        return None
+    axis = np.array([x, y, z]) / size
+    k = skew(axis)
+    return np.asarray(np.eye(3) + 2.0 * (w / size) * k + 2.0 * (k @ k))
+
+
+def minimal_rotation(start: FloatArray, end: FloatArray) -> FloatArray:
+    """Return the smallest turn that takes the unit vector `start` to `end`, shape (3, 3).
+
+    Opposite vectors leave the axis open; any axis across them is taken.
+    """
+    middle = start + end
+    if np.linalg.norm(middle) < 1e-8:
+        middle = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))])
+    # Two half turns; dividing by one plus the cosine would lose its digits near opposite vectors.
+    middle = middle / np.linalg.norm(middle)
+    return half_turn(middle) @ half_turn(start)
+
+
+def half_turn(axis: FloatArray) -> FloatArray:
+    """Return the turn by 180 degrees about a unit vector, shape (3, 3)."""
+    return np.asarray(2.0 * np.outer(axis, axis) - np.eye(3))
+
+
+def rotation_angle(rotation: FloatArray) -> float:
+    """Return the angle in radians, 0 to pi, by which `rotation` turns."""
+    sine = 0.5 * math.hypot(
+        float(rotation[2, 1] - rotation[1, 2]),
+        float(rotation[0, 2] - rotation[2, 0]),
+        float(rotation[1, 0] - rotation[0, 1]),
+    )
+    return math.atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))

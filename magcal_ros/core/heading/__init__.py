@@ -1,0 +1,1 @@
+"""From a corrected field to a yaw."""

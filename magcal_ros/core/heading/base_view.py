@@ -1,0 +1,86 @@
+"""The attitude of the base that an IMU sits on, from the attitude of the IMU."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
+
+
+class BaseView:
+    """Turns headings of the IMU into headings of its base.
+
+    Parameters
+    ----------
+    imu_in_base : ndarray, shape (3, 3)
+        Pose of the IMU, IMU axes to base axes.
+    """
+
+    def __init__(self, imu_in_base: FloatArray) -> None:
+        self.pose = imu_in_base
+        self._is_imu = bool(np.allclose(imu_in_base, np.eye(3), atol=1e-12))
+        self._forward, self._left, self._up = (
+            (float(row[0]), float(row[1]), float(row[2])) for row in imu_in_base
+        )
+
+    def heading(self, seen: Heading) -> Heading:
+        """Return the base's heading.
+
+        Both attitudes share one small error in the world's axes: `Compass.heading` says how it
+        shows in roll, pitch and yaw. Its parts about east and north follow from the covariances,
+        and show otherwise where the base's x points; the part about up is the same for both.
+        """
+        if self._is_imu:
+            return seen
+        east, north, up = _rows(seen)
+        forward, left, top = self._forward, self._left, self._up
+        fe, fn, fu = dot(east, forward), dot(north, forward), dot(up, forward)
+        yaw = math.atan2(fn, fe)
+        roll = math.atan2(dot(up, left), dot(up, top))
+        pitch = -math.asin(min(1.0, max(-1.0, fu)))
+        level = max(fe * fe + fn * fn, SMALLEST_FORWARD)
+        tilt = seen.tilt_variance
+        by_east, by_north = _by_tilt(seen)
+        rest = seen.yaw_variance - tilt * (by_east * by_east + by_north * by_north)
+        was = max(east[0] * east[0] + north[0] * north[0], SMALLEST_FORWARD)
+        if seen.roll_yaw or seen.pitch_yaw:
+            by_east += east[0] * up[0] / was - fe * fu / level
+            by_north += north[0] * up[0] / was - fn * fu / level
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        return Heading(
+            roll,
+            pitch,
+            yaw,
+            tilt,
+            rest + tilt * (by_east * by_east + by_north * by_north),
+            tilt * (by_east * cosine + by_north * sine) / math.sqrt(level),
+            tilt * (by_north * cosine - by_east * sine),
+            seen.noise_variance,
+            seen.lasting_variance,
+        )
+
+
+def _rows(seen: Heading) -> tuple[Triple, Triple, Triple]:
+    """Return east, north and up in IMU axes, the rows of Rz(yaw) Ry(pitch) Rx(roll)."""
+    cr, sr = math.cos(seen.roll), math.sin(seen.roll)
+    cp, sp = math.cos(seen.pitch), math.sin(seen.pitch)
+    cy, sy = math.cos(seen.yaw), math.sin(seen.yaw)
+    return (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+
+
+def _by_tilt(seen: Heading) -> tuple[float, float]:
+    """Return how much of an error about east and about north shows in the yaw."""
+    if seen.tilt_variance <= 0.0:
+        return 0.0, 0.0
+    by_roll = seen.roll_yaw * math.cos(seen.pitch) / seen.tilt_variance
+    by_pitch = seen.pitch_yaw / seen.tilt_variance
+    cosine, sine = math.cos(seen.yaw), math.sin(seen.yaw)
+    return by_roll * cosine - by_pitch * sine, by_roll * sine + by_pitch * cosine

@@ -1,0 +1,214 @@
+"""Whether the field of the moment is the one that was calibrated, or something bends it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.heading.fusion_tuning import DisturbanceTuning
+
+PATIENCE = 60.0
+"""Seconds after which a departed field is taken for the expected one, unless told otherwise."""
+
+
+class Trust(str, Enum):
+    """How the field of the moment is taken."""
+
+    GOOD = "good"
+    WEIGHED_DOWN = "weighed down"
+    IGNORED = "ignored"
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A spell in which the field was not the expected one.
+
+    Parameters
+    ----------
+    since, until : float
+        Stamps, seconds.
+    yaw : float
+        Where the robot looked when it began, radians, ENU to magnetic north.
+    strength : float
+        Largest departure of the strength, as a share of the expected one.
+    dip : float
+        Largest departure of the inclination, radians.
+    is_accepted : bool
+        Whether it lasted for so long that the new field was taken for the expected one.
+    """
+
+    since: float
+    until: float
+    yaw: float
+    strength: float
+    dip: float
+    is_accepted: bool = False
+
+    @property
+    def in_words(self) -> str:
+        """One line for a person."""
+        line = (
+            f"strength {100.0 * self.strength:+.0f}%, dip {math.degrees(self.dip):+.0f}° "
+            f"for {self.until - self.since:.0f} s from {self.since:.1f} s, "
+            f"looking to {math.degrees(self.yaw):.0f}°"
+        )
+        return f"{line}; accepted because it lasted" if self.is_accepted else line
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A field by what is the same at every heading: tesla, and radians below the horizon."""
+
+    strength: float
+    inclination: float
+
+
+class DisturbanceDetector:
+    """Compares the corrected field with what the calibration expects.
+
+    Parameters
+    ----------
+    expected : Expected
+        The calibrated field.
+    noise_field : float
+        Tesla per axis of one sample.
+    patience : float
+        Seconds after which a departed field is taken for the expected one.
+    field_variance : float
+        Of the corrected field per axis by the calibration's own uncertainty, tesla².
+    tuning : DisturbanceTuning, optional
+        What is taken for granted.
+
+    Attributes
+    ----------
+    trust : Trust
+        How the newest sample is to be taken.
+    departure : float
+        Its departure in sigmas.
+    last : Disturbance or None
+        The newest spell of disturbance.
+    amplitude_variance : float
+        Of what places add to the field per axis, over its squared strength, as far as learnt.
+    """
+
+    def __init__(
+        self,
+        expected: Expected,
+        noise_field: float,
+        patience: float,
+        field_variance: float = 0.0,
+        tuning: DisturbanceTuning | None = None,
+    ) -> None:
+        self.tuning = tuning or DisturbanceTuning()
+        self.patience = patience
+        self.trust = Trust.GOOD
+        self.departure = 0.0
+        self.last: Disturbance | None = None
+        self.amplitude_variance = self.tuning.amplitude**2
+        self._calibrated = self._expected = expected
+        strength = max(expected.strength, 1e-9)
+        self._noise = (self.tuning.noise_share * noise_field / strength) ** 2
+        self._noise += field_variance / strength**2
+        self._mean: tuple[float, float] | None = None
+        self._stamp = -math.inf
+        self._disturbed_since: float | None = None
+
+    def add(
+        self, stamp: float, field: Triple, up: Triple, tilt_variance: float, yaw: float
+    ) -> bool:
+        """Take a corrected field (tesla, body axes); returns whether a new field was accepted.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field, up : tuple of float
+            Tesla, and a unit vector; body axes.
+        tilt_variance : float
+            Of up, rad².
+        yaw : float
+            Radians, for the record.
+        """
+        size = length(field)
+        dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
+        seconds, self._stamp = stamp - self._stamp, stamp
+        if self._mean is None or not 0.0 < seconds < 1.0:
+            self._mean = (size, dip)
+        share = 1.0 - math.exp(-min(max(seconds, 0.0), 1.0) / self.tuning.memory)
+        old_size, old_dip = self._mean
+        self._mean = (old_size + share * (size - old_size), old_dip + share * (dip - old_dip))
+        if self._distance(self._calibrated, tilt_variance) < 1.0:
+            self._expected = self._calibrated
+        self.departure = self._distance(self._expected, tilt_variance)
+        self.trust = self._judge()
+        if self.trust is not Trust.IGNORED:
+            self._disturbed_since = None
+            return False
+        return self._note(stamp, yaw)
+
+    def learn(self, seconds: float, tilt_variance: float, across: float) -> float:
+        """Learn how much places bend the field; returns how the variance has grown, at least 1.
+
+        Parameters
+        ----------
+        seconds : float
+            Since this was asked for last.
+        tilt_variance : float
+            Of up, rad²: a tilt shows as dip.
+        across : float
+            Squared departure of the level field across north, over the squared strength.
+        """
+        assert self._mean is not None
+        tuning, old = self.tuning, self.amplitude_variance
+        strength = self._mean[0] / max(self._calibrated.strength, 1e-9) - 1.0
+        dip = self._mean[1] - self._calibrated.inclination
+        most = tuning.largest_step**2 * old
+        seen = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
+        seen = (seen + min(across, most)) / 3.0
+        share = min(1.0, seconds / tuning.amplitude_memory)
+        new = max(old + share * (seen - old), tuning.smallest_amplitude**2)
+        self.amplitude_variance = new
+        return max(1.0, new / old)
+
+    def _judge(self) -> Trust:
+        # A field at the edge must not be heard now and then.
+        was_ignored = self.trust is Trust.IGNORED
+        edge = self.tuning.believed_below if was_ignored else self.tuning.ignored_from
+        if self.departure >= edge:
+            return Trust.IGNORED
+        return Trust.GOOD if self.departure <= 1.0 else Trust.WEIGHED_DOWN
+
+    def _distance(self, expected: Expected, tilt_variance: float) -> float:
+        """Return how far the mean is from a field, in sigmas."""
+        assert self._mean is not None
+        strength = self._mean[0] / max(expected.strength, 1e-9) - 1.0
+        dip = self._mean[1] - expected.inclination
+        common = self._noise + self.amplitude_variance
+        of_strength = self.tuning.strength**2 + common
+        of_dip = self.tuning.dip**2 + common + tilt_variance
+        return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
+
+    def _note(self, stamp: float, yaw: float) -> bool:
+        """Write down the disturbance; returns whether it has lasted long enough."""
+        assert self._mean is not None
+        strength = self._mean[0] / max(self._expected.strength, 1e-9) - 1.0
+        dip = self._mean[1] - self._expected.inclination
+        last = self.last
+        if self._disturbed_since is None or last is None:
+            self._disturbed_since = stamp
+            last = Disturbance(stamp, stamp, yaw, strength, dip)
+        accepts = stamp - self._disturbed_since > self.patience
+        self.last = Disturbance(
+            last.since,
+            stamp,
+            last.yaw,
+            max(strength, last.strength, key=abs),
+            max(dip, last.dip, key=abs),
+            accepts,
+        )
+        if accepts:
+            self._expected = Expected(*self._mean)
+            self._disturbed_since = None
+        return accepts

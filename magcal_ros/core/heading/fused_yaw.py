@@ -1,0 +1,294 @@
+"""A yaw that is smooth and never trapped: the gyro propagates it, the compass corrects it.
+
+North is kept as a level direction in body axes and propagated by the gyro; the level part of the
+field corrects it about up alone, so a bent field never tips the attitude (the projection of
+DIY IMU, part 3). A small Kalman filter on yaw, gyro bias and the disturbance of the place weighs
+the two: streets bend the field over tens of metres, so that a second's samples are one witness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.vec3 import Triple, between, cross, dot, length, propagated
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, field_variance
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
+from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.heading.yaw_filter import YawFilter
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.up import GyroBias, Up
+
+HISTORY = 512
+"""IMU messages within which the moment of a field message is looked for."""
+UNBIASED = GyroBias((0.0, 0.0, 0.0), 0.0)
+"""Of a gyro whose bias is taken off already."""
+
+
+class _Moment(NamedTuple):
+    """North as it was propagated to a stamp, and how far the compass had turned the yaw by then."""
+
+    stamp: float
+    north: Triple
+    shift: float
+
+
+class FusedYaw:
+    """The gyro-aided yaw of one calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What is in force; tells the field to expect.
+    patience : float
+        Seconds after which a departed field is taken for the expected one.
+    tuning : FusionTuning, optional
+        What is taken for granted.
+
+    Attributes
+    ----------
+    detector : DisturbanceDetector
+        Whether the field of the moment is the calibrated one.
+    """
+
+    def __init__(
+        self, calibration: Calibration, patience: float, tuning: FusionTuning | None = None
+    ) -> None:
+        self.tuning = tuning or FusionTuning()
+        expected = Expected(calibration.strength, calibration.inclination)
+        self.detector = DisturbanceDetector(
+            expected,
+            calibration.noise_field,
+            patience,
+            field_variance(calibration),
+            self.tuning.disturbance,
+        )
+        level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
+        self._level_share = level * level
+        self._path: deque[_Moment] = deque(maxlen=HISTORY)
+        self._filter = YawFilter()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget where north is; the next compass sample tells."""
+        self._north: Triple | None = None
+        self._up = Up((0.0, 0.0, 1.0), 0.0)
+        self._stamp = -math.inf
+        self._rate: Triple = (0.0, 0.0, 0.0)
+        self._shift = self._lasting = self._unlearnt = 0.0
+        self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
+        self._filter.begin(0.0, self.tuning.bias_sigma**2, 0.0)
+        self._is_at_rest = False
+        self._corrected = self._begun = -math.inf
+        self._overruled = 0.0
+        self._path.clear()
+
+    def propagate(
+        self,
+        stamp: float,
+        up: Up,
+        rate: Triple,
+        known: GyroBias = UNBIASED,
+        is_at_rest: bool = False,
+    ) -> None:
+        """Go on to the next IMU message.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        up : Up
+            Up after the message.
+        rate : tuple of float
+            Mean turn rate since the one before, less the bias that is known of it, rad/s.
+        known : GyroBias
+            That bias.
+        is_at_rest : bool
+            Whether the robot stands, so that the field of the place stays.
+        """
+        seconds = stamp - self._stamp
+        if not 0.0 < seconds <= LONGEST_GYRO_STEP and self._north is not None:
+            self.restart()
+        self._stamp, self._up, self._rate, self._is_at_rest = stamp, up, rate, is_at_rest
+        if known is not self._known:
+            self._take_bias(known)
+        if self._north is None:
+            return
+        x, y, z = up.direction
+        b = self._filter.bias
+        p, q, r = rate
+        north = propagated(
+            self._north,
+            ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds),
+        )
+        level = _levelled(north, up.direction)
+        if level is None:
+            self.restart()
+            return
+        self._north = level
+        self._path.append(_Moment(stamp, level, self._shift))
+        tuning = self.tuning
+        lost = (tuning.angle_walk**2 + tuning.turn_error**2 * length(rate)) * seconds
+        self._filter.propagate(seconds, lost, tuning.bias_walk**2 * seconds)
+
+    def _take_bias(self, known: GyroBias) -> None:
+        """Keep what is known of the whole bias when the part taken off the rate has changed."""
+        variance = known.variance + self.tuning.bias_sigma**2
+        change = (
+            known.rate[0] - self._known.rate[0],
+            known.rate[1] - self._known.rate[1],
+            known.rate[2] - self._known.rate[2],
+        )
+        self._known = known
+        self._filter.bias -= dot(change, self._up.direction)
+        if variance < self._filter.bias_variance or self._north is None:
+            self._filter.know_bias(variance)
+
+    def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
+        """Let the compass correct the yaw.
+
+        Parameters
+        ----------
+        stamp : float
+            Of the field, seconds.
+        field : tuple of float
+            Corrected field, tesla, body axes.
+        up : Up
+            Of the field's moment.
+        heading : Heading
+            What the compass makes of both.
+        """
+        seen = _levelled(field, up.direction)
+        if seen is None or abs(stamp - self._stamp) > LONGEST_GYRO_STEP:
+            return
+        detector = self.detector
+        is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
+        self._lasting = heading.lasting_variance
+        if self._north is None:
+            self._begin(seen, heading)
+            return
+        then = self._at(stamp)
+        if then is None or stamp <= self._corrected:
+            return
+        since = min(stamp - self._corrected, LONGEST_GYRO_STEP)
+        self._corrected = stamp
+        # North that lies further to the left is a yaw further to the right.
+        angle = math.atan2(dot(cross(then.north, seen), up.direction), dot(then.north, seen))
+        innovation = wrapped(-angle - (self._shift - then.shift))
+        self._unlearnt += since
+        if self._unlearnt >= self.tuning.learning_step:
+            self._move_on(self._unlearnt, innovation, heading)
+            self._unlearnt = 0.0
+        if is_new:
+            self._filter.doubt_yaw(innovation**2)
+        elif detector.trust is Trust.IGNORED:
+            self._overruled = 0.0
+            if stamp - self._begun < self.tuning.start:
+                # What turns out to be bent soon after the start was so at the start.
+                missing = self.tuning.unknown**2 - self._filter.yaw_variance
+                self._filter.doubt_yaw(max(0.0, missing))
+            return
+        self._weigh(self._north, innovation, heading, min(since, self.tuning.noise_tau))
+
+    def heading(self) -> Heading | None:
+        """Return the attitude at the newest IMU message; None while north is not known."""
+        north, up = self._north, self._up.direction
+        if north is None:
+            return None
+        east = cross(north, up)
+        yaw = math.atan2(north[0], east[0])
+        roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
+        variance = self._filter.yaw_variance + self._lasting
+        return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
+
+    @property
+    def _disturbance_variance(self) -> float:
+        """Variance of what places do to the compass, rad²."""
+        return self.detector.amplitude_variance / self._level_share
+
+    def _begin(self, seen: Triple, heading: Heading) -> None:
+        level = _levelled(seen, self._up.direction)
+        if level is None:
+            return
+        self._north = level
+        variance = heading.yaw_variance - heading.lasting_variance
+        bias = self._known.variance + self.tuning.bias_sigma**2
+        self._filter.begin(variance, min(bias, 1.0), self._disturbance_variance)
+        self._begun = self._stamp
+        self._path.append(_Moment(self._stamp, level, self._shift))
+
+    def _move_on(self, seconds: float, innovation: float, heading: Heading) -> None:
+        """Let the disturbance change with the place, and learn how large it is."""
+        known = self._filter.yaw_variance + self._by_tilt(heading)
+        across = max(0.0, innovation**2 - known) * self._level_share
+        self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
+        tuning = self.tuning
+        tau = tuning.standing_tau if self._is_at_rest else tuning.moving_tau
+        self._filter.move_on(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
+
+    @staticmethod
+    def _by_tilt(heading: Heading) -> float:
+        own = heading.noise_variance + heading.lasting_variance
+        return max(0.0, heading.yaw_variance - own)
+
+    def _weigh(self, north: Triple, innovation: float, heading: Heading, seconds: float) -> None:
+        """Correct yaw and bias by what the compass says beyond the propagated yaw."""
+        tuning, following = self.tuning, self._filter
+        bent = self._disturbance_variance
+        by_tilt = self._by_tilt(heading)
+        by_noise = heading.noise_variance + tuning.small_iron * bent
+        doubt = innovation**2 / (tuning.gate**2 * following.spread(by_tilt + by_noise))
+        is_good = self.detector.trust is Trust.GOOD
+        clear = min(doubt - 1.0, tuning.beyond_doubt) / tuning.beyond_doubt
+        self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
+        if self._overruled > tuning.overruled_after:
+            following.doubt_yaw(innovation**2)
+            self._overruled = doubt = 0.0
+        departed = max(1.0, self.detector.departure**4)
+        noise = (by_tilt * tuning.tilt_tau + by_noise * tuning.noise_tau) / seconds
+        noise += bent * (departed - 1.0) * tuning.moving_tau / seconds
+        noise *= max(1.0, doubt)
+        momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, doubt) * departed
+        spread = following.spread(noise)
+        share = min(1.0, seconds / tuning.noise_tau)
+        if momentary < following.yaw_variance and share * spread > following.yaw_variance:
+            # Errors by tilt are common to both: where the compass of the moment is the better
+            # one, a mean of both is not.
+            following.follow(share, momentary)
+            self._turn(north, share * innovation)
+        else:
+            self._turn(north, following.observe(innovation, noise))
+
+    def _turn(self, north: Triple, angle: float) -> None:
+        x, y, z = self._up.direction
+        self._north = propagated(north, (angle * x, angle * y, angle * z))
+        self._shift += angle
+
+    def _at(self, stamp: float) -> _Moment | None:
+        """Return north at a stamp; after the newest message the body is taken to turn on."""
+        after = None
+        for moment in reversed(self._path):
+            since = stamp - moment.stamp
+            if since >= 0.0:
+                if after is None:
+                    x, y, z = self._rate
+                    north = propagated(moment.north, (x * since, y * since, z * since))
+                else:
+                    share = since / (after.stamp - moment.stamp)
+                    north = between(moment.north, after.north, share)
+                return moment._replace(north=north)
+            after = moment
+        return None
+
+
+def _levelled(vector: Triple, up: Triple) -> Triple | None:
+    """Return the direction of a vector's level part; None where it has hardly one."""
+    rise = dot(vector, up)
+    level = (vector[0] - rise * up[0], vector[1] - rise * up[1], vector[2] - rise * up[2])
+    size = length(level)
+    if size <= SMALLEST_LEVEL_SHARE * length(vector):
+        return None
+    return (level[0] / size, level[1] / size, level[2] / size)

@@ -1,0 +1,156 @@
+"""Everything else that the fit measured, by name: what a verdict is made of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.parameters import Globals
+from magcal_ros.core.estimation.prior import prior_from
+from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.estimation.uncertainty import correction_from, correction_jacobian
+from magcal_ros.core.estimation.weighting import Weights
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import field_in_enu
+from magcal_ros.core.geometry.circle3d import fit_circle_robustly
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+
+LEAST_ELLIPSE_ARC = math.radians(270.0)
+SPLIT_DAMPING = 1e-6
+"""Half a turn may leave a direction open."""
+
+
+def measure_figures(
+    fit: Fit, covariance: FloatArray, knowledge: Knowledge, scale: float, arc: float
+) -> dict[Figure, float]:
+    """Return the figures that the optimum of one turn alone shows.
+
+    Parameters
+    ----------
+    fit : Fit
+    covariance : ndarray, shape (12, 12)
+        Of the twelve numbers in SI units.
+    knowledge : Knowledge
+    scale : float
+        Tesla of one field scale.
+    arc : float
+        Radians.
+    """
+    block, shared = fit.block, fit.shared
+    weighting = block.weighting
+    jacobian = _level_heading_jacobian(fit, scale)
+    residual = block.place.prediction.field_residual[weighting.inliers]
+    level = abs(shared.strength * math.cos(shared.inclination))
+    figures = {
+        Figure.HEADING_SIGMA: rms_sigma(jacobian, covariance),
+        Figure.RESIDUAL_RATIO: math.sqrt(float(np.mean(np.sum(residual**2, axis=1)) / 3.0)) / level,
+        Figure.INLIER_FRACTION: float(weighting.inliers.mean()),
+        Figure.SPLIT_HALF: _split_half(fit, scale),
+        Figure.FIELD_NOISE_RATIO: weighting.noise.field / abs(shared.strength),
+        Figure.UP_NOISE: weighting.noise.up,
+        Figure.KAPPA: weighting.inefficiency,
+        Figure.WOBBLE: block.wobble,
+        Figure.SOFT_IRON: float(fit.prior.has_soft_iron),
+        Figure.FIELD_SCALE: scale,
+    }
+    figures.update(pulls(shared, knowledge.reference, scale))
+    figures.update(_unseen_soft_iron(fit, knowledge, scale))
+    figures.update(_circle_figures(fit, knowledge, scale, arc))
+    return figures
+
+
+def _unseen_soft_iron(fit: Fit, knowledge: Knowledge, scale: float) -> dict[Figure, float]:
+    prior = prior_from(knowledge, scale, soft_iron=True)
+    if fit.prior.has_soft_iron or not prior.has_soft_iron:
+        return {}
+    freed = replace(_with_free_attitudes(fit), prior=prior)
+    by_global = _level_heading_jacobian(fit, scale) @ correction_jacobian(
+        fit.shared, fit.mounting, scale
+    )
+    return {Figure.HEADING_SIGMA_SOFT_IRON: rms_sigma(by_global, freed.covariance)}
+
+
+def _with_free_attitudes(fit: Fit) -> Fit:
+    """Return the optimum with each sample free to turn by itself, which the gyro forbids."""
+    block = fit.block
+    if isinstance(block, FreeBlock):
+        return fit
+    noise = replace(block.weighting.noise, wobble=block.wobble)
+    weighting = replace(block.weighting, noise=noise)
+    return fit.with_blocks([FreeBlock(block.place, weighting, own=block.own)])
+
+
+def _level_heading_jacobian(fit: Fit, scale: float) -> FloatArray:
+    """Return the derivative of the level heading by the twelve numbers, shape (24, 12)."""
+    correction = correction_from(fit.shared, fit.mounting, scale)
+    field = field_in_enu(scale * fit.shared.strength, fit.shared.inclination)
+    return heading_jacobian(correction, field, 0.0)
+
+
+def _split_half(fit: Fit, scale: float) -> float:
+    """Return the RMS heading between the optima of first and second half, one step away each."""
+    free = _with_free_attitudes(fit)
+    weights = free.block.weighting.weights
+    count = len(weights.sample)
+    steps = []
+    for half in (np.arange(count) < count // 2, np.arange(count) >= count // 2):
+        counted = Weights(weights.data, weights.wobble, weights.sample * half)
+        equations = free.reweighted([counted]).equations
+        move = equations.move(SPLIT_DAMPING, np.zeros(equations.size))
+        if move is None:
+            return math.nan
+        steps.append(move.step[len(free.block.own) :])
+    jacobian = correction_jacobian(fit.shared, fit.mounting, scale)[:, fit.free]
+    gap = _level_heading_jacobian(fit, scale) @ jacobian @ (steps[0] - steps[1])
+    return float(np.sqrt(np.mean(gap**2)))
+
+
+def pulls(shared: Globals, reference: ReferenceField, scale: float) -> dict[Figure, float]:
+    """Return by how many sigmas strength and inclination were pulled from what was believed."""
+    pairs: list[tuple[Figure, Belief, float]] = [
+        (Figure.STRENGTH_PULL, reference.strength, scale * shared.strength),
+        (Figure.INCLINATION_PULL, reference.inclination, shared.inclination),
+    ]
+    return {
+        name: (found - belief.value) / belief.sigma
+        for name, belief, found in pairs
+        if not (belief.is_exact or belief.is_unknown)
+    }
+
+
+def _circle_figures(
+    fit: Fit, knowledge: Knowledge, scale: float, arc: float
+) -> dict[Figure, float]:
+    samples, shared = fit.block.samples, fit.shared
+    points = samples.field[fit.block.weighting.inliers] @ np.linalg.inv(samples.mounting).T
+    circle = fit_circle_robustly(points)
+    figures = {}
+    if knowledge.reference.is_complete:
+        across = np.cross(shared.world_axis[:, 2], shared.field_enu) / shared.strength
+        strength = knowledge.reference.strength.value / scale
+        expected = strength * float(np.linalg.norm(across))
+        figures[Figure.RADIUS_RATIO] = circle.radius / max(expected, 1e-9)
+    if arc >= LEAST_ELLIPSE_ARC:
+        figures[Figure.ELLIPSE_RATIO] = ellipse_ratio(points, circle.centre, circle.normal)
+    return figures
+
+
+def ellipse_ratio(points: FloatArray, centre: FloatArray, normal: FloatArray) -> float:
+    """Return the ratio of the axes of the ellipse that points (n, 3) draw around a circle.
+
+    The distance from the centre is fitted by a constant and its first two harmonics.
+    """
+    plane = np.linalg.svd(normal[None])[2][1:]
+    x, y = plane @ (points - centre).T
+    angle, distance = np.arctan2(y, x), np.hypot(x, y)
+    columns = [np.ones_like(angle)]
+    for order in (1, 2):
+        columns += [np.cos(order * angle), np.sin(order * angle)]
+    shape = np.linalg.lstsq(np.column_stack(columns), distance, rcond=None)[0]
+    swing = min(math.hypot(shape[3], shape[4]) / max(float(shape[0]), 1e-12), 0.9)
+    return (1.0 + swing) / (1.0 - swing)

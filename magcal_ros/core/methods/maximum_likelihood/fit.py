@@ -1,0 +1,231 @@
+"""From a window to an estimate: the walk through the other files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimation.averaging import Prepared, prepare
+from magcal_ros.core.estimation.consistency import gyro_compass_swing
+from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.gyro_attitude import GyroBlock
+from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
+from magcal_ros.core.estimation.heading_gap import heading_gap
+from magcal_ros.core.estimation.initial import starts
+from magcal_ros.core.estimation.multi_start import search
+from magcal_ros.core.estimation.prior import prior_from
+from magcal_ros.core.estimation.seating import attitudes_from_vectors
+from magcal_ros.core.estimation.selection import (
+    PROPAGATION,
+    Choice,
+    explains_as_well,
+    free_attitudes,
+    propagated_attitudes,
+)
+from magcal_ros.core.estimation.systematic_errors import Lasting, Turning, systematic_covariance
+from magcal_ros.core.estimation.uncertainty import twelve_covariance
+from magcal_ros.core.estimation.weighting import Weights
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Knowledge, Systematics
+from magcal_ros.core.methods.maximum_likelihood.diagnostics import measure_figures
+from magcal_ros.core.methods.maximum_likelihood.report import EstimateParts, build_estimate
+from magcal_ros.core.methods.maximum_likelihood.screening import (
+    check_gyro,
+    check_solution,
+    check_window,
+    seen_arc,
+)
+from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, weakened
+from magcal_ros.core.samples.window import Window
+
+
+@dataclass(frozen=True)
+class Options:
+    """How the fit works; the defaults are meant to be left alone.
+
+    Parameters
+    ----------
+    largest : int
+        Neighbouring samples are averaged until no more than this number remain.
+    """
+
+    largest: int = 800
+
+
+def fit(
+    window: Window, knowledge: Knowledge = Knowledge(), options: Options = Options()
+) -> Estimate:
+    """Find installation error and hard iron from one turn by maximum likelihood.
+
+    Parameters
+    ----------
+    window : Window
+        Paired samples of the turn.
+    knowledge : Knowledge
+        Reference field, mounting and soft iron, each known, uncertain or unknown.
+    options : Options
+
+    Returns
+    -------
+    Estimate
+        Its `figures` are explained in `Figure`.
+
+    Raises
+    ------
+    Refusal
+        If the samples cannot carry a calibration; the message says what to do next.
+    """
+    share = level_share(window, knowledge)
+    inside = weakened(knowledge, share)
+    if inside is None:
+        return conclude(solve(window, knowledge, options), knowledge)
+    try:
+        estimate = conclude(solve(window, inside, options), inside)
+    except Refusal as refusal:
+        raise Refusal(
+            Reason.CIRCLE_TOO_SMALL,
+            f"the circle's radius is {share:.0%} of the reference field's, and what is left does"
+            " not follow the turn; mount the sensor away from steel, or check the reference field",
+        ) from refusal
+    figures = {**estimate.figures, Figure.LEVEL_SHARE: share}
+    figures.pop(Figure.RADIUS_RATIO, None)
+    return replace(estimate, figures=figures)
+
+
+def solve(
+    window: Window, knowledge: Knowledge = Knowledge(), options: Options = Options()
+) -> Solved:
+    """Find the optimum of one turn, before it is asked whether the turn can carry it.
+
+    Raises
+    ------
+    Refusal
+        If there is nothing to be found in the samples.
+    """
+    check_window(window, knowledge)
+    prepared = prepare(window.field, window.specific_force, knowledge, options.largest)
+    return _solve(window, prepared, knowledge)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """What the fit came to, before it is judged.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    choice : Choice
+        The optimum of the model that the samples ask for.
+    rival_gap : float
+        Radians of heading to a rival that explains the samples as well.
+    window : Window
+        The samples.
+    swing : GyroSwing or None
+        Of gyro and compass; None without a gyro.
+    gyro_gap : float
+        Radians of heading between the fits with gyro-propagated attitudes and without.
+    """
+
+    prepared: Prepared
+    choice: Choice
+    rival_gap: float
+    window: Window
+    swing: GyroSwing | None = None
+    gyro_gap: float = 0.0
+
+    def seen(self, systematics: Systematics) -> Lasting:
+        """Return what the residuals show of lasting errors; nothing where none are believed."""
+        if systematics.are_none or self.swing is None:
+            return Lasting()
+        return Lasting(self.swing.rms, self.gyro_gap)
+
+    @property
+    def figures(self) -> dict[Figure, float]:
+        """What the search and the gyro show, by name."""
+        figures = {
+            Figure.RIVAL_GAP: self.rival_gap,
+            Figure.SOFT_IRON_GAIN: self.choice.soft_iron_gain,
+        }
+        if self.swing is None:
+            return figures
+        block = self.choice.fit.block
+        acceleration = block.acceleration if isinstance(block, GyroBlock) else np.zeros(3)
+        return figures | {
+            Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock)),
+            Figure.GYRO_COMPASS_SWING: self.swing.rms,
+            Figure.GYRO_GAP: self.gyro_gap,
+            Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
+        }
+
+
+def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
+    """Check an optimum and bring it into the package's own form.
+
+    Raises
+    ------
+    Refusal
+        If the turn cannot carry a calibration.
+    """
+    fit, scale = solved.choice.fit, solved.prepared.scale
+    arc = seen_arc(fit.block)
+    swing = solved.swing
+    if swing is not None:
+        check_gyro(swing.rms)
+    check_solution(fit.block, knowledge, arc, solved.rival_gap, gyro=swing is not None)
+    covariance = twelve_covariance(fit, scale, solved.choice.doubt)
+    covariance += systematic_covariance(
+        fit.shared,
+        fit.mounting,
+        scale,
+        knowledge.systematics,
+        Turning.of(solved.window, arc),
+        solved.seen(knowledge.systematics),
+    )
+    figures = measure_figures(fit, covariance, knowledge, scale, arc) | solved.figures
+    axis = fit.shared.body_axis[:, 2]
+    return build_estimate(
+        fit, EstimateParts([solved.prepared], covariance, axis, arc, figures, swing)
+    )
+
+
+def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
+    samples, scale = prepared.averaged, prepared.scale
+    without_iron = prior_from(knowledge, scale, soft_iron=False)
+    with_iron = prior_from(knowledge, scale, soft_iron=True)
+    path = None if window.angular_rate is None else gyro_path(window, prepared.first)
+    sense = 1.0 if path is None else sense_of_mounting(samples, path)
+    found = search(starts(samples, knowledge.reference, scale, sense), samples, without_iron)
+    thin = found.best.block.weighting
+    weighting = replace(thin, weights=Weights.ones(len(samples)))
+    begun = FreeBlock.seated_at(found.best.shared, samples, weighting)
+    start, always = found.best.with_blocks([begun]), knowledge.soft_iron.always
+    if path is None:
+        free = free_attitudes(start, with_iron, always=always)
+        return Solved(prepared, free, found.rival_gap, window)
+    choice = propagated_attitudes(start, path, with_iron, always=always)
+    gap = choice.gap
+    block = choice.fit.block
+    assert isinstance(block, GyroBlock)
+    if not explains_as_well(choice.fit, found.best):
+        choice = free_attitudes(start, with_iron, always=always)
+    elif not block.path.accelerated and not knowledge.systematics.are_none:
+        free = free_attitudes(start, with_iron, always=always)
+        gap = max(gap, heading_gap(choice.fit, free.fit))
+        # What soft iron explains only without the gyro, the gyro's own walk had hidden.
+        if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
+            choice, gap = free, 0.0
+    swing = _swing(choice, path, window.time[prepared.first])
+    return Solved(prepared, choice, found.rival_gap, window, swing, gap)
+
+
+def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:
+    """Return how the compass swings against the gyro."""
+    place = choice.fit.block.place
+    shared = place.state.shared
+    attitude = attitudes_from_vectors(shared, place.samples)
+    body = shared.body_axis @ attitude @ shared.world_axis.T
+    return gyro_compass_swing(path.relative, body, time)

@@ -1,0 +1,1 @@
+"""Whether the calibration in force still holds."""

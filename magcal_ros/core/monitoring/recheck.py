@@ -1,0 +1,222 @@
+"""Whether a calibration still holds: the corrected field of a fresh turn, looked at from all sides.
+
+A field that is corrected well has the same strength, the same dip and the same level part at
+every heading, and its yaw turns as the gyro does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Aspect, Check, Grade
+from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import unit, yaw_from_up_and_field
+from magcal_ros.core.monitoring.gyro_compass import gyro_compass
+from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
+from magcal_ros.core.samples.coverage import Coverage
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up import propagated_up
+
+STATES = {
+    Grade.EXCELLENT: "holds",
+    Grade.GOOD: "holds",
+    Grade.WARN: "doubtful",
+    Grade.REFUSED: "stale",
+}
+"""What a grade says of a calibration that is in force."""
+
+SENTENCES = {
+    "holds": "The calibration holds",
+    "doubtful": "The calibration is doubtful",
+    "stale": "The calibration is stale, calibrate again",
+}
+
+NO_GYRO = "whether the compass turns as the robot does: there is no gyro"
+NO_YAW = "an error of the yaw that is the same at every heading"
+
+
+@dataclass(frozen=True, eq=False)
+class Recheck:
+    """What came of a recheck.
+
+    Parameters
+    ----------
+    verdict : Verdict
+        Its quality says whether the calibration holds, its confidence how much of it was seen.
+    estimate : Estimate
+        The old numbers with the fresh residuals, as a report shows them.
+    """
+
+    verdict: Verdict
+    estimate: Estimate
+
+    @property
+    def findings(self) -> tuple[Check, ...]:
+        """Everything that says whether the calibration holds."""
+        return tuple(c for c in self.verdict.checks if c.aspect is Aspect.QUALITY)
+
+    @property
+    def state(self) -> str:
+        """One of `STATES`."""
+        return STATES[self.verdict.quality]
+
+
+def check(
+    window: Window, calibration: Calibration, tuning: RecheckTuning = RecheckTuning()
+) -> Recheck:
+    """Look at a fresh turn through a calibration.
+
+    Parameters
+    ----------
+    window : Window
+        Samples of at least a good part of a turn.
+    calibration : Calibration
+        What is to be tried.
+    tuning : RecheckTuning
+
+    Returns
+    -------
+    Recheck
+    """
+    up = up_of(window)
+    field = calibration.correction.apply(window.field)
+    heading = yaw_from_up_and_field(up, field)
+    before = figures(window, up, heading, Correction.identity(), calibration, tuning)[0]
+    after, swing = figures(window, up, heading, calibration.correction, calibration, tuning)
+    arc = Coverage.of(heading).arc
+    found = after | {Figure.ARC: arc}
+    checks = tuple(
+        bound.check(found[bound.figure], before=before.get(bound.figure))
+        for bound in tuning.bounds
+        if bound.figure in found
+    )
+    not_shown = (NO_YAW, NO_GYRO) if swing is None else (NO_YAW,)
+    verdict = Verdict(checks, not_shown, "")
+    estimate = _on_fresh_samples(calibration, window, up, arc, swing)
+    return Recheck(replace(verdict, summary=_summary(verdict)), estimate)
+
+
+def _summary(verdict: Verdict) -> str:
+    """Return the state and what it is for."""
+    state = STATES[verdict.quality]
+    causes = (c for c in verdict.checks if c.aspect is Aspect.QUALITY)
+    words = "; ".join(c.words for c in causes if STATES[c.grade] == state)
+    return f"{SENTENCES[state]}: {words}."
+
+
+def _on_fresh_samples(
+    calibration: Calibration, window: Window, up: FloatArray, arc: float, swing: GyroSwing | None
+) -> Estimate:
+    """Return the old numbers with what is left of the fresh samples."""
+    correction = calibration.correction
+    field = correction.apply(window.field)
+    misfit = field - expected_field(field, up, calibration.strength, calibration.inclination)
+    return Estimate(
+        method=calibration.evidence.method,
+        correction=correction,
+        covariance=calibration.covariance,
+        installation=None,
+        axis=unit(up.mean(axis=0)),
+        arc=arc,
+        strength=calibration.strength,
+        inclination=calibration.inclination,
+        noise_field=calibration.noise_field,
+        noise_up=calibration.noise_up,
+        inliers=np.ones(len(window), dtype=np.bool_),
+        residual=np.asarray(np.linalg.solve(correction.matrix, misfit.T).T, dtype=np.float64),
+        message="checked on other samples than it was made from",
+        swing=swing,
+    )
+
+
+def expected_field(
+    field: FloatArray, up: FloatArray, strength: float, inclination: float
+) -> FloatArray:
+    """Return the field (n, 3) of given strength and inclination at the heading of `field`."""
+    rise = np.sum(field * up, axis=1, keepdims=True)
+    level = unit(field - rise * up)
+    return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
+
+
+def figures(
+    window: Window,
+    up: FloatArray,
+    heading: FloatArray,
+    correction: Correction,
+    calibration: Calibration,
+    tuning: RecheckTuning,
+) -> tuple[dict[Figure, float], GyroSwing | None]:
+    """Measure the field of a window after a correction.
+
+    Parameters
+    ----------
+    window : Window
+        The samples.
+    up : ndarray, shape (n, 3)
+        Unit, body axes.
+    heading : ndarray, shape (n,)
+        Where the robot looked as far as is known, radians.
+    correction : Correction
+        What is tried.
+    calibration : Calibration
+        Tells strength and inclination.
+    tuning : RecheckTuning
+
+    Returns
+    -------
+    dict of Figure to float
+        As in the bounds; radians and ratios.
+    GyroSwing or None
+        Compass against gyro, where there is one.
+    """
+    field = correction.apply(window.field)
+    size = np.linalg.norm(field, axis=1)
+    rise = np.sum(field * up, axis=1)
+    level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
+    dip = np.arctan2(-rise, level)
+    around = (np.mod(heading, math.tau) * (tuning.bins / math.tau)).astype(np.int64) % tuning.bins
+
+    def spread(values: FloatArray) -> float:
+        return _spread(values, around, tuning.bins)
+
+    found = {
+        Figure.HEADING_SWING: spread(level) / max(float(level.mean()), 1e-12),
+        Figure.STRENGTH_SPREAD: spread(size) / calibration.strength,
+        Figure.DIP_SPREAD: spread(dip),
+        Figure.STRENGTH_OFFSET: abs(float(size.mean()) / calibration.strength - 1.0),
+        Figure.DIP_OFFSET: abs(float(dip.mean()) - calibration.inclination),
+    }
+    yaw = yaw_from_up_and_field(up, field)
+    swing = gyro_compass(window, up, yaw, heading, tuning)
+    if swing is None:
+        return found, None
+    return found | {Figure.GYRO_COMPASS_DIFFERENCE: swing.rms}, swing
+
+
+def up_of(window: Window) -> FloatArray:
+    """Return up at each sample, propagated by the gyro where samples follow each other closely."""
+    if window.angular_rate is None:
+        return unit(window.specific_force)
+    gaps = np.flatnonzero(np.diff(window.time) > LONGEST_GYRO_STEP)
+    pieces = np.split(np.arange(len(window)), gaps + 1)
+    return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
+
+
+def _spread(values: FloatArray, around: IntArray, bins: int) -> float:
+    """Return how the values' mean varies with the heading, root mean square.
+
+    The mean over each heading takes the noise out of it, which the spread is not about.
+    """
+    counts = np.bincount(around, minlength=bins)
+    filled = counts >= min(3, int(counts.max()))
+    means = np.bincount(around, values, bins)[filled] / counts[filled]
+    return float(means.std())

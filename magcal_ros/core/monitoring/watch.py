@@ -1,0 +1,230 @@
+"""Whether a calibration still holds while the robot drives, from message to message.
+
+Each visit to a heading leaves one record, and a robot that stands leaves no more of them, so that
+neither a long pause beside a car nor a long straight way weighs. Only what many headings say
+together, and say for a while, is called a change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Check, Grade
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
+from magcal_ros.core.monitoring.watch_tuning import WatchTuning
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the last minutes of driving say.
+
+    Parameters
+    ----------
+    is_stale : bool
+        Whether the calibration no longer holds.
+    findings : tuple of Check
+        Everything measured at the last look; while stale, at the one that showed it.
+    minutes : float
+        Since when it does not hold, in minutes before the newest look; zero while it holds.
+    hard_iron : tuple of float
+        Change of the hard iron in the IMU's x and y, tesla.
+    was_judged : bool
+        Whether it could be judged at all since it is in force.
+    lacking : str
+        What has not been seen in the last minutes; empty if they were judged.
+    memory : float
+        Seconds of driving that are looked at.
+    """
+
+    is_stale: bool = False
+    findings: tuple[Check, ...] = ()
+    minutes: float = 0.0
+    hard_iron: tuple[float, float] = (0.0, 0.0)
+    was_judged: bool = False
+    lacking: str = "the robot has not driven yet"
+    memory: float = WatchTuning.memory
+
+    @property
+    def summary(self) -> str:
+        """One or two sentences for a person."""
+        window = f"{self.lacking}, in the last {self.memory / 60.0:.0f} minutes"
+        if self.is_stale:
+            causes = "; ".join(words for words in map(self._words, self.findings) if words)
+            since = f"for about {max(self.minutes, 1.0):.0f} min"
+            return f"The calibration has not held {since}: {causes}."
+        if not self.was_judged:
+            return f"Not judged yet: {window}."
+        if self.lacking:
+            return f"The calibration held when it was last judged; now {window}."
+        return "The calibration holds on the headings of the last minutes."
+
+    def _words(self, finding: Check) -> str:
+        if finding.grade.rank < Grade.WARN.rank:
+            return ""
+        if finding.figure is Figure.HARD_IRON_CHANGE:
+            x, y = (1e6 * value for value in self.hard_iron)
+            return f"{finding.words} (about {x:+.1f}, {y:+.1f} µT in the IMU's x, y)"
+        return finding.words
+
+
+class Watch:
+    """Watches one calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What is in force, and what it promised.
+    tuning : WatchTuning
+    """
+
+    def __init__(self, calibration: Calibration, tuning: WatchTuning = WatchTuning()) -> None:
+        self._calibration = calibration
+        self._tuning = tuning
+        self._records: deque[Record] = deque(maxlen=tuning.most_records)
+        self._visit: list[Record] = []
+        self._newest = self._sampled = -math.inf
+        self._rate = math.nan
+        self._turned = 0.0
+        self._path = 0
+        self._looked = -math.inf
+        self._doubts_since: float | None = None
+        self._clear_since: float | None = None
+        self._stale_since = 0.0
+        self._watched = Watched(memory=tuning.memory)
+
+    @property
+    def watched(self) -> Watched:
+        """What is known by now."""
+        return self._watched
+
+    def add(self, stamp: float, field: Triple, force: Triple, yaw: float, rate: Triple) -> None:
+        """Take a corrected field sample.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field : tuple of float
+            Corrected, body axes, tesla.
+        force : tuple of float
+            Along up as it was used for the yaw, body axes, any length.
+        yaw : float
+            The heading made of both, radians.
+        rate : tuple of float
+            Angular rate, rad/s; NaN without a gyro.
+        """
+        size = length(force)
+        if size <= 0.0:
+            return
+        self._propagate(stamp, dot(rate, force) / size)
+        if stamp - self._sampled < self._tuning.sampling:
+            return
+        self._sampled = stamp
+        if force[0] ** 2 > self._tuning.steepest_nose * size * size:
+            self._close()
+            return
+        rise = dot(field, force) / size
+        if self._visit:
+            first = self._visit[0]
+            aside = wrapped(yaw - first.yaw)
+            has_turned = max(abs(aside), abs(self._turned - first.turned)) > self._tuning.aside
+            if has_turned or stamp - first.stamp > self._tuning.longest_visit:
+                self._close()
+            else:
+                yaw = first.yaw + aside
+        turn = self._rate if math.isfinite(self._rate) else 0.0
+        row = Record(stamp, yaw, length(field), rise, self._turned, self._path, turn)
+        self._visit.append(row)
+
+    def _propagate(self, stamp: float, rate: float) -> None:
+        """Follow the gyro's path; a gap parts it, and time that went back starts all over."""
+        step = stamp - self._newest
+        if step < 0.0:
+            self._records.clear()
+            self._sampled = self._looked = -math.inf
+            self._doubts_since = self._clear_since = None
+        if not 0.0 <= step <= LONGEST_GYRO_STEP:
+            self._path += 1
+            self._visit.clear()
+        elif math.isfinite(rate + self._rate):
+            self._turned += 0.5 * step * (rate + self._rate)
+        self._newest, self._rate = stamp, rate
+
+    def _close(self) -> None:
+        """Make one record of a visit, and look at all of them now and then."""
+        if not self._visit:
+            return
+        rows = np.array(self._visit)
+        self._visit.clear()
+        stamp, yaw, strength, rise, turned, path, rate = np.median(rows, axis=0).tolist()
+        record = Record(stamp, yaw, strength, rise, turned, int(path), rate)
+        self._keep(record)
+        if record.stamp - self._looked >= self._tuning.look_every:
+            self._looked = record.stamp
+            self._look(record.stamp)
+
+    def _keep(self, record: Record) -> None:
+        records, tuning = self._records, self._tuning
+        tail = [records[-k] for k in range(1, min(tuning.most_in_a_row, len(records)) + 1)]
+        stays = [
+            max(abs(wrapped(one.yaw - record.yaw)), abs(one.turned - record.turned)) < tuning.aside
+            for one in tail
+        ]
+        if len(stays) == tuning.most_in_a_row and all(stays):
+            records.pop()
+        records.append(record)
+        while records[0].stamp < record.stamp - tuning.memory:
+            records.popleft()
+
+    def _look(self, now: float) -> None:
+        records: FloatArray = np.array(self._records)
+        # The newest half shows a change sooner, all of them one that needs many records.
+        late = records[records[:, 0] > now - 0.5 * self._tuning.memory]
+        measured = measure(late, self._calibration, self._tuning)
+        if not measured.contradicts:
+            measured = measure(records, self._calibration, self._tuning)
+        before = self._watched
+        if not measured.findings:
+            self._doubts_since = self._clear_since = None
+            minutes = self._minutes(now, before.is_stale)
+            self._watched = replace(before, minutes=minutes, lacking=measured.lacking)
+            return
+        self._weigh(now, records, measured)
+
+    def _weigh(self, now: float, records: FloatArray, measured: Measured) -> None:
+        """Believe what every look of the last minute says; until then stay with the old word."""
+        before = self._watched
+        contradicts = measured.contradicts
+        if contradicts:
+            self._doubts_since, self._clear_since = self._doubts_since or now, None
+        else:
+            self._doubts_since, self._clear_since = None, self._clear_since or now
+        since = self._doubts_since if contradicts else self._clear_since
+        assert since is not None
+        is_stale = before.is_stale
+        if contradicts != is_stale and now - since >= self._tuning.confirm:
+            is_stale = contradicts
+            self._stale_since = onset(records, self._calibration, self._tuning)
+        keeps_words = is_stale and not contradicts
+        self._watched = Watched(
+            is_stale,
+            before.findings if keeps_words else measured.findings,
+            self._minutes(now, is_stale),
+            before.hard_iron if keeps_words else measured.hard_iron,
+            before.was_judged or not measured.lacking,
+            measured.lacking,
+            self._tuning.memory,
+        )
+
+    def _minutes(self, now: float, is_stale: bool) -> float:
+        return (now - self._stale_since) / 60.0 if is_stale else 0.0

@@ -1,0 +1,62 @@
+"""The turns that a running node keeps, so that the next one can join them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.samples.window import Window
+
+MOST_TURNS = 12
+MOST_SAMPLES = 4000
+"""Bounds of what is kept; the oldest turn leaves first, and a long one is thinned."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """Turns that agree, in their order.
+
+    Parameters
+    ----------
+    windows : tuple of Window
+    names : tuple of str
+        What each is called.
+    count : int
+        How many turns were tried, for the next one's name.
+    """
+
+    windows: tuple[Window, ...] = ()
+    names: tuple[str, ...] = ()
+    count: int = 0
+
+    def joined(self, window: Window, several: Several) -> Kept:
+        """Return what is kept once a turn has joined; a turn that had to go for it goes."""
+        windows, names = (*self.windows, window), (*self.names, self.next_name)
+        rows = several.joined[-MOST_TURNS:]
+        return Kept(
+            tuple(_thinned(windows[row]) for row in rows),
+            tuple(names[row] for row in rows),
+            self.count + 1,
+        )
+
+    @property
+    def next_name(self) -> str:
+        """What the next turn is called."""
+        return f"turn {self.count + 1}"
+
+
+def _thinned(window: Window) -> Window:
+    step = math.ceil(len(window) / MOST_SAMPLES)
+    return window if step <= 1 else window.take(np.arange(0, len(window), step))
+
+
+def names_of(paths: Sequence[str]) -> list[str]:
+    """Return names that tell recordings apart: the paths, numbered where one comes twice."""
+    return [
+        path if paths.count(path) == 1 else f"{path} ({paths[: k + 1].count(path)})"
+        for k, path in enumerate(paths)
+    ]

@@ -1,0 +1,246 @@
+"""What several turns show together, what each added, and what the next one should be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+WORTH_A_TURN = 0.85
+"""A number counts as better known below this share of its sigma; a further turn is advised where
+it does so for the absolute heading."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """Standard deviations of what one turn cannot show, and of the heading.
+
+    Soft iron and the yaw of the installation count as unknown up to their priors, which are known
+    beforehand, so that the numbers after one turn and after several can be compared.
+
+    Parameters
+    ----------
+    installation_yaw : float
+        Radians.
+    soft_iron : tuple of six float
+        Elements xx, yy, zz, xy, xz, yz; dimensionless.
+    axial_hard_iron : float
+        Along body z, tesla.
+    strength, inclination : float
+        Tesla, radians.
+    level, tilted : float
+        Heading on the level and on slopes of 10° after one common offset is taken off, radians.
+    absolute_level, absolute_tilted : float
+        The same with that offset, which the yaw of the installation brings.
+    """
+
+    installation_yaw: float
+    soft_iron: tuple[float, ...]
+    axial_hard_iron: float
+    strength: float
+    inclination: float
+    level: float
+    tilted: float
+    absolute_level: float
+    absolute_tilted: float
+
+    @property
+    def in_words(self) -> str:
+        """One line, people's units."""
+        iron = 100.0 * max(self.soft_iron)
+        return (
+            f"installation yaw ±{_degrees(self.installation_yaw)}, "
+            f"absolute heading ±{_degrees(self.absolute_level)} on the level and "
+            f"±{_degrees(self.absolute_tilted)} at 10° of tilt, "
+            f"inclination ±{_degrees(self.inclination)}, "
+            f"axial hard iron ±{self.axial_hard_iron * 1e6:.2f} µT, "
+            f"soft iron ±{iron:.1f} % at worst (1σ)"
+        )
+
+    def facts(self) -> dict[str, object]:
+        """Return the standard deviations in people's units, rounded."""
+        degrees = {
+            "installation_yaw": self.installation_yaw,
+            "inclination": self.inclination,
+            "heading": self.level,
+            "heading_tilted": self.tilted,
+            "heading_absolute": self.absolute_level,
+            "heading_absolute_tilted": self.absolute_tilted,
+        }
+        facts: dict[str, object] = {
+            f"{name}_deg": round(math.degrees(value), 4) for name, value in degrees.items()
+        }
+        facts["axial_hard_iron_ut"] = round(self.axial_hard_iron * 1e6, 4)
+        facts["strength_ut"] = round(self.strength * 1e6, 4)
+        facts["soft_iron_percent"] = [round(100.0 * value, 4) for value in self.soft_iron]
+        return facts
+
+    def brought(self, before: Shown) -> str:
+        """Say what a turn brought, from what was shown before it."""
+        said = changes(before, self)
+        if not said:
+            return "the same tilt as before: it steadies the noise but shows nothing new"
+        return "brought " + ", ".join(said)
+
+
+def changes(before: Shown, after: Shown) -> list[str]:
+    """Name what is better known than before, the weightiest first."""
+    micro = 1e6
+    iron = (max(before.soft_iron), max(after.soft_iron))
+    rows = [
+        ("installation yaw", before.installation_yaw, after.installation_yaw, _degrees),
+        (
+            "absolute heading at 10° of tilt",
+            before.absolute_tilted,
+            after.absolute_tilted,
+            _degrees,
+        ),
+        ("inclination", before.inclination, after.inclination, _degrees),
+        (
+            "axial hard iron",
+            micro * before.axial_hard_iron,
+            micro * after.axial_hard_iron,
+            _microtesla,
+        ),
+        ("soft iron at worst", 100.0 * iron[0], 100.0 * iron[1], _percent),
+    ]
+    return [
+        f"{name} from ±{unit(old)} to ±{unit(new)}"
+        for name, old, new, unit in rows
+        if new < WORTH_A_TURN * old
+    ]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A further turn, and what it would bring.
+
+    Parameters
+    ----------
+    pose : str
+        How the robot should stand, to be read after "turn".
+    after : Shown
+        What would then be shown.
+    """
+
+    pose: str
+    after: Shown
+
+
+@dataclass(frozen=True)
+class TurnFate:
+    """What became of one turn.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    joined : bool
+        Whether it is part of the estimate.
+    words : str
+        What it added, or why it was left out.
+    shown : Shown or None
+        What was shown once it had joined; None if it did not.
+    """
+
+    name: str
+    joined: bool
+    words: str
+    shown: Shown | None = None
+
+
+@dataclass(frozen=True)
+class Several:
+    """The report on turns that were put together.
+
+    Parameters
+    ----------
+    fates : tuple of TurnFate
+        One for each turn, in their order.
+    shown : Shown
+        What is shown by those that joined.
+    advice : tuple of Advice
+        Further turns, the best first.
+    """
+
+    fates: tuple[TurnFate, ...]
+    shown: Shown
+    advice: tuple[Advice, ...]
+
+    @property
+    def joined(self) -> tuple[int, ...]:
+        """Indices of the turns that are part of the estimate."""
+        return tuple(index for index, fate in enumerate(self.fates) if fate.joined)
+
+    @property
+    def newest(self) -> int:
+        """Index of the last turn that joined; the estimate's residuals are on its samples."""
+        return self.joined[-1]
+
+    @property
+    def advice_in_words(self) -> str:
+        """What the next turn should be, with the numbers before and after."""
+        now = f"absolute heading at 10° of tilt ±{_degrees(self.shown.absolute_tilted)}"
+        if not self.advice:
+            return f"Now {now}."
+        best = self.advice[0].after
+        if not _is_worth_it(self.shown, best):
+            left = _degrees(best.absolute_tilted)
+            return f"Another turn would bring little: {now} (at best ±{left})."
+        first = self.advice[0]
+        words = f"Next turn {first.pose}: {_change(self.shown, first.after)}."
+        other = next((a for a in self.advice[1:] if _kind(a) != _kind(first)), None)
+        if other is not None and _is_worth_it(self.shown, other.after):
+            words += f" Or {other.pose}: {_change(self.shown, other.after)}."
+        return words
+
+    @property
+    def in_words(self) -> str:
+        """Several sentences: what joined, what did not and why, what is shown, what next."""
+        count = len(self.joined)
+        words = f"{count} turn{'s' if count > 1 else ''} together: {self.shown.in_words}."
+        for fate in self.fates:
+            if not fate.joined:
+                words += f" Not joined: {fate.name}: {fate.words}."
+        return f"{words} {self.advice_in_words}"
+
+    def facts(self) -> dict[str, object]:
+        """Return everything as plain values in people's units, for JSON."""
+        return {
+            "turns": [
+                {
+                    "name": fate.name,
+                    "joined": fate.joined,
+                    "words": fate.words,
+                    "shown": None if fate.shown is None else fate.shown.facts(),
+                }
+                for fate in self.fates
+            ],
+            "shown": self.shown.facts(),
+            "next": [{"pose": a.pose, "after": a.after.facts()} for a in self.advice],
+            "advice": self.advice_in_words,
+        }
+
+
+def _is_worth_it(before: Shown, after: Shown) -> bool:
+    return after.absolute_tilted < WORTH_A_TURN * before.absolute_tilted
+
+
+def _change(before: Shown, after: Shown) -> str:
+    return ", ".join(changes(before, after)[:2])
+
+
+def _kind(advice: Advice) -> str:
+    return advice.pose.split(" ", maxsplit=1)[0]
+
+
+def _degrees(radians: float) -> str:
+    value = math.degrees(radians)
+    return "many °" if value > 90.0 else f"{value:.2g}°"
+
+
+def _microtesla(value: float) -> str:
+    return "many µT" if value > 100.0 else f"{value:.2g} µT"
+
+
+def _percent(value: float) -> str:
+    return f"{value:.2g} %"

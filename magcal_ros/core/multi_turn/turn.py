@@ -1,0 +1,122 @@
+"""Each turn by itself: what its own fit says, and whether it may meet the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import blamed_on_axes, wrong_axes
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimation.block import TurnBlock
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.maximum_likelihood.fit import Solved, conclude, solve
+from magcal_ros.core.samples.window import Window
+
+SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
+"""Reasons that forbid a turn to stand alone and that other turns may mend."""
+
+GUESSED = (Reason.CIRCLE_TOO_SMALL, Reason.AXIS_ALONG_FIELD, Reason.FIELD_TOO_STEEP)
+"""The same where nothing is known of the field: one turn can only guess how steep it is."""
+
+COPIED = 0.5
+"""Share of samples in common from which a turn is a copy of another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """One turn and its own fit.
+
+    Parameters
+    ----------
+    name : str
+        What to call it.
+    window : Window
+    verdict : Verdict
+        As if it were the only turn.
+    estimate : Estimate or None
+        The same; None where the turn cannot stand alone.
+    solved : Solved or None
+        Its optimum; None where there is none.
+    reason : Reason or None
+        Why there is no estimate.
+    unfit : str
+        Why it cannot join; empty if it may.
+    """
+
+    name: str
+    window: Window
+    verdict: Verdict
+    estimate: Estimate | None = None
+    solved: Solved | None = None
+    reason: Reason | None = None
+    unfit: str = ""
+
+    @property
+    def own_fit(self) -> Solved:
+        """Its optimum, of a turn that has one."""
+        assert self.solved is not None
+        return self.solved
+
+    @property
+    def block(self) -> TurnBlock:
+        """Its part in a joint fit."""
+        return self.own_fit.choice.fit.block
+
+    def left_out(self, words: str) -> Turn:
+        """Return the turn with a reason not to join."""
+        return replace(self, unfit=words)
+
+
+def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge) -> list[Turn]:
+    """Fit each turn alone; what cannot join says why."""
+    turns: list[Turn] = []
+    for window, name in zip(windows, names, strict=True):
+        twin = next((t for t in turns if _is_copy(window, t.window)), None)
+        turn = _alone(window, name, knowledge)
+        if twin is not None:
+            turn = turn.left_out(f"it holds the same samples as {twin.name}")
+        turns.append(turn)
+    return turns
+
+
+def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
+    solved = None
+    try:
+        solved = solve(window, knowledge)
+        estimate = conclude(solved, knowledge)
+    except Refusal as refusal:
+        why = blamed_on_axes(refusal, window, knowledge)
+        mended = solved is not None and _may_be_mended(refusal.reason, knowledge)
+        unfit = "" if mended else str(why).rstrip(".")
+        return Turn(name, window, refuse(why), None, solved, why.reason, unfit)
+    wrong = wrong_axes(window, knowledge)
+    if wrong is not None:
+        return Turn(name, window, refuse(wrong), None, solved, wrong.reason, str(wrong))
+    verdict = judge(estimate, knowledge, window)
+    unfit = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
+    return Turn(name, window, verdict, estimate, solved, unfit=unfit)
+
+
+def _may_be_mended(reason: Reason, knowledge: Knowledge) -> bool:
+    reference = knowledge.reference
+    guessed = reference.strength.is_unknown and reference.inclination.is_unknown
+    return reason in SHORT or (guessed and reason in GUESSED)
+
+
+def _is_copy(window: Window, other: Window) -> bool:
+    """Return whether most samples of the shorter window are in the other too."""
+    if not len(window) or not len(other):
+        return False
+    common = np.isin(_keys(window), _keys(other)).sum()
+    return bool(common > COPIED * min(len(window), len(other)))
+
+
+def _keys(window: Window) -> np.ndarray[tuple[int, ...], np.dtype[np.void]]:
+    """Return each sample's field and force as one key; stamps may have been moved."""
+    rows = np.ascontiguousarray(np.hstack([window.field, window.specific_force]))
+    return rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()

@@ -1,0 +1,1 @@
+"""What sensors say: streams of samples, paired windows, and what is wrong with them."""

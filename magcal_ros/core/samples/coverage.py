@@ -1,0 +1,212 @@
+"""How much of the turn has been seen, and where the hole is."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import unit, wrap_angle
+from magcal_ros.core.geometry.circle3d import fit_circle_in_space
+
+BINS = 36
+BINS_NEEDED = 34
+LARGEST_GAP_DEG = 20.0
+"""A turn is complete when no gap is larger and `BINS_NEEDED` of `BINS` are filled."""
+
+SPREAD_OVER_NOISE = 6.0
+"""The field's cloud must be so many times wider than its noise before it shows a phase."""
+
+SMALLEST_RADIUS = 4e-6
+"""Tesla. A smaller circle is noise, or a robot that stands."""
+
+GYRO_LEADS_UNTIL = math.radians(60.0)
+"""A shorter arc does not show its circle well; a gyro, where there is one, measures it."""
+
+SMALLEST_TURN = math.radians(10.0)
+LARGEST_GYRO_BIAS = math.radians(1.0)
+"""rad/s. A gyro at rest may pretend to turn as fast as this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Which headings of the turn were seen.
+
+    Parameters
+    ----------
+    filled : ndarray of bool, shape (36,)
+        Bins of yaw relative to the first sample, counter-clockwise.
+    arc : float
+        Radians seen: the full turn less the largest gap.
+    gap : float
+        Radians of the largest gap.
+    gap_centre : float
+        Radians from the start to the middle of the largest gap, positive to the left.
+    turned : float
+        Radians turned in all, positive counter-clockwise.
+    """
+
+    filled: BoolArray
+    arc: float
+    gap: float
+    gap_centre: float
+    turned: float
+
+    @classmethod
+    def nothing(cls) -> Coverage:
+        """Return the coverage before the robot has moved."""
+        return cls(np.zeros(BINS, dtype=np.bool_), 0.0, 2.0 * math.pi, math.pi, 0.0)
+
+    @classmethod
+    def of(cls, progress: FloatArray) -> Coverage:
+        """Measure the unwrapped yaw progress (n,), radians from the start, left positive."""
+        if len(progress) < 2:
+            return cls.nothing()
+        around = np.sort(np.mod(progress, 2.0 * math.pi))
+        gaps = np.diff(np.append(around, around[0] + 2.0 * math.pi))
+        widest = int(np.argmax(gaps))
+        gap = float(gaps[widest])
+        filled = np.zeros(BINS, dtype=np.bool_)
+        filled[np.minimum((around * (BINS / (2.0 * math.pi))).astype(int), BINS - 1)] = True
+        centre = float(wrap_angle(around[widest] + 0.5 * gap))
+        turned = float(progress[-1] - progress[0])
+        return cls(filled, 2.0 * math.pi - gap, gap, centre, turned)
+
+    @property
+    def share(self) -> float:
+        """Share of the bins that are filled, 0 to 1."""
+        return float(self.filled.mean())
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every heading was seen, up to small gaps."""
+        return self.gap <= math.radians(LARGEST_GAP_DEG) and int(self.filled.sum()) >= BINS_NEEDED
+
+    @property
+    def hole_in_words(self) -> str:
+        """The largest gap as a person would point at it; empty when the turn is complete."""
+        if self.is_complete:
+            return ""
+        size = math.degrees(self.gap)
+        if self.arc < math.radians(5.0):
+            return "the robot has not turned yet"
+        away = math.degrees(self.gap_centre)
+        side = "left" if away >= 0.0 else "right"
+        if abs(away) > 175.0:
+            return f"missing: {size:.0f}° opposite the start"
+        return f"missing: {size:.0f}°, centred {abs(away):.0f}° to the {side} of the start"
+
+    @property
+    def advice(self) -> str:
+        """Which way to turn from here to close the largest gap; empty when nothing is missing."""
+        if self.is_complete:
+            return ""
+        away = float(wrap_angle(self.gap_centre - self.turned))
+        side = "left" if away >= 0.0 else "right"
+        return f"turn {side}, {math.degrees(self.gap):.0f}° missing"
+
+
+def yaw_progress(
+    time: FloatArray, field: FloatArray, force: FloatArray, rate: FloatArray | None
+) -> FloatArray | None:
+    """Return how far the robot has turned since the first sample.
+
+    The field's phase on its circle tells it; the gyro does before the circle can be seen, and
+    where the field is too steep to draw one.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds.
+    field : ndarray, shape (n, 3)
+        Field in nominal body axes, hard iron still in it, tesla.
+    force : ndarray, shape (n, 3)
+        Specific force in body axes, m/s².
+    rate : ndarray, shape (n, 3), or None
+        rad/s in body axes.
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        Unwrapped radians, counter-clockwise positive; None while neither sensor shows a turn.
+    """
+    if len(time) < 5:
+        return None
+    up = unit(force.mean(axis=0))
+    by_gyro = None if rate is None else _turn_by_gyro(time, rate @ up)
+    if by_gyro is not None and np.ptp(by_gyro) < GYRO_LEADS_UNTIL:
+        return _beyond_drift(time, by_gyro)
+    by_field = _magnetic_progress(field, up)
+    if by_field is None and by_gyro is not None:
+        return _beyond_drift(time, by_gyro)
+    return by_field
+
+
+def _turn_by_gyro(time: FloatArray, about_up: FloatArray) -> FloatArray:
+    steps = 0.5 * (about_up[1:] + about_up[:-1]) * np.diff(time)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:
+    """Return the gyro's turn if it is more than a gyro at rest pretends; else None."""
+    drift = LARGEST_GYRO_BIAS * float(time[-1] - time[0])
+    return turned if np.ptp(turned) > SMALLEST_TURN + drift else None
+
+
+def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
+    """Return minus the field's phase on its circle about `up`, unwrapped from the first sample."""
+    spread = float(np.linalg.eigvalsh(np.cov(field.T))[-1])
+    # Third differences: a turn of half a radian from sample to sample leaves little in them.
+    steps = np.diff(field, 3, axis=0)
+    noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 60.0)
+    if math.sqrt(max(spread, 0.0)) < SPREAD_OVER_NOISE * noise:
+        return None
+    try:
+        circle = fit_circle_in_space(field, up)
+    except Refusal:
+        return None
+    if circle.radius < SMALLEST_RADIUS:
+        return None
+    phase = np.unwrap(circle.phase(field))
+    return np.asarray(phase[0] - phase)
+
+
+def thin_to_equal_angles(
+    progress: FloatArray, bins: int = 180, most: int | None = None
+) -> IntArray:
+    """Choose samples so that a pause does not weigh.
+
+    A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
+    spread over the time that was spent in it; fewer if that is still too many in all.
+
+    Parameters
+    ----------
+    progress : ndarray, shape (n,)
+        Yaw of each sample, radians.
+    bins : int
+        Number of bins on the circle.
+    most : int, optional
+        Samples to keep in all; at least one stays of each filled bin.
+
+    Returns
+    -------
+    ndarray of int
+        Increasing row numbers.
+    """
+    where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
+    counts = np.bincount(where, minlength=bins)
+    limit = max(2, int(2 * np.median(counts[counts > 0])))
+    if most is not None:
+        fewer = range(1, limit + 1)
+        limit = max(1, bisect_right(fewer, most, key=lambda n: np.minimum(counts, n).sum()))
+    order = np.argsort(where, kind="stable")
+    kept = []
+    for rows in np.split(order, np.cumsum(counts)[:-1]):
+        if len(rows) > limit:
+            rows = rows[np.linspace(0, len(rows) - 1, limit).astype(np.int64)]
+        kept.append(rows)
+    return np.sort(np.concatenate(kept))

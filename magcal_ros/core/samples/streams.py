@@ -1,0 +1,252 @@
+"""Two raw streams become clean ones, and meet by stamp.
+
+What is dropped is counted by its reason, so that the user can be told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from enum import Enum
+from typing import NamedTuple
+
+from magcal_ros.core.geometry.vec3 import Triple, between, length
+
+BACKWARD_SAMPLES_UNTIL_RESTART = 10
+"""So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
+
+MAX_GAP = 0.2
+"""Seconds. IMU samples further apart are usually not interpolated between."""
+
+LONGEST_GYRO_STEP = 0.5
+"""Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
+
+HISTORY = 4096
+"""Samples kept of each stream: four seconds of the fastest sensors."""
+
+LARGEST_FIELD = 1e-3
+"""Tesla. Twenty times the Earth's field: beyond it is a unit error or a magnet on the sensor."""
+
+SMALLEST_FIELD = 1e-9
+"""Tesla. Less than this is a sensor that reads nothing."""
+
+SMALLEST_FORCE, LARGEST_FORCE = 1e-6, 1e5
+"""m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
+
+LARGEST_RATE = 1e4
+"""rad/s. No gyro reads more, degrees published as radians included."""
+
+
+class Drop(str, Enum):
+    """Why a sample was not used."""
+
+    NOT_FINITE = "not_finite"
+    ZERO = "zero"
+    TOO_LARGE = "too_large"
+    ABSENT = "absent"
+    ZERO_STAMP = "zero_stamp"
+    BACKWARD_STAMP = "backward_stamp"
+    REPEATED = "repeated"
+    UNPAIRED = "unpaired"
+    UNREADABLE = "unreadable"
+
+
+class ImuSample(NamedTuple):
+    """Specific force (m/s²) and angular rate (rad/s, NaN without a gyro) at a stamp (s)."""
+
+    stamp: float
+    force: Triple
+    rate: Triple
+
+
+class FieldSample(NamedTuple):
+    """Raw field (tesla) at a stamp (s)."""
+
+    stamp: float
+    field: Triple
+
+
+class Pair(NamedTuple):
+    """A field sample with the IMU interpolated at its stamp."""
+
+    field: FieldSample
+    imu: ImuSample
+
+
+class StampGuard:
+    """Lets only increasing stamps pass, and follows time when it is set back for good."""
+
+    def __init__(self) -> None:
+        self.newest = -math.inf
+        self._backward = 0
+
+    def check(self, stamp: float) -> Drop | None:
+        """Return why a stamp is refused, or None and remember it as the newest."""
+        if stamp <= 0.0 or not math.isfinite(stamp):
+            return Drop.ZERO_STAMP
+        if stamp == self.newest:
+            return Drop.REPEATED
+        if stamp < self.newest:
+            self._backward += 1
+            if self._backward < BACKWARD_SAMPLES_UNTIL_RESTART:
+                return Drop.BACKWARD_STAMP
+        self._backward = 0
+        self.newest = stamp
+        return None
+
+
+class Streams:
+    """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
+
+    Parameters
+    ----------
+    max_gap : float
+        Seconds. IMU samples further apart are not interpolated between, and a field sample that
+        is further from the newest IMU sample has no up vector.
+
+    Attributes
+    ----------
+    imu_drops, field_drops : Counter of Drop
+        How many samples were dropped, by reason.
+    is_repeated : bool
+        Whether the newest field sample has the values of the one before it.
+    lead_at_imu, lead_at_field : float
+        Newest field stamp less newest IMU stamp when the newest IMU sample came, and when the
+        newest field sample came, seconds; infinite while one is missing.
+    largest_field : float
+        Size of the last field that was too large, tesla as published; zero if none was.
+    """
+
+    def __init__(self, max_gap: float) -> None:
+        self.max_gap = max_gap
+        self.imu_drops: Counter[Drop] = Counter()
+        self.field_drops: Counter[Drop] = Counter()
+        self.imu_stamps = StampGuard()
+        self.field_stamps = StampGuard()
+        self._imu: deque[ImuSample] = deque(maxlen=HISTORY)
+        self._last_field = (math.nan, math.nan, math.nan)
+        self.is_repeated = False
+        self.largest_field = 0.0
+        self.lead_at_imu = -math.inf
+        self.lead_at_field = math.inf
+
+    def add_imu(self, sample: ImuSample) -> bool:
+        """Take an IMU sample; returns whether it was usable."""
+        p, q, r = sample.rate
+        went_back_from = self.imu_stamps.newest
+        reason = _fault(sample.force, SMALLEST_FORCE, LARGEST_FORCE)
+        # Without a gyro the rate is NaN, which is larger than nothing.
+        if reason is None and p * p + q * q + r * r > LARGEST_RATE**2:
+            reason = Drop.TOO_LARGE
+        reason = reason or self.imu_stamps.check(sample.stamp)
+        if reason is not None:
+            self.imu_drops[reason] += 1
+            return False
+        if sample.stamp < went_back_from:
+            self._imu.clear()
+        self._imu.append(sample)
+        self.lead_at_imu = self.field_stamps.newest - sample.stamp
+        return True
+
+    def add_field(self, sample: FieldSample) -> bool:
+        """Take a field sample; returns whether a corrected field may be made of it.
+
+        A sample with the values of the one before is counted as repeated, and still usable: a
+        robot that stands still in a quantised field is no fault. `is_repeated` tells.
+        """
+        reason = _fault(sample.field, SMALLEST_FIELD, LARGEST_FIELD)
+        if reason is Drop.TOO_LARGE:
+            self.largest_field = length(sample.field)
+        reason = reason or self.field_stamps.check(sample.stamp)
+        if reason is not None:
+            self.field_drops[reason] += 1
+            return False
+        self.lead_at_field = sample.stamp - self.imu_stamps.newest
+        self.is_repeated = sample.field == self._last_field
+        if self.is_repeated:
+            self.field_drops[Drop.REPEATED] += 1
+        self._last_field = sample.field
+        return True
+
+    def imu_at(self, stamp: float) -> ImuSample | None:
+        """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
+        later = None
+        for sample in reversed(self._imu):
+            if sample.stamp <= stamp:
+                return _interpolate(sample, later, stamp, self.max_gap)
+            later = sample
+        return None
+
+    @property
+    def newest_rate(self) -> Triple | None:
+        """Angular rate of the newest IMU sample, rad/s; None before the first."""
+        return self._imu[-1].rate if self._imu else None
+
+    def imu_has_passed(self, stamp: float) -> bool:
+        """Whether waiting longer can bring no IMU sample before `stamp`."""
+        return bool(self._imu) and self._imu[-1].stamp >= stamp
+
+
+def _fault(vector: Triple, smallest: float, largest: float) -> Drop | None:
+    """Return why a vector cannot have been measured; None if it can."""
+    x, y, z = vector
+    square = x * x + y * y + z * z
+    if not math.isfinite(square):
+        return Drop.NOT_FINITE
+    if square < smallest * smallest:
+        return Drop.ZERO
+    return Drop.TOO_LARGE if square > largest * largest else None
+
+
+def _interpolate(
+    before: ImuSample, after: ImuSample | None, stamp: float, max_gap: float
+) -> ImuSample | None:
+    if before.stamp == stamp:
+        return before
+    if after is None or after.stamp - before.stamp > max_gap:
+        return None
+    share = (stamp - before.stamp) / (after.stamp - before.stamp)
+    force = between(before.force, after.force, share)
+    return ImuSample(stamp, force, between(before.rate, after.rate, share))
+
+
+class Pairer:
+    """Holds field samples until the IMU samples around them have come.
+
+    Parameters
+    ----------
+    streams : Streams
+        Where the IMU samples are.
+    """
+
+    def __init__(self, streams: Streams) -> None:
+        self._streams = streams
+        self._waiting: deque[FieldSample] = deque()
+
+    def offer(self, sample: FieldSample) -> None:
+        """Take a field sample; an unchanged repetition of the one before should not come here.
+
+        A stamp before those that wait means that time was set back: their IMU never comes.
+        """
+        while self._waiting and self._waiting[-1].stamp > sample.stamp:
+            self._waiting.pop()
+            self._count_unpaired()
+        if len(self._waiting) == HISTORY:
+            self._waiting.popleft()
+            self._count_unpaired()
+        self._waiting.append(sample)
+
+    def take(self) -> list[Pair]:
+        """Return the pairs that can be made now, in the order of their stamps."""
+        pairs: list[Pair] = []
+        while self._waiting and self._streams.imu_has_passed(self._waiting[0].stamp):
+            sample = self._waiting.popleft()
+            imu = self._streams.imu_at(sample.stamp)
+            if imu is None:
+                self._count_unpaired()
+            else:
+                pairs.append(Pair(sample, imu))
+        return pairs
+
+    def _count_unpaired(self) -> None:
+        self._streams.field_drops[Drop.UNPAIRED] += 1

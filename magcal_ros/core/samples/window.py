@@ -1,0 +1,57 @@
+"""A window: the paired, clean samples of one turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Samples of one turn, one row per field sample.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Seconds of the field's stamps, increasing.
+    field : array_like, shape (n, 3)
+        Raw field in tesla, in the magnetometer's axes.
+    specific_force : array_like, shape (n, 3)
+        m/s² in body axes at the same moments, +9.81 upwards at rest.
+    angular_rate : array_like, shape (n, 3), or None
+        rad/s in body axes at the same moments; None without a gyro.
+
+    Raises
+    ------
+    ValueError
+        If lengths differ, a number is not finite or time does not increase.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    specific_force: FloatArray
+    angular_rate: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        time = frozen_array(self.time, (-1,), "time")
+        n = len(time)
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "field", frozen_array(self.field, (n, 3), "field"))
+        force = frozen_array(self.specific_force, (n, 3), "specific force")
+        object.__setattr__(self, "specific_force", force)
+        if self.angular_rate is not None:
+            rate = frozen_array(self.angular_rate, (n, 3), "angular rate")
+            object.__setattr__(self, "angular_rate", rate)
+        if (np.diff(time) <= 0.0).any():
+            raise ValueError("the stamps of a window must increase")
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def take(self, rows: BoolArray | IntArray) -> Window:
+        """Return the window of the chosen rows, a mask or increasing indices."""
+        rate = None if self.angular_rate is None else self.angular_rate[rows]
+        return Window(self.time[rows], self.field[rows], self.specific_force[rows], rate)

@@ -1,0 +1,62 @@
+"""How far and how long a robot may turn itself at most, whatever the turn believes."""
+
+from __future__ import annotations
+
+import math
+
+from magcal_ros.core.session.rotation_plan import Seen, planned_duration
+
+LEEWAY = 1.5
+"""The two turns may take so many times as long as planned, and be commanded so many times as far:
+wheels slip."""
+
+FARTHEST_BEYOND = math.radians(45.0)
+"""Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
+
+
+class Leash:
+    """Measures a robot's turn by the gyro, and by the commands times their time.
+
+    Whichever of the two reaches its end first ends the motion.
+
+    Parameters
+    ----------
+    speed : float
+        rad/s.
+    now : float
+        Seconds on a steady clock, as the robot sets off.
+    longest : float
+        Seconds that it may take at most.
+
+    Attributes
+    ----------
+    objection : str
+        Why it must not turn on; empty while it may.
+    """
+
+    def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
+        self.objection = ""
+        self._deadline = now + min(longest, LEEWAY * planned_duration(speed))
+        self._noted = now
+        self._commanded = self._path = 0.0
+
+    def is_late(self, now: float) -> bool:
+        """Whether the robot has had all its time."""
+        return now > self._deadline
+
+    def note(self, now: float, command: float, seen: Seen) -> None:
+        """Take the command (rad/s) that was in force until `now`, and what the sensors show."""
+        step, self._noted = (now - self._noted) * command, now
+        self._commanded += step
+        self._path += abs(step)
+        if self.objection:
+            return
+        if seen.by_gyro and not -FARTHEST_BEYOND <= seen.turned <= math.tau + FARTHEST_BEYOND:
+            self.objection = (
+                f"by the gyro it stands at {math.degrees(seen.turned):+.0f}° of a turn that goes "
+                "from 0° to 360°"
+            )
+        elif abs(self._commanded) > LEEWAY * math.tau or self._path > LEEWAY * 2.0 * math.tau:
+            self.objection = (
+                f"{math.degrees(self._path):.0f}° were commanded, and its turn is still not done"
+            )

@@ -1,0 +1,204 @@
+"""A recording in place of the sensors: the same streams, pairs, session and verdict as live."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+from magcal_ros.core.calibrate import METHODS, POOL, Outcome, calibrate, calibrate_turns, pooled
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.multi_turn.result import TurnFate
+from magcal_ros.core.samples.diagnosis import Heard, complaints
+from magcal_ros.core.samples.streams import MAX_GAP, Drop, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.session import Limits, Progress, Session
+
+Reading: TypeAlias = ImuSample | FieldSample | None
+"""What a sensor said; None is an Imu message that says it has no acceleration."""
+
+LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
+"""Reasons that a longer recording would mend."""
+
+
+class Gathering:
+    """Takes a whole recording into one session, which does not end by itself.
+
+    Memory stays bounded: the session thins what it holds, whatever the recording's length.
+
+    Parameters
+    ----------
+    mounting : Mounting
+        How the magnetometer is meant to sit; kept as `mounting`.
+    imu_topic, field_topic : str
+        What to call the two streams in words.
+    max_gap : float
+        Seconds. IMU samples further apart are not interpolated between.
+    """
+
+    def __init__(
+        self,
+        mounting: Mounting,
+        imu_topic: str = "the IMU",
+        field_topic: str = "the field",
+        max_gap: float = MAX_GAP,
+    ) -> None:
+        self.mounting = mounting
+        self.streams = Streams(max_gap)
+        self._session = Session(Limits(), mounting, 0.0)
+        self._best: Session | None = None
+        self._pairer = Pairer(self.streams)
+        self._topics = (imu_topic, field_topic)
+        self._heard = [0, 0]
+
+    @property
+    def heard(self) -> tuple[int, int]:
+        """How many messages of IMU and field came."""
+        return self._heard[0], self._heard[1]
+
+    def take(self, readings: Iterable[Reading]) -> None:
+        """Take everything, in the order in which it was recorded."""
+        streams, pairer = self.streams, self._pairer
+        imus = fields = 0
+        for reading in readings:
+            if isinstance(reading, ImuSample):
+                imus += 1
+                streams.add_imu(reading)
+            elif reading is None:
+                imus += 1
+                streams.imu_drops[Drop.ABSENT] += 1
+            else:
+                fields += 1
+                if streams.add_field(reading) and not streams.is_repeated:
+                    pairer.offer(reading)
+                    self._collect()
+        self._collect()
+        self._choose()
+        self._heard[0] += imus
+        self._heard[1] += fields
+
+    def complaints(self) -> list[str]:
+        """Say in words what is wrong with what came; empty if nothing is."""
+        drops = (self.streams.imu_drops, self.streams.field_drops)
+        imu, field = map(Heard, self._topics, self._heard, drops)
+        return complaints(self.streams, imu, field)
+
+    def progress(self) -> Progress:
+        """Return how much of a turn was seen."""
+        return self._session.progress(0.0)
+
+    def window(self) -> Window:
+        """Return what was gathered, if it is enough of a turn.
+
+        Raises
+        ------
+        Refusal
+            If it is not; the text says what was seen and what is wrong with the input.
+        """
+        if not self._session.has_samples:
+            words = "no pair of field and acceleration samples could be made"
+            raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
+        window = self._session.window()
+        self.progress().require_arc(self._session.limits.smallest_arc)
+        return window
+
+    def _collect(self) -> None:
+        for pair in self._pairer.take():
+            if pair.field.stamp < self._session.newest:
+                self._choose()
+                self._best = self._session
+                self._session = Session(Limits(), self.mounting, 0.0)
+            self._session.add(pair, 0.0)
+
+    def _choose(self) -> None:
+        """Of the stretches between which time was set back keep the one with most of a turn."""
+        best = self._best
+        if best is not None and _arc(best) >= _arc(self._session):
+            self._session = best
+        self._best = None
+
+
+def _arc(session: Session) -> float:
+    return session.progress(0.0).coverage.arc
+
+
+def fit_gathered(
+    gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]
+) -> tuple[Outcome, Window | None]:
+    """Calibrate from what was gathered.
+
+    Parameters
+    ----------
+    gathering : Gathering
+        After it took the recording.
+    knowledge : Knowledge
+        What is known beforehand.
+    method : str
+        One of `METHODS`.
+
+    Returns
+    -------
+    Outcome, Window or None
+        Never raises for bad data: a refusal is a verdict, and then there may be no window.
+    """
+    window = _window_or_refusal(gathering)
+    if isinstance(window, Refusal):
+        return Outcome.refused(window), None
+    return calibrate(window, knowledge, method), window
+
+
+def fit_several(
+    gatherings: Sequence[Gathering],
+    names: Sequence[str],
+    knowledge: Knowledge,
+    method: str = METHODS[0],
+) -> tuple[Outcome, Window | None, int]:
+    """Join the turns of several recordings into one calibration.
+
+    Parameters
+    ----------
+    gatherings : sequence of Gathering
+        One for each recording, after it took it.
+    names : sequence of str
+        What to call them.
+    knowledge : Knowledge
+        What is known beforehand, of all alike.
+    method : str
+        `maximum_likelihood` joins turns, `ellipsoid` and `min_max` pool their samples.
+
+    Returns
+    -------
+    Outcome, Window or None, int
+        The samples that the estimate's residuals are of, and which recording holds them. Never
+        raises for bad data: a recording that is no turn is left out, with the reason.
+
+    Raises
+    ------
+    Misuse
+        If the method can make nothing of several turns.
+    """
+    looked = [_window_or_refusal(gathering) for gathering in gatherings]
+    windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
+    left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
+    if not windows:
+        return Outcome.refused(left_out[len(gatherings) - 1]), None, len(gatherings) - 1
+    used = list(windows)
+    turns = [windows[index] for index in used]
+    outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
+    if outcome.several is None:
+        whole = pooled(turns) if method in POOL else turns[-1]
+        return outcome, whole, used[-1]
+    newest = used[outcome.several.newest]
+    fates = dict(zip(used, outcome.several.fates, strict=True))
+    fates |= {k: TurnFate(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
+    ordered = tuple(fates[index] for index in sorted(fates))
+    outcome = replace(outcome, several=replace(outcome.several, fates=ordered))
+    return outcome, windows[newest], newest
+
+
+def _window_or_refusal(gathering: Gathering) -> Window | Refusal:
+    try:
+        return gathering.window()
+    except Refusal as refusal:
+        return refusal

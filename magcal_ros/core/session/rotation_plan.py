@@ -1,0 +1,181 @@
+"""What a robot that turns itself should do now: one turn out, one back, and when to stop.
+
+Time and what the sensors show are passed in; out comes the yaw rate to command. A turn each way
+winds no cable, and delays between gyro and compass cancel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+ACCELERATION = 0.5
+"""rad/s² of the ramps."""
+
+PAUSE = 0.5
+"""Seconds at rest between the two ways."""
+
+LONGEST_STEP = 0.2
+"""Seconds. After a longer delay between two looks the ramp goes on as after this one."""
+
+LEAST_SHARE = 0.3
+"""A robot that turns with less of the commanded rate does not turn."""
+
+MOST_SHARE, MOST_MORE = 1.75, 0.1
+"""So many times the commanded rate, and so many rad/s on top, are far too fast."""
+
+
+class Phase(Enum):
+    """Where the plan stands."""
+
+    OUT = "out"
+    PAUSE = "pause"
+    BACK = "back"
+    ENDED = "ended"
+
+
+class Fault(str, Enum):
+    """Why the robot must stop: it does not do what it was told."""
+
+    NOT_TURNING = "not_turning"
+    WRONG_WAY = "wrong_way"
+    TOO_FAST = "too_fast"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the sensors show of the turn.
+
+    Parameters
+    ----------
+    turned : float
+        Radians since the start, left positive.
+    rate : float
+        rad/s over the last moments, left positive.
+    by_gyro : bool
+        Whether the gyro says so; the compass alone is slower, and blind at first.
+    is_complete : bool
+        Whether every heading was seen.
+    """
+
+    turned: float
+    rate: float
+    by_gyro: bool
+    is_complete: bool
+
+
+@dataclass(frozen=True)
+class Patience:
+    """Seconds that a fault must last before it counts."""
+
+    not_turning: float
+    wrong_way: float
+    too_fast: float
+
+    @classmethod
+    def of(cls, by_gyro: bool, speed: float) -> Patience:
+        """Return the patience with either sensor; the compass needs an arc before it sees."""
+        if by_gyro:
+            return cls(2.5, 0.5, 0.5)
+        return cls(max(5.0, 1.5 / speed), 4.0, 3.0)
+
+
+def planned_duration(speed: float) -> float:
+    """Return seconds that a turn each way takes at `speed`, rad/s."""
+    return 2.0 * (math.tau / speed + speed / ACCELERATION) + PAUSE
+
+
+class RotationPlan:
+    """A turn to the left until every heading was seen or the turn is full, and as far back.
+
+    Parameters
+    ----------
+    speed : float
+        rad/s.
+    now : float
+        Seconds on a steady clock.
+
+    Attributes
+    ----------
+    phase : Phase
+        Where it stands.
+    fault : Fault or None
+        Why it was broken off, if it was.
+    command : float
+        rad/s that were commanded last.
+    """
+
+    def __init__(self, speed: float, now: float) -> None:
+        self.phase = Phase.OUT
+        self.fault: Fault | None = None
+        self.command = 0.0
+        self._speed = speed
+        self._last = now
+        self._from = 0.0
+        self._target = math.tau
+        self._brakes = False
+        self._paused_at = now
+        self._suspected: dict[Fault, float] = {}
+
+    @property
+    def direction(self) -> float:
+        """+1 on the way out, to the left; -1 on the way back."""
+        return -1.0 if self.phase is Phase.BACK else 1.0
+
+    def step(self, now: float, seen: Seen) -> float:
+        """Return the yaw rate to command, rad/s, left positive.
+
+        Parameters
+        ----------
+        now : float
+            Seconds on the same clock.
+        seen : Seen
+            What the sensors show.
+        """
+        elapsed, self._last = min(now - self._last, LONGEST_STEP), now
+        if self.phase is not Phase.ENDED:
+            self.fault = self._find_fault(now, seen)
+        if self.phase is Phase.ENDED or self.fault is not None:
+            self.phase, self.command = Phase.ENDED, 0.0
+        elif self.phase is Phase.PAUSE:
+            self._wait(now, seen)
+        else:
+            self._drive(now, elapsed, seen)
+        return self.command
+
+    def _wait(self, now: float, seen: Seen) -> None:
+        if now - self._paused_at >= PAUSE:
+            self._target = abs(seen.turned - self._from)
+            self.phase, self._from, self._brakes = Phase.BACK, seen.turned, False
+            self._suspected.clear()
+
+    def _drive(self, now: float, elapsed: float, seen: Seen) -> None:
+        size = abs(self.command)
+        covered = self.direction * (seen.turned - self._from)
+        braking_arc = size * size / (2.0 * ACCELERATION)
+        if covered + braking_arc >= self._target or (self.phase is Phase.OUT and seen.is_complete):
+            self._brakes = True
+        change = ACCELERATION * elapsed
+        size = max(size - change, 0.0) if self._brakes else min(size + change, self._speed)
+        self.command = self.direction * size
+        if self._brakes and size == 0.0:
+            self.phase = Phase.PAUSE if self.phase is Phase.OUT else Phase.ENDED
+            self._paused_at = now
+
+    def _find_fault(self, now: float, seen: Seen) -> Fault | None:
+        """Return the fault that has lasted for longer than patience has."""
+        along = self.direction * seen.rate
+        told = 0.0 if self._brakes else abs(self.command)
+        shows = {
+            Fault.TOO_FAST: abs(seen.rate) > MOST_SHARE * self._speed + MOST_MORE,
+            Fault.WRONG_WAY: told > 0.0 and along < -LEAST_SHARE * self._speed,
+            Fault.NOT_TURNING: told > 0.0 and along < LEAST_SHARE * told,
+        }
+        patience = Patience.of(seen.by_gyro, self._speed)
+        for fault, shown in shows.items():
+            if not shown:
+                self._suspected.pop(fault, None)
+            elif now - self._suspected.setdefault(fault, now) > getattr(patience, fault.value):
+                return fault
+        return None

@@ -1,0 +1,176 @@
+"""What gyro and compass tell about a turn that was commanded, and whom to blame for a fault."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.vec3 import dot, length
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP, Pair
+from magcal_ros.core.session.gyro_against_field import fit_circle_by_angle, objection_to_gyro
+from magcal_ros.core.session.rotation_plan import Fault, Seen
+from magcal_ros.core.session.session import Progress
+
+RATE_SPAN = 0.5
+"""Seconds over which the gyro's rate is averaged."""
+
+KEPT = 2000
+"""Samples kept to tell the compass's sense of rotation."""
+
+SMALLEST_SWING = 4e-6
+"""Tesla. A field that moved less has not turned."""
+
+ASKED_EVERY = 0.25
+"""Seconds between two looks at the field."""
+
+RECENTLY = 2.0
+SMALLEST_MOVE = 1.5e-6
+"""Tesla between the means of the two halves of the last `RECENTLY` seconds, if the field turns."""
+
+SMALLEST_ARC = math.radians(10.0)
+CLEARLY_BETTER = 0.5
+"""Share of the other sense's misfit below which one sense is believed."""
+
+
+class RotationProof:
+    """Follows one turn by its samples.
+
+    Parameters
+    ----------
+    to_body : ndarray, shape (3, 3)
+        From raw field to nominal body axes.
+    """
+
+    def __init__(self, to_body: FloatArray) -> None:
+        self._to_body = to_body
+        self._turned = 0.0
+        self._newest: tuple[float, float] | None = None
+        self._has_gyro = False
+        self._commanded = 0.0
+        self._asked = -math.inf
+        self._recent: deque[tuple[float, float]] = deque(maxlen=KEPT)
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=KEPT)
+
+    def add(self, pair: Pair, command: float = 0.0) -> None:
+        """Take the next sample, and the rate (rad/s) that is commanded meanwhile."""
+        stamp, force, rate = pair.field.stamp, pair.imu.force, pair.imu.rate
+        if not all(map(math.isfinite, rate)):
+            return
+        self._has_gyro = self._has_gyro or any(rate)
+        about_up = dot(force, rate) / length(force)
+        if self._newest is not None:
+            step = stamp - self._newest[0]
+            if not 0.0 < step <= LONGEST_GYRO_STEP:
+                self._recent.clear()
+            else:
+                self._turned += 0.5 * step * (about_up + self._newest[1])
+                self._commanded += step * command
+        self._newest = (stamp, about_up)
+        self._recent.append((stamp, self._turned))
+        while stamp - self._recent[0][0] > RATE_SPAN:
+            self._recent.popleft()
+        row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
+        self._rows.append(row)
+
+    def seen(self, progress: Progress) -> Seen:
+        """Return what the gyro shows, or without one what the session's compass shows."""
+        coverage = progress.coverage
+        if self._has_gyro:
+            return Seen(self._turned, self._rate(), True, coverage.is_complete)
+        return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
+
+    def objection(self, now: float) -> str:
+        """Say how the field contradicts the gyro; asked often, it looks now and then.
+
+        Parameters
+        ----------
+        now : float
+            Seconds on a steady clock.
+        """
+        if not self._has_gyro or now - self._asked < ASKED_EVERY or len(self._rows) < 10:
+            return ""
+        self._asked = now
+        turned, level = self._level_field()
+        commanded = np.array([row[8] for row in self._rows])
+        found = objection_to_gyro(turned, commanded, level)
+        return f"{found}: it hangs, or it turns faster than the gyro can follow" if found else ""
+
+    def explain(self, fault: Fault, seen: Seen, command: float) -> str:
+        """Return what is wrong and what to look at.
+
+        Parameters
+        ----------
+        fault : Fault
+            What was found.
+        seen : Seen
+            What the sensors showed.
+        command : float
+            rad/s that were commanded.
+        """
+        shown, told = math.degrees(seen.rate), math.degrees(command)
+        sensor = "gyro" if seen.by_gyro else "compass"
+        rates = f"the {sensor} shows {shown:+.0f}°/s where {told:+.0f}°/s were commanded"
+        if fault is Fault.TOO_FAST:
+            return f"the robot turns far too fast: {rates}"
+        if fault is Fault.NOT_TURNING:
+            if seen.by_gyro and self._field_moves_now():
+                return f"{rates}, but the field turns: the gyro does not measure this turn"
+            remedy = "is an emergency stop pressed, does the base obey cmd_vel?"
+            return f"the robot does not turn: {rates}; {remedy}"
+        return f"{rates}: {self._blame(seen)}"
+
+    def _blame(self, seen: Seen) -> str:
+        base = "the base turns the wrong way (angular.z is positive to the left)"
+        if not seen.by_gyro:
+            return f"{base}, or the magnetometer's axes are mirrored"
+        sense = self.compass_sense()
+        if sense > 0:
+            return f"{base}; the compass agrees with the gyro"
+        if sense < 0:
+            return "the gyro is mirrored, for the compass shows the turn as commanded"
+        return f"{base}, or the gyro is mirrored; the compass cannot tell yet"
+
+    def compass_sense(self) -> int:
+        """Return +1 if the field turns as the gyro says, -1 if the other way, 0 if unknown.
+
+        The level field of a robot that turned left by t has turned right by t about an unknown
+        centre. Both senses are fitted by least squares; the arc may be short.
+        """
+        if len(self._rows) < 10:
+            return 0
+        turned, level = self._level_field()
+        if np.ptp(turned) < SMALLEST_ARC:
+            return 0
+        misfits = [fit_circle_by_angle(sense * turned, level)[0] for sense in (1.0, -1.0)]
+        swings = np.ptp(level, axis=0).max() > SMALLEST_SWING
+        if not swings or min(misfits) > CLEARLY_BETTER * max(misfits):
+            return 0
+        return 1 if misfits[0] < misfits[1] else -1
+
+    def _rate(self) -> float:
+        if len(self._recent) < 2:
+            return 0.0
+        (first, before), (last, after) = self._recent[0], self._recent[-1]
+        return (after - before) / (last - first)
+
+    def _field_moves_now(self) -> bool:
+        if len(self._rows) < 10:
+            return False
+        stamps = np.array([row[7] for row in self._rows])
+        level = self._level_field()[1][stamps > stamps[-1] - RECENTLY]
+        before, after = np.array_split(level, 2)
+        if not len(before):
+            return False
+        return bool(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > SMALLEST_MOVE)
+
+    def _level_field(self) -> tuple[FloatArray, FloatArray]:
+        """Return the gyro's angle (n,) and the field in two level axes (n, 2), right-handed."""
+        rows = np.array(self._rows)
+        up = unit(rows[:, 4:7].mean(axis=0))
+        first = unit(np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))]))
+        axes = np.array([first, np.cross(up, first)])
+        return rows[:, 0], rows[:, 1:4] @ self._to_body.T @ axes.T

@@ -1,0 +1,327 @@
+"""A robot that turns itself: when it sets off, what it is told, and every reason to stop it.
+
+Time and what is around are passed in; out comes the rate to command, if any. Nothing is said, not
+even zero, before the robot has set off, and nothing after the zeros that end it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.session.leash import Leash
+from magcal_ros.core.session.rotation_plan import Phase, RotationPlan
+from magcal_ros.core.session.rotation_proof import RotationProof
+from magcal_ros.core.session.session import Progress
+
+ZEROS = 10
+"""How often zero is sent at the end, for a single message may be lost."""
+
+SILENCE = 1.0
+"""Seconds without a sensor after which a moving robot is stopped."""
+
+GYRO_SILENCE = 0.5
+"""Seconds without an angular velocity after which a robot that is led by the gyro is stopped."""
+
+LONGEST_LOOK = 0.5
+"""Seconds between two looks at a moving robot; whoever looks away for longer could not stop it."""
+
+LISTENERS_WITHIN = 3.0
+"""Seconds within which something must have subscribed to the commands."""
+
+GUARDED_WITHIN = 10.0
+"""Seconds within which the guard must be ready; a small computer takes three to start one."""
+
+UNGUARDED = (
+    "the robot does not set off: the guard, a second process that would stop it if this node could "
+    f"not, was not ready within {GUARDED_WITHIN:g} s; see the log, and what keeps the machine busy"
+)
+GUARD_GONE = (
+    "its guard has ended, or has stopped it because this node was silent for too long: leave the "
+    "calibrator more time, or end what takes it"
+)
+
+
+@dataclass(frozen=True)
+class Order:
+    """How the robot is to turn itself.
+
+    Parameters
+    ----------
+    speed : float
+        rad/s.
+    longest : float
+        Seconds that it may take at most.
+    to_body : ndarray, shape (3, 3)
+        From raw field to nominal body axes.
+    """
+
+    speed: float
+    longest: float
+    to_body: FloatArray
+
+
+@dataclass(frozen=True)
+class Topics:
+    """What to call the sensors and the commands in words."""
+
+    imu: str = "the IMU"
+    field: str = "the field"
+    command: str = "cmd_vel"
+
+
+@dataclass(frozen=True)
+class Around:
+    """What is around a robot at one look.
+
+    Parameters
+    ----------
+    imu_age, field_age : float
+        Seconds since the newest message of either sensor; infinite before the first.
+    listeners : int
+        How many hear the commands.
+    is_allowed : bool
+        Whether the user still lets the robot turn itself.
+    is_guarded : bool
+        Whether something else would stop the robot if nobody looked at it any more.
+    """
+
+    imu_age: float
+    field_age: float
+    listeners: int
+    is_allowed: bool
+    is_guarded: bool
+
+
+@dataclass(frozen=True)
+class End:
+    """How a robot's own turn ended.
+
+    Parameters
+    ----------
+    reason : str
+        Empty if there is nothing to say: every heading was seen.
+    is_usable : bool
+        Whether what was seen is to be fitted.
+    """
+
+    reason: str
+    is_usable: bool
+
+
+@dataclass(frozen=True)
+class Steering:
+    """What a look at the robot leads to: a rate to command (rad/s) or none, and its end or none."""
+
+    rate: float | None = None
+    end: End | None = None
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """It is to turn, and waits for both sensors, a base that listens and a guard.
+
+    So many zeros are still owed to the turn before.
+    """
+
+    order: Order
+    since: float
+    zeros: int = 0
+
+
+@dataclass(frozen=True)
+class Moving:
+    """It turns."""
+
+    plan: RotationPlan
+    proof: RotationProof
+    leash: Leash
+
+
+@dataclass(frozen=True)
+class Stopping:
+    """It is told to stand, so many times still."""
+
+    zeros: int
+
+
+Stage: TypeAlias = Waiting | Moving | Stopping | None
+"""Where a robot's own turn stands; None while there is none."""
+
+
+class SelfTurn:
+    """Turns the robot from the first usable samples of a turn until its end.
+
+    Parameters
+    ----------
+    topics : Topics
+        For the words.
+    """
+
+    def __init__(self, topics: Topics = Topics()) -> None:
+        self._topics = topics
+        self._stage: Stage = None
+        self._looked = self._paired = 0.0
+        self._gyro_heard: float | None = None
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether the robot is to turn, or turns: a complete turn is not over yet."""
+        return isinstance(self._stage, (Waiting, Moving))
+
+    @property
+    def may_move(self) -> bool:
+        """Whether a rate other than zero may be in force."""
+        return isinstance(self._stage, (Moving, Stopping))
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether there is nothing to look at any more."""
+        return self._stage is None
+
+    def open(self, order: Order, now: float) -> None:
+        """Let the robot turn as soon as it may."""
+        zeros = self._stage.zeros if isinstance(self._stage, (Stopping, Waiting)) else 0
+        self._stage = Waiting(order, now, zeros)
+        self._gyro_heard = None
+        self._looked = self._paired = now
+
+    def hear(self, rate: Triple, now: float) -> None:
+        """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
+        is_finite = all(map(math.isfinite, rate))
+        # A field that nobody fills reads zero; once a gyro was heard zero is a rate like others.
+        if is_finite and (self._gyro_heard is not None or any(rate)):
+            self._gyro_heard = now
+
+    def take(self, pair: Pair, now: float) -> None:
+        """Take the next sample of the turn."""
+        stage = self._stage
+        if isinstance(stage, Moving):
+            self._paired = now
+            stage.proof.add(pair, stage.plan.command)
+
+    def look(self, now: float, progress: Progress, around: Around) -> Steering:
+        """Return what to tell the robot at `now`, seconds on a steady clock.
+
+        Parameters
+        ----------
+        now : float
+            To be asked some twenty times a second.
+        progress : Progress
+            Of the session that collects the turn.
+        around : Around
+            What is there at this moment.
+        """
+        stage = self._stage
+        since, self._looked = now - self._looked, now
+        if isinstance(stage, Stopping):
+            self._stage = Stopping(stage.zeros - 1) if stage.zeros > 1 else None
+            return Steering(0.0)
+        if isinstance(stage, Waiting):
+            return self._wait(stage, now, around)
+        if isinstance(stage, Moving):
+            return self._lead(stage, now, since, progress, around)
+        return Steering()
+
+    def stop(self) -> Steering:
+        """Let the robot stand, whatever it does."""
+        if isinstance(self._stage, Moving):
+            self._stage = Stopping(ZEROS)
+            return Steering(0.0)
+        if isinstance(self._stage, Waiting):
+            self._stage = Stopping(self._stage.zeros) if self._stage.zeros else None
+        return Steering()
+
+    def break_off(self, reason: str) -> Steering:
+        """Let the robot stand, and say why its turn is over."""
+        moved = self.may_move
+        rate = self.stop().rate
+        return Steering(rate, End(f"the robot was stopped: {reason}" if moved else reason, False))
+
+    def _wait(self, stage: Waiting, now: float, around: Around) -> Steering:
+        if stage.zeros:
+            self._stage = replace(stage, zeros=stage.zeros - 1)
+            return Steering(0.0)
+        if not around.is_allowed:
+            return self.break_off("rotate.enabled was switched off")
+        if max(around.imu_age, around.field_age) >= SILENCE:
+            return Steering()
+        if not around.listeners:
+            if now - stage.since > LISTENERS_WITHIN:
+                topic = self._topics.command
+                remedy = "remap cmd_vel to the base's topic"
+                return self.break_off(f"nobody listens to {topic}: {remedy}")
+        elif around.is_guarded:
+            self._set_off(stage.order, now)
+        elif now - stage.since > GUARDED_WITHIN:
+            return self.break_off(UNGUARDED)
+        return Steering()
+
+    def _set_off(self, order: Order, now: float) -> None:
+        self._stage = Moving(
+            RotationPlan(order.speed, now),
+            RotationProof(order.to_body),
+            Leash(order.speed, now, order.longest),
+        )
+        self._paired = now
+
+    def _lead(
+        self, stage: Moving, now: float, since: float, progress: Progress, around: Around
+    ) -> Steering:
+        plan, proof = stage.plan, stage.proof
+        seen, told = proof.seen(progress), plan.command
+        stage.leash.note(now, told, seen)
+        objection = self._objection(stage, now, since, around) or stage.leash.objection
+        if objection:
+            return self.break_off(objection)
+        if stage.leash.is_late(now):
+            return Steering(self.stop().rate, End("the robot did not come round in time", True))
+        rate = plan.step(now, seen)
+        if plan.fault is not None:
+            return self.break_off(proof.explain(plan.fault, seen, told))
+        if plan.phase is Phase.ENDED:
+            words = "" if seen.is_complete else "the robot has turned once each way"
+            return Steering(self.stop().rate, End(words, True))
+        return Steering(rate)
+
+    def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
+        """Say why the robot must not turn on; empty if it may."""
+        if since > LONGEST_LOOK:
+            return (
+                f"the machine was too busy to look at it for {since:.1f} s: "
+                "leave the calibrator more time, or end what takes it"
+            )
+        if not around.is_allowed:
+            return "rotate.enabled was switched off"
+        if not around.is_guarded:
+            return GUARD_GONE
+        silent = self._silence(stage, now, around)
+        if silent:
+            return silent
+        return stage.proof.objection(now)
+
+    def _silence(self, stage: Moving, now: float, around: Around) -> str:
+        topics = self._topics
+        is_pausing = stage.plan.phase is Phase.PAUSE
+        is_unpaired = now - self._paired > SILENCE and not is_pausing
+        by_gyro = self._gyro_heard is not None
+        # Pairs end with the older of the two samples, a little before the sensor's silence.
+        longest = SILENCE / 2.0 if is_unpaired else SILENCE
+        for topic, age, limit in (
+            (topics.imu, around.imu_age, GYRO_SILENCE if by_gyro else longest),
+            (topics.field, around.field_age, longest),
+        ):
+            if age > limit:
+                return f"{topic} has been silent for {age:.1f} s"
+        if self._gyro_heard is not None and now - self._gyro_heard > GYRO_SILENCE:
+            return (
+                f"the gyro is not heard any more: for {now - self._gyro_heard:.1f} s "
+                f"{topics.imu} has brought no angular velocity"
+            )
+        if is_unpaired:
+            return "no new field sample with an acceleration has come while the robot turned"
+        return ""

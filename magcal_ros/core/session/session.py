@@ -1,0 +1,308 @@
+"""The state machine of one calibration; time is passed in.
+
+Paired samples enter, coverage answers how far the turn is, and the session says when it is over
+and why. It does not fit: whoever owns it takes the window and gives it to a method.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core.samples.rest import bias_at_rest
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.window import Window
+
+LARGEST_BUFFER = 20_000
+"""Pairs. When it is full it is thinned to equal angles, or while none can be told to equal times,
+so neither an hour of waiting nor an hour of turning does harm."""
+
+ENOUGH_FOR_PROGRESS = 2_000
+"""Rows beyond which progress looks at every second, third ... row: it is asked ten times a second,
+between the messages."""
+
+MOST_TURNS = 2.0
+"""Full turns after which more of the same hardly makes the answer more certain."""
+
+STANDS_STILL = 3.0
+"""Seconds without turning, after a complete turn, from which the robot is taken to be done."""
+
+SLOWEST_TURN = math.radians(3.0)
+"""rad/s. Slower than this the robot stands."""
+
+NO_TURN = 0.1
+"""Radians of arc that a robot at rest may seem to have turned."""
+
+ROWS = 10
+"""Columns of the buffer: stamp, field, specific force, angular rate."""
+
+UNSEEN = (
+    "; if it did turn, the field does not show it: it is too steep for a compass here, or the "
+    "magnetometer does not measure it"
+)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a session ends by itself.
+
+    Parameters
+    ----------
+    timeout : float
+        Seconds on a steady clock until whatever was seen is used or refused.
+    silence : float
+        Seconds without a usable pair after which waiting longer is pointless.
+    smallest_arc : float
+        Radians below which a turn is refused without a fit.
+    target_sigma : float
+        Radians of predicted heading sigma at which a complete turn is enough.
+    """
+
+    timeout: float = 90.0
+    silence: float = 10.0
+    smallest_arc: float = math.radians(45.0)
+    target_sigma: float = math.radians(0.5)
+
+
+class Stage(str, Enum):
+    """Where a session stands."""
+
+    COLLECTING = "collecting"
+    COMPLETE = "complete"
+    TIMED_OUT = "timed_out"
+    SILENT = "silent"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a session is.
+
+    Parameters
+    ----------
+    stage : Stage
+        Whether it is over, and why.
+    coverage : Coverage
+        What of the turn was seen.
+    samples : int
+        Pairs held.
+    elapsed : float
+        Seconds since the start on a steady clock.
+    turn_rate : float
+        rad/s over the last seconds, left positive; zero when not known.
+    heading_sigma : float
+        Radians, as a fit of what is there predicts it; infinite while none could.
+    """
+
+    stage: Stage
+    coverage: Coverage
+    samples: int
+    elapsed: float
+    turn_rate: float
+    heading_sigma: float = math.inf
+
+    @property
+    def in_words(self) -> str:
+        """One line for a person."""
+        arc = math.degrees(self.coverage.arc)
+        line = f"{arc:.0f}° of the turn seen, {self.samples} samples"
+        if math.isfinite(self.heading_sigma):
+            line += f", heading ±{math.degrees(self.heading_sigma):.2f}°"
+        hole = self.coverage.hole_in_words
+        return f"{line}; {hole}" if hole else line
+
+    def require_arc(self, smallest: float) -> None:
+        """Refuse a turn of less than `smallest` radians.
+
+        Raises
+        ------
+        Refusal
+            With what was seen of the turn.
+        """
+        if self.coverage.arc < smallest:
+            stood = self.coverage.arc < NO_TURN
+            raise Refusal(
+                Reason.NO_MOTION if stood else Reason.ARC_TOO_SHORT,
+                f"too little of a turn: {self.in_words}. Turn the robot a full circle"
+                f"{UNSEEN if stood else ''}",
+            )
+
+
+class Session:
+    """Collects one turn.
+
+    Parameters
+    ----------
+    limits : Limits
+        When it ends by itself.
+    mounting : Mounting
+        How the magnetometer is meant to sit: a phase about the up vector needs it.
+    now : float
+        Seconds on a steady clock.
+
+    Attributes
+    ----------
+    was_set_back : bool
+        Whether stamps went back, and what came before was left out.
+    """
+
+    def __init__(self, limits: Limits, mounting: Mounting, now: float) -> None:
+        self.limits = limits
+        self._to_body = mounting.to_body
+        self._started = now
+        self._last_pair: float | None = None
+        self._buffer = np.empty((1024, ROWS))
+        self._size = 0
+        self._sigmas = (math.inf, math.inf)
+        self._last_turning = now
+        self.was_set_back = False
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether any pair has come."""
+        return self._size > 0
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest pair, seconds; minus infinity before the first."""
+        return float(self._buffer[self._size - 1, 0]) if self._size else -math.inf
+
+    def add(self, pair: Pair, now: float) -> None:
+        """Take a pair.
+
+        A stamp that stands still is left out. One before the newest means that time was set back,
+        by a clock or by a bag that loops; whether the robot stands where it stood nobody knows, so
+        the turn begins anew.
+        """
+        rows = self._buffer
+        newest = self.newest
+        if pair.field.stamp == newest:
+            return
+        if pair.field.stamp < newest:
+            self._size, self._sigmas = 0, (math.inf, math.inf)
+            self.was_set_back = True
+        if self._size == len(rows):
+            self._thin_out()
+        self._buffer[self._size] = (
+            pair.field.stamp,
+            *pair.field.field,
+            *pair.imu.force,
+            *pair.imu.rate,
+        )
+        self._size += 1
+        self._last_pair = now
+
+    def note_sigma(self, sigma: float) -> None:
+        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
+        self._sigmas = (self._sigmas[1], sigma)
+
+    def progress(self, now: float) -> Progress:
+        """Return how far the turn is at `now`, seconds on the steady clock of the start."""
+        rows = self._buffer[: self._size : 1 + self._size // ENOUGH_FOR_PROGRESS]
+        angle = self._angle(rows)
+        coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
+        flows = self._last_pair is not None and now - self._last_pair < STANDS_STILL
+        rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
+        if abs(rate) > SLOWEST_TURN:
+            self._last_turning = now
+        stage = self._stage(coverage, now)
+        elapsed = now - self._started
+        return Progress(stage, coverage, self._size, elapsed, rate, self._sigmas[1])
+
+    def window(self) -> Window:
+        """Return what was collected, thinned to equal angles.
+
+        Raises
+        ------
+        Refusal
+            If nothing was collected.
+        """
+        if not self._size:
+            raise Refusal(
+                Reason.TOO_FEW_SAMPLES,
+                "no pair of field and acceleration samples has arrived; check both topics",
+            )
+        rows = self._without_bias(self._rows())
+        angle = self._angle(rows)
+        if angle is not None:
+            rows = rows[thin_to_equal_angles(angle)]
+        rate = _rate_if_any(rows)
+        if rate is not None:
+            rows, rate = rows[np.isfinite(rate).all(axis=1)], rate[np.isfinite(rate).all(axis=1)]
+        return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rate)
+
+    def _rows(self) -> FloatArray:
+        return np.array(self._buffer[: self._size])
+
+    def _without_bias(self, rows: FloatArray) -> FloatArray:
+        """Take off what the gyro reads while the field stands still, before rests are thinned."""
+        finite = np.isfinite(rows[:, 7:10]).all(axis=1)
+        seen = rows[finite]
+        bias = bias_at_rest(seen[:, 0], seen[:, 1:4], seen[:, 7:10]) if len(seen) else None
+        if bias is not None and seen[:, 7:10].any():
+            rows[:, 7:10] -= bias
+        return rows
+
+    def _angle(self, rows: FloatArray) -> FloatArray | None:
+        rate = _rate_if_any(rows)
+        if rate is not None:
+            rate = np.where(np.isfinite(rate), rate, 0.0)
+        return yaw_progress(rows[:, 0], rows[:, 1:4] @ self._to_body.T, rows[:, 4:7], rate)
+
+    def _stage(self, coverage: Coverage, now: float) -> Stage:
+        if coverage.is_complete and self._is_enough(coverage, now):
+            return Stage.COMPLETE
+        if now - (self._started if self._last_pair is None else self._last_pair) > (
+            self.limits.silence
+        ):
+            return Stage.SILENT
+        if now - self._started > self.limits.timeout:
+            return Stage.TIMED_OUT
+        return Stage.COLLECTING
+
+    def _is_enough(self, coverage: Coverage, now: float) -> bool:
+        """Whether waiting longer is pointless: certain enough, or no longer getting better."""
+        return (
+            max(self._sigmas) <= self.limits.target_sigma
+            or abs(coverage.turned) >= MOST_TURNS * math.tau
+            or now - self._last_turning > STANDS_STILL
+        )
+
+    def _thin_out(self) -> None:
+        if self._size < LARGEST_BUFFER:
+            more = np.empty((min(self._size, LARGEST_BUFFER - self._size), ROWS))
+            self._buffer = np.concatenate([self._buffer, more])
+            return
+        most = LARGEST_BUFFER // 2
+        angle = self._angle(self._buffer)
+        if angle is None:
+            stamps = self._buffer[:, 0]
+            evenly = np.linspace(stamps[0], stamps[-1], most)
+            kept = np.unique(np.searchsorted(stamps, evenly))
+        else:
+            kept = thin_to_equal_angles(angle, most=most)
+        rows = self._buffer[kept]
+        self._buffer[: len(rows)] = rows
+        self._size = len(rows)
+
+
+def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
+    """Return the mean rate over the last two seconds, rad/s; zero if there is no telling."""
+    first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
+    span = float(stamps[-1] - stamps[first])
+    return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
+
+
+def _rate_if_any(rows: FloatArray) -> FloatArray | None:
+    """Return the angular rates, or None if there is no gyro: absent, or an unfilled field."""
+    rate = rows[:, 7:10]
+    finite = np.isfinite(rate).all(axis=1)
+    if not len(rate) or finite.mean() < 0.9 or not rate[finite].any():
+        return None
+    return np.asarray(rate)

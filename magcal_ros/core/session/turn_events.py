@@ -1,0 +1,222 @@
+"""What happens to a turn, and what is to be done about it: the words of the state machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.self_turn import Around, Order
+from magcal_ros.core.session.session import Limits
+
+
+class Event:
+    """What happens to a turn."""
+
+
+class Command:
+    """What is to be done about it."""
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """How a turn ended, or what a request led to."""
+
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class Brief:
+    """What a turn is opened with.
+
+    Parameters
+    ----------
+    limits : Limits
+        When it ends by itself.
+    knowledge : Knowledge
+        What is known beforehand.
+    method : str
+        One of `magcal_ros.core.calibrate.METHODS`.
+    accumulate : bool
+        Whether it joins the turns before it.
+    order : Order or None
+        How the robot turns itself; None if somebody turns it.
+    """
+
+    limits: Limits
+    knowledge: Knowledge
+    method: str
+    accumulate: bool
+    order: Order | None = None
+
+
+@dataclass(frozen=True)
+class Opened(Event):
+    """Somebody asks for a turn."""
+
+    brief: Brief
+
+
+@dataclass(frozen=True)
+class PairArrived(Event):
+    """A field sample with the IMU at its stamp."""
+
+    pair: Pair
+
+
+@dataclass(frozen=True)
+class RateHeard(Event):
+    """The angular velocity of an IMU message, rad/s; NaN without one."""
+
+    rate: Triple
+
+
+@dataclass(frozen=True)
+class Ticked(Event):
+    """Time has passed. `silence` says what is wrong with the sensors, should nothing come."""
+
+    silence: str
+
+
+@dataclass(frozen=True)
+class Looked(Event):
+    """Time to look at a robot that turns itself."""
+
+    around: Around
+
+
+@dataclass(frozen=True)
+class PreviewFitted(Event):
+    """The heading sigma (radians) that a fit of the samples so far predicts; of which turn."""
+
+    turn: int
+    sigma: float
+
+
+@dataclass(frozen=True)
+class FinishAsked(Event):
+    """Somebody wants what there is fitted now."""
+
+
+@dataclass(frozen=True)
+class FitDone(Event):
+    """A turn is fitted; what is kept for the next one to join."""
+
+    turn: int
+    outcome: Outcome
+    kept: Kept
+
+
+@dataclass(frozen=True)
+class FitFailed(Event):
+    """A fault of ours; the words say which."""
+
+    turn: int
+    words: str
+
+
+@dataclass(frozen=True)
+class Reported(Event):
+    """A report is begun; the words say where it will lie, and are empty if there is none."""
+
+    words: str
+
+
+@dataclass(frozen=True)
+class Saved(Event):
+    """A calibration in force is stored, or is not: the words say which."""
+
+    words: str
+
+
+@dataclass(frozen=True)
+class CancelAsked(Event):
+    """Somebody gives up the turn."""
+
+
+@dataclass(frozen=True)
+class Faulted(Event):
+    """Something around the turn has failed, and may be what watches a robot that turns itself."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class ForgetAsked(Event):
+    """The next turn starts afresh."""
+
+
+@dataclass(frozen=True)
+class SensorsMet(Event):
+    """Other sensors than before: turns of others are not joined."""
+
+    names: str
+
+
+@dataclass(frozen=True)
+class Answer(Command):
+    """Tell the one who asked."""
+
+    conclusion: Conclusion
+
+
+@dataclass(frozen=True)
+class Conclude(Command):
+    """Tell everyone who waits for the turn how it ended, and let go of what computes for it."""
+
+    conclusion: Conclusion
+
+
+@dataclass(frozen=True)
+class Prepare(Command):
+    """A fit will be asked for soon."""
+
+
+@dataclass(frozen=True, eq=False)
+class Preview(Command):
+    """Predict how certain a fit would be; answered by `PreviewFitted`."""
+
+    turn: int
+    window: Window
+    knowledge: Knowledge
+    method: str
+
+
+@dataclass(frozen=True, eq=False)
+class FitTurn(Command):
+    """FitTurn a turn; answered by `FitDone` or `FitFailed`."""
+
+    turn: int
+    kept: Kept
+    window: Window
+    knowledge: Knowledge
+    method: str
+    accumulate: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Report(Command):
+    """Begin the report on a turn; answered by `Reported` before anything else happens."""
+
+    window: Window
+    outcome: Outcome
+
+
+@dataclass(frozen=True, eq=False)
+class PutInForce(Command):
+    """Use a calibration from now on and store it; answered by `Saved`."""
+
+    calibration: Calibration
+
+
+@dataclass(frozen=True)
+class MoveBase(Command):
+    """Tell the base to turn at a rate, rad/s, left positive."""
+
+    rate: float

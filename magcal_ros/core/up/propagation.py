@@ -1,0 +1,261 @@
+"""Up propagated by the gyro from message to message; the filter is asked once a block."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.geometry.vec3 import Triple, distance, dot, length, propagated, unit_triple
+from magcal_ros.core.up.field_stillness import FieldStillness
+from magcal_ros.core.up.filter import UpFilter
+from magcal_ros.core.up.gyro_check import GyroCheck
+from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
+from magcal_ros.core.up.up_tuning import UpTuning
+
+
+class GyroBias(NamedTuple):
+    """A gyro's bias, rad/s, body axes, and the variance of its part about up, (rad/s)²."""
+
+    rate: Triple
+    variance: float
+
+
+class Block:
+    """Sums over the messages since the filter was last asked."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.seconds = 0.0
+        self.force = self.up = self.rate = self.turn = ZERO
+
+    def add(self, force: Triple, up: Triple, rate: Triple, turn: Triple, seconds: float) -> None:
+        """Take a message: force and propagated up (g), rate, turn since the one before."""
+        self.count += 1
+        self.seconds += seconds
+        x, y, z = self.force
+        self.force = (x + force[0], y + force[1], z + force[2])
+        x, y, z = self.up
+        self.up = (x + up[0], y + up[1], z + up[2])
+        x, y, z = self.rate
+        self.rate = (x + rate[0], y + rate[1], z + rate[2])
+        x, y, z = self.turn
+        self.turn = (x + turn[0], y + turn[1], z + turn[2])
+
+    def mean(self, total: Triple) -> Triple:
+        """Return a sum over the number of messages."""
+        return (total[0] / self.count, total[1] / self.count, total[2] / self.count)
+
+
+class GyroPropagation:
+    """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
+
+    Parameters
+    ----------
+    tuning : UpTuning
+        What is taken for granted.
+
+    Attributes
+    ----------
+    up : tuple of float
+        Up in g, body axes; its length is what the accelerometer reads at rest.
+    gyro_bias : GyroBias
+        As far as it is known.
+    mean_rate : tuple of float
+        Turn rate since the message before, less the bias, rad/s.
+    variance : float
+        Of up in either direction, rad².
+    is_settled : bool
+        Whether the accelerometer is believed, because the robot stands or rolls on steadily.
+    check : GyroCheck
+        Whether the gyro is to be believed.
+    field : FieldStillness
+        Takes the raw field, where there is one.
+    """
+
+    def __init__(self, tuning: UpTuning) -> None:
+        self.tuning = tuning
+        self.up = self.bias = ZERO
+        self.variance = math.inf
+        self.check = GyroCheck(tuning.check)
+        self.field = FieldStillness(tuning.rest)
+        self._filter = UpFilter(tuning.filter)
+        self._noise = tuning.propagation.starting_noise**2
+        self._rate_noise = tuning.propagation.starting_rate_noise**2
+        self._rest, self._rest_sigma = tuning.filter.rest_length, tuning.filter.rest_length_sigma
+        self._is_rest_seen = False
+        self._turning = 0
+        self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
+
+    def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
+        """Start anew from a force in g; the gyro's bias is still known."""
+        self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
+        self.mean_rate = ZERO
+        self._block = Block()
+        self._spell = SteadySpell(self.tuning.rest)
+        self.field.begin()
+        self._is_still = self.is_settled = False
+        self.check.restart()
+        self.up = force
+        self._filter.begin(np.array(force), self._noise, self._acceleration_sigma(rate))
+        self._take_over()
+
+    @property
+    def rate(self) -> Triple:
+        """The newest turn rate less the bias, rad/s."""
+        (x, y, z), (p, q, r) = self._rate, self.bias
+        return (x - p, y - q, z - r)
+
+    def add(
+        self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
+    ) -> None:
+        """Take force (g) and rate so many seconds after the ones before.
+
+        With `is_given` the force is already less a linear acceleration that somebody measured.
+        """
+        before, old = self._rate, self._force
+        self._stamp, self._rate, self._force, self._is_given = stamp, rate, force, is_given
+        p, q, r = self.bias
+        mean = (
+            0.5 * (rate[0] + before[0]) - p,
+            0.5 * (rate[1] + before[1]) - q,
+            0.5 * (rate[2] + before[2]) - r,
+        )
+        self.mean_rate = mean
+        turn = (mean[0] * seconds, mean[1] * seconds, mean[2] * seconds)
+        self.up = propagated(self.up, turn)
+        self._block.add(force, self.up, rate, turn, seconds)
+        if self._block.seconds >= self.tuning.propagation.block:
+            block, self._block = self._block, Block()
+            self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
+            self._end(block)
+
+    def _measure_noise(self, force: float, rate: float, seconds: float) -> None:
+        """Take by how much force and rate differ from one message to the next."""
+        tuning = self.tuning.propagation
+        share = min(1.0, seconds / tuning.noise_memory)
+        # Half the square of a difference is the noise; a jump is none.
+        smallest = tuning.smallest**2
+        square = min(force * force / 6.0, 10.0 * self._noise + smallest)
+        self._noise += share * (square - self._noise)
+        square = min(rate * rate / 6.0, 10.0 * self._rate_noise + smallest)
+        self._rate_noise += share * (square - self._rate_noise)
+
+    def _end(self, block: Block) -> None:
+        """Let the filter correct up by what the block brought."""
+        means = BlockMeans(
+            block.mean(block.force), block.mean(block.rate), block.count, block.seconds
+        )
+        following, noise = self._filter, math.sqrt(self._noise)
+        turn_variance = self._rate_noise * block.seconds**2 / block.count
+        self.check.add(means.force, block.turn, block.seconds, turn_variance)
+        goes_on = self._spell.add(means, noise, math.sqrt(self._rate_noise))
+        if not goes_on:
+            self.field.begin()
+            self._is_still = False
+        doubt = self._turn_doubt()
+        sigma = self._settled_sigma(doubt) if self.is_settled else None
+        if sigma is None:
+            sigma = self._acceleration_sigma(means.rate)
+        following.predict(np.array(self.up), np.array(block.turn), block.seconds, sigma)
+        if self.is_settled and (doubt is None or not goes_on):
+            self.is_settled = False
+            following.forget_acceleration(self._acceleration_sigma(means.rate))
+        x, y, z = means.force
+        p, q, r = block.mean(block.up)
+        following.observe_force(np.array((x - p, y - q, z - r)), self._noise / block.count)
+        if self._is_rest_seen:
+            # Where up is uncertain, its length along the estimate is, to second order, as well.
+            tilt = following.tilt_variance
+            following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
+        if not self.is_settled:
+            self._settle(doubt, noise)
+        elif self._spell.seconds > self.tuning.rest.known:
+            self._learn(means, doubt, noise)
+        if not self._is_rest_seen and doubt is None:
+            self._guess_rest(means.force, noise, block.count)
+        self._take_over()
+
+    def _turn_doubt(self) -> float | None:
+        """Return the rate, rad/s, that may be a turn about up or may be bias; None if it turns.
+
+        Zero where the steady spell shows that the robot does not turn.
+        """
+        spell, rest = self._spell, self.tuning.rest
+        if length(spell.rate) > self.tuning.filter.largest_bias:
+            return None
+        excess = (
+            spell.rate[0] - self.bias[0],
+            spell.rate[1] - self.bias[1],
+            spell.rate[2] - self.bias[2],
+        )
+        size = length(spell.force)
+        about = abs(dot(excess, spell.force)) / size if size > 0.0 else length(excess)
+        if not self.field.is_heard(self._stamp):
+            return 0.0 if about < rest.largest_rate else about
+        if self._is_still or about < rest.doubtful_rate:
+            return 0.0
+        has_turned = self.field.has_turned(about)
+        if has_turned is None:
+            return about
+        # An even rate that was bias once stays so for as long as the spell lasts.
+        self._is_still = not has_turned
+        return 0.0 if self._is_still else None
+
+    def _learn(self, means: BlockMeans, doubt: float | None, noise: float) -> None:
+        """Learn the bias and the accelerometer's length from a robot at rest."""
+        spell = self._spell
+        axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
+        self._filter.observe_bias(np.array(means.rate), self._rate_noise / means.messages, axis)
+        self._rest = length(spell.force)
+        floor = self.tuning.rest.length_floor
+        self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))
+        self._is_rest_seen = True
+
+    def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
+        """Until the robot was seen at rest, take its length while it turns for that at rest."""
+        tuning = self.tuning.propagation
+        self._turning = min(self._turning + count, tuning.most_turning)
+        self._rest += count / self._turning * (length(force) - self._rest)
+        self._rest_sigma = math.hypot(tuning.turning_sigma, noise / math.sqrt(self._turning))
+
+    def _settle(self, doubt: float | None, noise: float) -> None:
+        """Believe the accelerometer once it is steady for long enough, or its length speaks."""
+        spell, following = self._spell, self._filter
+        sigma = self._settled_sigma(doubt)
+        if sigma is None or (doubt and not self._gains_by(sigma)):
+            return
+        up: Triple = tuple(following.up.tolist())
+        if not spell.shows_up(up, self._rest, self._rest_sigma, noise):
+            return
+        self.is_settled = True
+        jump = distance(unit_triple(spell.force), unit_triple(up))
+        # A jump that the gyro did not see may still be a long, even acceleration.
+        is_doubtful = spell.seconds >= self.tuning.rest.agreeing
+        if not is_doubtful or jump < self.tuning.rest.clear * math.sqrt(following.tilt_variance):
+            jump = 0.0
+        variance = self._noise / spell.count + self.tuning.filter.floor**2
+        following.begin(np.array(spell.force), variance, math.hypot(sigma, jump))
+
+    def _gains_by(self, sigma: float) -> bool:
+        """Whether a steady spell that may be a turn is still better than what is known of up."""
+        is_long = self._spell.seconds > self.tuning.rest.undecided
+        return is_long and self._filter.tilt_variance > sigma**2
+
+    def _settled_sigma(self, doubt: float | None) -> float | None:
+        """Return how large an acceleration (g) a steady robot may hide; None if it turns."""
+        if doubt is None:
+            return None
+        return self.tuning.filter.steady_sigma(doubt)
+
+    def _acceleration_sigma(self, rate: Triple) -> float:
+        return self.tuning.filter.acceleration_sigma(length(rate), self._is_given)
+
+    def _take_over(self) -> None:
+        x, y, z, p, q, r = self._filter.state[:6].tolist()
+        self.up, self.bias = (x, y, z), (p, q, r)
+        if length(self.bias) > self.tuning.filter.largest_bias:
+            self._filter.bound_bias()
+        self.variance = self._filter.tilt_variance + self.tuning.propagation.smallest**2
+        self.gyro_bias = GyroBias(self.bias, self._filter.bias_variance)

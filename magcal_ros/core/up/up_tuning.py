@@ -1,0 +1,237 @@
+"""What the up filter takes for granted, in one place: each number with its unit and its reason.
+
+Accelerations and lengths of the specific force are counted in standard gravity, g.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+
+
+@dataclass(frozen=True)
+class FilterTuning:
+    """The Kalman filter on up, gyro bias and linear acceleration.
+
+    Parameters
+    ----------
+    unknown : float
+        g. Sigma of an up of which nothing is known.
+    bias_sigma : float
+        rad/s per axis. A gyro's bias before it was seen at rest; cheap gyros reach 0.09 (5°/s),
+        which is learnt as soon as the robot rests.
+    bias_walk : float
+        rad/s per root second.
+    largest_bias : float
+        rad/s. No estimate of the bias may be longer: 5°/s on each axis, and a little.
+    angle_walk : float
+        Radians per root second: what a gyro loses while it does not turn.
+    turn_error : float
+        Share of a turn that scale and axes of the gyro get wrong, per root radian.
+    usual_acceleration : float
+        g. What a robot under way must be thought capable of.
+    usual_speed : float
+        m/s. A turn at this speed accelerates sideways by speed times turn rate.
+    given_acceleration, given_speed : float
+        g and m/s. What of both is left where the linear acceleration is given and taken off.
+    acceleration_lasts : float
+        Seconds. No robot accelerates alike for much longer.
+    steady_acceleration : float
+        g. Of a robot that stands or rolls steadily.
+    steady_rate : float
+        rad/s that the mean of a block may be off the bias while the robot is steady.
+    floor : float
+        g. Error of an averaged accelerometer reading that no averaging takes away.
+    implausible : float
+        Sigmas of linear acceleration beyond which rather up is wrong.
+    regain : float
+        Seconds in which an up that was wrong is given up.
+    rest_length, rest_length_sigma : float
+        g. What an accelerometer reads at rest, before it was seen at rest.
+    """
+
+    unknown: float = 1.0
+    bias_sigma: float = 0.006
+    bias_walk: float = 1e-4
+    largest_bias: float = 0.16
+    angle_walk: float = 3e-4
+    turn_error: float = 0.003
+    usual_acceleration: float = 0.1
+    usual_speed: float = 4.0
+    given_acceleration: float = 0.03
+    given_speed: float = 0.5
+    acceleration_lasts: float = 5.0
+    steady_acceleration: float = 2e-3
+    steady_rate: float = 2e-3
+    floor: float = 2e-3
+    implausible: float = 3.0
+    regain: float = 3.0
+    rest_length: float = 1.0
+    rest_length_sigma: float = 0.02
+
+    def acceleration_sigma(self, rate: float, is_given: bool = False) -> float:
+        """Return how large a linear acceleration (g) may be at a turn rate in rad/s."""
+        if is_given:
+            return math.hypot(self.given_acceleration, self.given_speed * rate / STANDARD_GRAVITY)
+        return math.hypot(self.usual_acceleration, self.usual_speed * rate / STANDARD_GRAVITY)
+
+    def steady_sigma(self, rate: float) -> float:
+        """Return the same for a steady robot that may turn about up at a rate in rad/s."""
+        return math.hypot(self.steady_acceleration, self.usual_speed * rate / STANDARD_GRAVITY)
+
+
+@dataclass(frozen=True)
+class RestTuning:
+    """When the accelerometer may be believed.
+
+    Parameters
+    ----------
+    largest_rate : float
+        rad/s. A steady gyro that reads more than this beyond its known bias may be turning; while
+        there is no field to tell, less is taken for bias.
+    doubtful_rate : float
+        rad/s. The same where there is a field to tell.
+    lasting : float
+        Seconds of steadiness after which there is no linear acceleration, although the length
+        speaks for one.
+    undecided : float
+        The same where the length says nothing.
+    agreeing : float
+        The same where moreover the accelerometer points to where up was propagated.
+    agrees : float
+        Radians between the two.
+    shortest : float
+        The same as `lasting` where the length speaks against an acceleration.
+    loose, loose_rate : float
+        g and rad/s. A change of both that is still called steady, beside the noise.
+    clear : float
+        Sigmas.
+    length_floor : float
+        g. How well the accelerometer's length is known at best.
+    known : float
+        Seconds of a settled spell from which bias and length at rest are learnt.
+    level_share : float
+        Share of the raw field that turns with the robot, at the least: a turn by an angle changes
+        the field by more than this share of the angle.
+    field_mean : float
+        Seconds over which the field is averaged before it is compared.
+    field_lasts : float
+        Seconds after which a field that came no more says nothing.
+    """
+
+    largest_rate: float = 0.035
+    doubtful_rate: float = 0.01
+    lasting: float = 4.0
+    undecided: float = 1.0
+    agreeing: float = 0.5
+    agrees: float = 0.01
+    shortest: float = 0.1
+    loose: float = 0.005
+    loose_rate: float = 0.02
+    clear: float = 3.0
+    length_floor: float = 3e-4
+    known: float = 1.0
+    level_share: float = 0.1
+    field_mean: float = 0.25
+    field_lasts: float = 1.0
+
+
+@dataclass(frozen=True)
+class PropagationTuning:
+    """How messages are gathered for the filter.
+
+    Parameters
+    ----------
+    block : float
+        Seconds of messages that the filter takes together.
+    noise_memory : float
+        Seconds over which the noise of accelerometer and gyro is measured.
+    starting_noise, starting_rate_noise : float
+        g and rad/s per axis, before they are measured.
+    smallest : float
+        Sigma of up, radians, that no filter takes away.
+    most_turning : int
+        Messages of a turning robot over which its accelerometer's length is averaged.
+    turning_sigma : float
+        g. How well that length is the length at rest.
+    """
+
+    block: float = 0.04
+    noise_memory: float = 1.0
+    starting_noise: float = 0.01
+    starting_rate_noise: float = 0.005
+    smallest: float = 1e-3
+    most_turning: int = 500
+    turning_sigma: float = 1e-3
+
+
+@dataclass(frozen=True)
+class GyroCheckTuning:
+    """When a gyro is called mirrored.
+
+    Parameters
+    ----------
+    span : float
+        Seconds over which force and turn are averaged at most before they are compared: two periods
+        of an engine's shaking at 5 Hz, and less than half a nod.
+    clear_turn : float
+        Sigmas of the gyro's noise beyond which a turn is compared at once.
+    memory : float
+        Seconds of which the evidence is kept.
+    enough : float
+        g. Root of the summed squared changes, as of a nod by 6°, before anything is said.
+    clear_noise : float
+        How many times the gyro's noise those changes must be besides; an engine's shaking is
+        more than what is measured as noise.
+    mirrored : float
+        How much of the turns a gyro gets right: all is one, the acceleration in a circle adds
+        nothing, and a mirrored one gets them right with the wrong sign.
+    clear : float
+        Sigmas.
+    """
+
+    span: float = 0.4
+    clear_turn: float = 5.0
+    memory: float = 20.0
+    enough: float = 0.01
+    clear_noise: float = 10.0
+    mirrored: float = -0.3
+    clear: float = 3.0
+
+
+@dataclass(frozen=True)
+class LevellingTuning:
+    """Up from the accelerometer alone.
+
+    Parameters
+    ----------
+    smoothing : float
+        Seconds.
+    memory : float
+        Seconds over which scatter and length are watched.
+    rest_memory : float
+        Seconds over which the length at rest is learnt.
+    floor : float
+        Radians.
+    length_floor : float
+        g. Departure from the length at rest that says nothing.
+    """
+
+    smoothing: float = 0.15
+    memory: float = 1.0
+    rest_memory: float = 30.0
+    floor: float = 2e-3
+    length_floor: float = 1e-3
+
+
+@dataclass(frozen=True)
+class UpTuning:
+    """All of them; the defaults suit ground robots and cars with a MEMS sensor."""
+
+    filter: FilterTuning = field(default_factory=FilterTuning)
+    rest: RestTuning = field(default_factory=RestTuning)
+    propagation: PropagationTuning = field(default_factory=PropagationTuning)
+    check: GyroCheckTuning = field(default_factory=GyroCheckTuning)
+    levelling: LevellingTuning = field(default_factory=LevellingTuning)

@@ -1,0 +1,136 @@
+import math
+
+import numpy as np
+import pytest
+from axes_cases import good_case, wrong_case
+
+from magcal_ros.core.assessment.axes import find_axes, mount_of, parameter_line
+from magcal_ros.core.calibrate import calibrate, calibrate_turns
+from magcal_ros.core.errors import Reason
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.knowledge import Knowledge, Mounting
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+
+EVERY = signed_permutations()
+NED = np.diag([1.0, -1.0, -1.0])
+MIRRORED_Z = np.diag([1.0, 1.0, -1.0])
+
+
+def named(found, axes):
+    return any(np.array_equal(axes, each) for each in found.candidates)
+
+
+def of(axes, kind, seed=0):
+    window, knowledge = wrong_case(axes, np.random.default_rng([seed, 5]), kind)
+    return find_axes(window, knowledge), window, knowledge
+
+
+def check_all(seeds):
+    for number in range(len(EVERY) * seeds):
+        axes = EVERY[number % len(EVERY)]
+        found, *_ = of(axes, "lift", number)
+        assert np.array_equal(found.meant, axes), f"lift {number}: {found.words}"
+
+
+@pytest.mark.parametrize("which", range(0, 48, 5))
+def test_after_a_turn_the_truth_is_among_those_named(which):
+    found, *_ = of(EVERY[which], "level")
+    assert found.right == named(found, np.eye(3))
+    assert found.right or named(found, EVERY[which])
+    assert len(found.candidates) <= 8
+
+
+@pytest.mark.parametrize("which", range(0, 48, 3))
+def test_a_turn_and_a_lift_decide_among_all_48(which):
+    found, *_ = of(EVERY[which], "lift")
+    assert len(found.candidates) == 1
+    assert np.array_equal(found.meant, EVERY[which])
+    assert found.mirrored == (which >= 24)
+
+
+@pytest.mark.nightly
+def test_a_turn_and_a_lift_decide_every_time():
+    check_all(4)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_good_sensors_are_never_called_wrong(seed):
+    window, knowledge = good_case(np.random.default_rng([seed, 3]))
+    assert find_axes(window, knowledge).words == ""
+
+
+@pytest.mark.nightly
+def test_good_sensors_are_not_called_wrong_in_hundreds_of_turns():
+    for seed in range(300):
+        window, knowledge = good_case(np.random.default_rng([seed, 4]))
+        assert find_axes(window, knowledge).right, seed
+
+
+def test_the_words_hold_the_line_to_paste():
+    found, *_ = of(NED, "lift")
+    assert "x forward, y right, z down (NED): set `mount_rpy_deg: [180.0, 0.0, 0.0]`" in found.words
+
+
+def test_the_line_to_paste_mends_it():
+    found, window, knowledge = of(EVERY[13], "lift")
+    mount = [math.radians(angle) for angle in found.mount_rpy_deg]
+    mended = Knowledge(knowledge.reference, Mounting(pose=rotation_from_rpy(*mount)))
+    again = find_axes(window, mended)
+    assert again.right
+    assert len(again.candidates) == 1
+
+
+def test_a_wrong_mount_parameter_is_replaced_as_a_whole():
+    """The magnetometer sits square, but the parameter says that it lies upside down."""
+    _, window, knowledge = of(np.eye(3), "lift")
+    wrong = Knowledge(knowledge.reference, Mounting(pose=rotation_from_rpy(math.pi, 0.0, 0.0)))
+    found = find_axes(window, wrong)
+    assert found.mount_rpy_deg == (0, 0, 0)
+    assert "x forward, y left, z up" in found.words
+
+
+def test_without_the_inclination_axes_and_their_opposites_both_stay():
+    _, window, _ = of(MIRRORED_Z, "lift")
+    found = find_axes(window)
+    assert len(found.candidates) == 2
+    assert named(found, MIRRORED_Z)
+    assert named(found, -MIRRORED_Z)
+    assert "give the inclination" in found.words
+
+
+def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():
+    found, *_ = of(NED, "level")
+    assert "lift the nose by 20° while it turns" in found.words
+
+
+@pytest.mark.parametrize("lacks", ["gyro", "turn", "samples"])
+def test_nothing_is_said_where_nothing_shows(lacks):
+    arc = 20.0 * DEGREE if lacks == "turn" else 2.0 * math.pi
+    motion = turn(arc=arc, samples=10 if lacks == "samples" else 300)
+    window = measure(Robot(), motion, np.random.default_rng(1), gyro=lacks != "gyro")
+    assert find_axes(window) is None
+
+
+@pytest.mark.parametrize("axes", [MIRRORED_Z, NED, EVERY[30]], ids=["mirrored z", "NED", "other"])
+def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes):
+    found, window, knowledge = of(axes, "lift")
+    for outcome in (calibrate(window, knowledge), calibrate_turns([window], knowledge)):
+        assert not outcome.verdict.accepted
+        assert outcome.reason is Reason.AXES_DISAGREE
+        assert found.words in outcome.verdict.summary
+
+
+def test_a_gyro_that_belongs_to_nothing_is_said():
+    _, window, knowledge = of(np.eye(3), "lift")
+    scrambled = np.random.default_rng(2).permutation(window.angular_rate)
+    odd = Window(window.time, window.field, window.specific_force, scrambled * 5.0)
+    found = find_axes(odd, knowledge)
+    assert found.meant is None
+    assert "check the gyro" in found.words
+
+
+def test_angles_are_written_within_half_a_turn():
+    assert mount_of(NED, np.eye(3)) == (180, 0, 0)
+    assert parameter_line((180, 0, -90)) == "mount_rpy_deg: [180.0, 0.0, -90.0]"

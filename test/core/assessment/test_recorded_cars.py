@@ -1,0 +1,55 @@
+"""Cars in circles against the course of their GPS; skipped where the recordings are not at hand."""
+
+import math
+
+import pytest
+from recorded_truth import peers, read_drive, windows
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.samples.window import Window
+
+
+def judged(folder, name):
+    """The outcome of one window, our RMS and sigma, and the best peer's RMS, degrees."""
+    drive = read_drive(folder, None)
+    window = next(found for kind, found in windows(drive) if kind == name)
+    assert isinstance(window, Window)
+    outcome = calibrate(window, drive.knowledge)
+    assert outcome.estimate is not None
+    correction = outcome.estimate.correction
+    ours = drive.score(lambda up, raw: yaw_from_up_and_field(up, correction.apply(raw))).rms
+    found = [drive.score(heading) for heading in peers(window).values() if heading is not None]
+    sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+    return outcome, ours, sigma, min(score.rms for score in found)
+
+
+@pytest.mark.parametrize(
+    ("car", "window"),
+    [
+        ("car_circles_neu2025_kiran", "whole"),
+        *(
+            pytest.param(*case, marks=pytest.mark.nightly)
+            for case in (
+                ("car_neu2023_huang", "circles"),
+                ("car_neu2024_jackg", "whole"),
+                ("car_neu2024_jackg", "live"),
+                ("car_neu2024_yash", "whole"),
+            )
+        ),
+    ],
+)
+def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recording, car, window):
+    outcome, ours, sigma, best = judged(recording(car), window)
+    assert outcome.verdict.accepted
+    assert ours < 1.15 * best
+    assert ours < 3.0 * sigma
+
+
+def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recording):
+    outcome, ours, sigma, best = judged(recording("car_neu2024_rohx"), "whole")
+    assert ours < 0.6 * best
+    assert ours < 2.0 * sigma
+    assert any("lets through" in check.words for check in outcome.verdict.checks)
+    assert "axes belong together" not in outcome.verdict.summary

@@ -1,0 +1,86 @@
+"""A reference of the wrong sign looks like a magnet along the turn's axis, and is said."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+
+STRENGTH = 48e-6
+
+
+def outcome_of(iron, dip=65.0, told=None, wobble=0.0, seed=1):
+    """Calibrate a robot with a hard iron (µT) where the inclination is one and told another."""
+    rng = np.random.default_rng(seed)
+    robot = Robot(
+        strength=STRENGTH, inclination=dip * DEGREE, hard_iron=1e-6 * np.array(iron, dtype=float)
+    )
+    leans = smooth_wobble(rng, 500, 15.0, wobble * DEGREE, (0.05, 0.5)) if wobble else None
+    window = measure(robot, turn(wobble=leans), rng)
+    told = dip if told is None else told
+    reference = ReferenceField(Belief(STRENGTH, 1.5e-6), Belief(told * DEGREE, DEGREE))
+    return calibrate(window, Knowledge(reference))
+
+
+def doubt(outcome):
+    found = [check for check in outcome.verdict.checks if check.figure is Figure.AXIAL_IRON]
+    return found[0] if found else None
+
+
+@pytest.mark.parametrize("dip", [30.0, 65.0, -50.0, 75.0])
+def test_the_wrong_sign_of_the_inclination_is_warned_of(dip):
+    outcome = outcome_of((15, -8, 10), dip, -dip)
+    check = doubt(outcome)
+    assert check.grade is Grade.WARN
+    assert outcome.verdict.confidence is not Grade.EXCELLENT
+    assert "check the sign of reference.inclination_deg" in check.words
+    assert "the sign of reference.inclination_deg" in outcome.verdict.summary
+    size = abs(
+        1e-6 * 10.0 + math.copysign(1.0, dip) * -2.0 * STRENGTH * math.sin(abs(dip) * DEGREE)
+    )
+    assert float(check.words.partition("field, ")[2].split()[0]) == pytest.approx(
+        size * 1e6, rel=0.1
+    )
+
+
+@pytest.mark.parametrize("dip", [30.0, 65.0, -50.0, 75.0])
+@pytest.mark.parametrize("iron", [(15, -8, 10), (120, -60, 10), (0, 150, -15), (0, 0, 0)])
+def test_a_right_reference_is_not_doubted_for_iron_across_the_axis(dip, iron):
+    outcome = outcome_of(iron, dip)
+    assert doubt(outcome).grade is Grade.EXCELLENT
+    assert outcome.verdict.accepted
+
+
+@pytest.mark.parametrize("height", [-70.0, 70.0])
+def test_a_magnet_along_the_axis_that_is_larger_than_the_field_is_warned_of(height):
+    check = doubt(outcome_of((5, 5, height), 20.0))
+    assert check.grade is Grade.WARN
+    assert "more than the field itself" in check.words
+
+
+def test_where_the_turn_itself_shows_the_axis_it_is_not_the_references_word():
+    right = outcome_of((15, -8, 85), 65.0, wobble=4.0)
+    assert doubt(right) is None
+    assert right.verdict.accepted
+    assert not outcome_of((15, -8, 85), 65.0, -65.0, wobble=4.0).verdict.accepted
+
+
+def test_without_a_reference_there_is_none_to_doubt():
+    rng = np.random.default_rng(1)
+    robot = Robot(hard_iron=np.array([0.0, 0.0, 90e-6]))
+    outcome = calibrate(measure(robot, turn(), rng), Knowledge())
+    assert doubt(outcome) is None
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.7, 1.4, 2.0])
+def test_a_strength_that_is_off_by_a_factor_is_no_excellent_one(factor):
+    rng = np.random.default_rng(1)
+    window = measure(Robot(strength=STRENGTH, inclination=65.0 * DEGREE), turn(), rng)
+    beliefs = Belief(factor * STRENGTH, 1.5e-6), Belief(65.0 * DEGREE, DEGREE)
+    verdict = calibrate(window, Knowledge(ReferenceField(*beliefs))).verdict
+    assert Grade.WARN.rank <= max(verdict.quality.rank, verdict.confidence.rank)

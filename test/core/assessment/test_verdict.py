@@ -1,0 +1,402 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sample_results import estimate
+
+from magcal_ros.core.assessment.grading import Aspect, Check, Grade, shown
+from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.verdict import (
+    GYRO_UNUSED,
+    NO_GYRO,
+    NO_REFERENCE,
+    NO_YAW,
+    Verdict,
+    judge,
+    refuse,
+)
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import Robot
+
+KNOWN = Robot().knowledge()
+BY_FIGURE = {bound.figure: bound for bound in TURN_BOUNDS}
+every_threshold = pytest.mark.parametrize(
+    "threshold", TURN_BOUNDS, ids=[f.value for f in BY_FIGURE]
+)
+
+
+def at(threshold, value):
+    """Check a value given in the unit people see."""
+    return threshold.check(value / threshold.scale)
+
+
+def refused_value(threshold):
+    """A value beyond the last bound, in the unit people see."""
+    return threshold.warn * (0.5 if threshold.at_least else 2.0)
+
+
+class TestBound:
+    @every_threshold
+    def test_the_table_goes_from_best_to_worst(self, threshold):
+        bounds = (threshold.excellent, threshold.good, threshold.warn)
+        assert min(bounds) > 0.0
+        assert list(bounds) == sorted(set(bounds), reverse=threshold.at_least)
+        assert threshold.words
+        assert threshold.remedy
+
+    @every_threshold
+    def test_every_bound_belongs_to_the_better_grade(self, threshold):
+        bounds = (threshold.excellent, threshold.good, threshold.warn)
+        for bound, better, worse in zip(bounds, list(Grade), list(Grade)[1:], strict=False):
+            inside, outside = (1.001, 0.999) if threshold.at_least else (0.999, 1.001)
+            assert at(threshold, inside * bound).grade is better
+            assert at(threshold, outside * bound).grade is worse
+        none = Grade.REFUSED if threshold.at_least else Grade.EXCELLENT
+        assert at(threshold, 0.0).grade is none
+
+    @every_threshold
+    def test_only_the_size_counts(self, threshold):
+        assert at(threshold, -0.99 * threshold.good) == at(threshold, 0.99 * threshold.good)
+
+    @every_threshold
+    @pytest.mark.parametrize("value", [math.nan, math.inf])
+    def test_a_figure_that_is_no_number_is_refused(self, threshold, value):
+        assert threshold.check(value).grade is Grade.REFUSED
+
+    @every_threshold
+    def test_the_words_give_the_value_in_the_unit_people_see(self, threshold):
+        value = threshold.excellent * (2.0 if threshold.at_least else 0.5)
+        words = at(threshold, value).words
+        assert words == f"{threshold.words} {value:g}{threshold.unit}"
+
+    @every_threshold
+    def test_what_falls_short_says_what_is_wanted_and_what_to_do(self, threshold):
+        warned = at(threshold, 0.5 * (threshold.good + threshold.warn)).words
+        side = "more" if threshold.at_least else "less"
+        assert f"(want {threshold.good:g}{threshold.unit} or {side}): {threshold.remedy}" in warned
+        refused = at(threshold, refused_value(threshold)).words
+        assert f"(want {threshold.warn:g}{threshold.unit} or {side}): {threshold.remedy}" in refused
+
+    @every_threshold
+    def test_what_is_good_needs_no_advice(self, threshold):
+        inside = 1.01 if threshold.at_least else 0.99
+        assert threshold.remedy not in at(threshold, threshold.good * inside).words
+
+    @pytest.mark.parametrize(
+        ("value", "words"), [(2450.0, "2450"), (999.6, "1000"), (1e-6, "below 0.001"), (0.0, "0")]
+    )
+    def test_sizes_are_written_as_people_write_them(self, value, words):
+        assert shown(value) == words
+
+    def test_each_figure_has_one_row(self):
+        assert len(BY_FIGURE) == len(TURN_BOUNDS)
+
+
+def graded(*grades):
+    return Verdict(tuple(Check("x", aspect, grade, "") for aspect, grade in grades), (), "")
+
+
+class TestGrades:
+    def test_they_rank_from_best_to_worst(self):
+        assert all(a.rank < b.rank for a, b in pairwise(Grade))
+
+    @given(st.lists(st.tuples(st.sampled_from(Aspect), st.sampled_from(Grade)), max_size=8))
+    def test_each_aspect_is_as_good_as_its_worst_check(self, grades):
+        verdict = graded(*grades)
+        for aspect, found in (
+            (Aspect.QUALITY, verdict.quality),
+            (Aspect.CONFIDENCE, verdict.confidence),
+        ):
+            own = [grade.rank for which, grade in grades if which is aspect]
+            assert found.rank == (max(own) if own else Grade.REFUSED.rank)
+        refused = Grade.REFUSED in (verdict.quality, verdict.confidence)
+        assert verdict.accepted == (not refused)
+
+
+class TestJudge:
+    def test_a_flawless_estimate_is_excellent_in_both(self):
+        verdict = judge(estimate(), KNOWN)
+        assert verdict.quality is verdict.confidence is Grade.EXCELLENT
+        assert verdict.accepted
+
+    @pytest.mark.parametrize(
+        ("figure", "aspect"), [(name, row.aspect) for name, row in BY_FIGURE.items()]
+    )
+    @pytest.mark.parametrize("bad", ["refused", "nan"])
+    def test_one_bad_figure_refuses_its_own_aspect_only(self, figure, aspect, bad):
+        row = BY_FIGURE[figure]
+        value = math.nan if bad == "nan" else refused_value(row) / row.scale
+        verdict = judge(estimate(figures={figure: value}), KNOWN)
+        assert not verdict.accepted
+        expected = {aspect: Grade.REFUSED}
+        assert verdict.quality is expected.get(Aspect.QUALITY, Grade.EXCELLENT)
+        assert verdict.confidence is expected.get(Aspect.CONFIDENCE, Grade.EXCELLENT)
+        assert verdict.summary.startswith("Refused (quality")
+        # The flawless estimate saw the full circle.
+        assert (row.after_full or row.remedy) in verdict.summary
+
+    @pytest.mark.parametrize("field", ["strength", "inclination"])
+    def test_a_reference_field_that_is_no_number_is_refused(self, field):
+        assert not judge(estimate(**{field: math.nan}), KNOWN).accepted
+
+    def test_a_residual_that_is_no_number_is_refused(self):
+        residual = np.zeros((500, 3))
+        residual[7, 1] = math.nan
+        assert judge(estimate(residual=residual), KNOWN).quality is Grade.REFUSED
+
+    @pytest.mark.parametrize(
+        ("strength", "grade"),
+        [
+            (19.9, Grade.WARN),
+            (20.1, Grade.EXCELLENT),
+            (69.9, Grade.EXCELLENT),
+            (70.1, Grade.WARN),
+            (279.0, Grade.REFUSED),
+        ],
+    )
+    def test_a_strength_that_is_not_the_earths_warns(self, strength, grade):
+        verdict = judge(estimate(strength=strength * 1e-6, residual=np.zeros((500, 3))), KNOWN)
+        assert verdict.quality is grade
+        assert ("is not the Earth's" in verdict.summary) == (grade is not Grade.EXCELLENT)
+
+    def test_a_strength_in_gauss_is_called_so(self):
+        assert "looks like gauss" in judge(estimate(strength=0.48), KNOWN).summary
+
+    def test_the_summary_holds_what_was_found(self):
+        summary = judge(estimate(), KNOWN).summary
+        assert summary.startswith("Calibrated, quality excellent, confidence excellent: heading ±")
+        assert "heading ±0.11° on the level" in summary
+        assert "hard iron (30.0, -20.0, 25.0) µT" in summary
+        assert "installation roll 3.00°, pitch -4.00°" in summary
+        assert "But" not in summary
+
+    def test_the_summary_names_warnings(self):
+        summary = judge(estimate(figures={"gyro_compass_rms": math.radians(7.0)}), KNOWN).summary
+        assert summary.startswith("Calibrated, quality warn, confidence excellent")
+        assert "But gyro against compass around the turn 7° (want 2° or less)" in summary
+
+    def test_the_summary_of_a_refusal_names_its_causes_only(self):
+        figures = {
+            "gyro_compass_rms": math.radians(20.0),
+            "split_half": math.radians(9.0),
+            "ellipse_excess": 0.2,
+        }
+        summary = judge(estimate(figures=figures), KNOWN).summary
+        assert "gyro against compass around the turn 20°" in summary
+        assert "two halves of the turn differ by 9°, of which chance may be " in summary
+        assert "ellipse" not in summary
+        assert "Calibrated" not in summary
+
+    def test_the_summary_names_two_reasons_and_counts_the_others(self):
+        figures = {
+            "gyro_compass_rms": math.radians(7.0),
+            "strength_pull": -4.0,
+            "inclination_pull": 4.0,
+            "rival_gap": math.radians(2.0),
+        }
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert "gyro against compass" in verdict.summary
+        assert "field strength pulled" in verdict.summary
+        assert verdict.summary.endswith("; and 2 more.")
+        assert sum(check.grade is Grade.WARN for check in verdict.checks) == 4
+
+
+def window(force):
+    n = len(force)
+    return Window(np.arange(n) / 10.0, np.full((n, 3), 30e-6), force)
+
+
+def grade_of(verdict, figure):
+    return next(check for check in verdict.checks if check.figure == figure)
+
+
+class TestWhatTheEstimateItselfShows:
+    @pytest.mark.parametrize(
+        ("arc", "grade"),
+        [(360, Grade.EXCELLENT), (200, Grade.GOOD), (100, Grade.WARN), (30, Grade.REFUSED)],
+    )
+    def test_a_short_arc_costs_confidence(self, arc, grade):
+        verdict = judge(estimate(arc=math.radians(arc)), KNOWN)
+        assert (verdict.quality, verdict.confidence) == (Grade.EXCELLENT, grade)
+        if grade is Grade.WARN:
+            assert "the turn covers 100° (want 160° or more): turn the full circle" in (
+                verdict.summary
+            )
+
+    def test_few_believed_samples_cost_confidence(self):
+        few = {"inliers": np.ones(30, dtype=bool), "residual": np.zeros((30, 3))}
+        verdict = judge(estimate(**few), KNOWN)
+        assert verdict.confidence is Grade.WARN
+        assert "believed samples: 30 (want 50 or more)" in verdict.summary
+
+    @pytest.mark.parametrize(
+        ("axis", "grade"),
+        [
+            ([0.0, 0.0, 1.0], Grade.EXCELLENT),
+            ([0.5, 0.0, 0.866], Grade.GOOD),
+            ([0.0, 0.9, 0.436], Grade.WARN),
+            ([0.0, 0.0, -1.0], Grade.REFUSED),
+        ],
+    )
+    def test_a_board_that_is_not_upright_is_told_so(self, axis, grade):
+        check = grade_of(judge(estimate(axis=np.array(axis)), KNOWN), "axis_lean")
+        assert check.grade is grade
+        told = "z points down or sideways at rest" in check.words
+        assert told == (grade.rank >= Grade.WARN.rank)
+
+    @pytest.mark.parametrize(
+        ("sigma", "grade"), [(0.4, None), (0.8, Grade.GOOD), (2.0, Grade.WARN)]
+    )
+    def test_soft_iron_that_half_a_turn_hides_costs_confidence(self, sigma, grade):
+        own = judge(estimate(), KNOWN)
+        figures = {"heading_sigma": math.radians(0.3)}
+        figures["heading_sigma_soft_iron"] = math.radians(sigma)
+        verdict = judge(estimate(figures=figures, arc=math.radians(200.0)), KNOWN)
+        found = [c for c in verdict.checks if c.figure == "unseen_soft_iron"]
+        assert [c.grade for c in found] == ([] if grade is None else [grade])
+        assert own.confidence is Grade.EXCELLENT
+        if grade is Grade.WARN:
+            assert "cannot show soft iron" in verdict.summary
+
+    @pytest.mark.parametrize(("carried", "grade"), [(1.0, Grade.EXCELLENT), (0.0, Grade.WARN)])
+    def test_a_gyro_that_tells_of_another_turn_warns(self, carried, grade):
+        figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
+        verdict = judge(estimate(figures=figures), KNOWN)
+        assert verdict.quality is grade
+        told = "gyro's turning does not explain the samples" in verdict.summary
+        assert told == (grade is Grade.WARN)
+
+    def test_halves_that_differ_by_chance_are_no_fault(self):
+        figures = {"heading_sigma": math.radians(0.49), "split_half": math.radians(0.97)}
+        verdict = judge(estimate(figures=figures), KNOWN)
+        check = grade_of(verdict, "split_half")
+        assert check.grade is Grade.EXCELLENT
+        assert check.words.endswith("differ by 0.97°, of which chance may be 1.47°")
+
+    def test_a_radius_within_what_the_reference_promises_is_no_fault(self):
+        figures = {"radius_ratio": 1.2}
+        vague = Robot().knowledge(strength_sigma=5e-6, inclination_sigma=0.05)
+        assert grade_of(judge(estimate(figures=figures), KNOWN), "radius_misfit").grade is (
+            Grade.WARN
+        )
+        verdict = judge(estimate(figures=figures), vague)
+        assert verdict.quality is Grade.EXCELLENT
+        words = grade_of(verdict, "radius_misfit").words
+        assert words.startswith("radius of the field against the reference 20%, known to ")
+
+
+class TestGravity:
+    @pytest.mark.parametrize(
+        ("size", "words"),
+        [
+            (1.0, "g published as m/s²; multiply by 9.80665"),
+            (1000.0, "milli-g published as m/s²"),
+            (7.5, "check the accelerometer's range and scale"),
+            (12.0, "is not gravity's (9.81 m/s²)"),
+        ],
+    )
+    def test_a_length_that_is_not_gravitys_warns_by_name(self, size, words):
+        force = np.zeros((50, 3))
+        force[:, 2] = size
+        verdict = judge(estimate(), KNOWN, window(force))
+        assert verdict.quality is Grade.WARN
+        assert words in verdict.summary
+
+    @pytest.mark.parametrize(
+        ("size", "grade"), [(9.7, Grade.EXCELLENT), (8.8, Grade.GOOD), (-9.81, Grade.EXCELLENT)]
+    )
+    def test_gravity_and_a_poor_scale_pass(self, size, grade):
+        verdict = judge(estimate(), KNOWN, window(np.full((50, 3), [0.0, 0.0, size])))
+        assert grade_of(verdict, "gravity").grade is grade
+
+    def test_without_samples_it_is_not_checked(self):
+        assert "gravity" not in {check.figure for check in judge(estimate(), KNOWN).checks}
+
+
+class TestNotShown:
+    def test_the_yaw_of_the_installation_never_is(self):
+        assert NO_YAW in judge(estimate(), KNOWN).not_shown
+
+    def test_without_a_gyro_distortion_is_not(self):
+        assert NO_GYRO in judge(estimate(), KNOWN).not_shown
+        seen = judge(estimate(figures={"gyro_compass_rms": 0.01}), KNOWN)
+        assert NO_GYRO not in seen.not_shown
+
+    @pytest.mark.parametrize(
+        ("reference", "complete"),
+        [
+            (ReferenceField(), False),
+            (ReferenceField(Belief(50e-6), Belief.unknown()), False),
+            (ReferenceField(Belief.unknown(), Belief(1.0)), False),
+            (ReferenceField(Belief(50e-6), Belief(1.0, 0.1)), True),
+        ],
+    )
+    def test_without_strength_and_inclination_the_radius_is_not(self, reference, complete):
+        not_shown = judge(estimate(), Knowledge(reference)).not_shown
+        assert (NO_REFERENCE in not_shown) == (not complete)
+
+    def test_a_gyro_that_the_method_does_not_use_is_not_called_missing(self):
+        one = window(np.full((50, 3), [0.0, 0.0, 9.81]))
+        turning = Window(one.time, one.field, one.specific_force, np.full((50, 3), [0.0, 0.0, 0.4]))
+        not_shown = judge(estimate(), KNOWN, turning).not_shown
+        assert GYRO_UNUSED in not_shown
+        assert NO_GYRO not in not_shown
+
+    @pytest.mark.parametrize("figure", ["heading_sigma", "rival_gap"])
+    @pytest.mark.parametrize("known", [True, False])
+    def test_a_reference_field_that_was_given_is_not_asked_for(self, figure, known):
+        covariance = np.zeros((12, 12))
+        covariance[11, 11] = (3e-6) ** 2
+        bad = estimate(figures={figure: math.radians(1.9)}, covariance=covariance)
+        verdict = judge(bad, KNOWN if known else Knowledge())
+        told = " ".join([grade_of(verdict, figure).words, *verdict.not_shown])
+        assert ("give the reference field" in told) == (not known)
+
+    def test_an_uncertain_axial_hard_iron_is_named_with_its_cost(self):
+        covariance = np.zeros((12, 12))
+        covariance[9:, 9:] = np.diag([0.05e-6, 0.05e-6, 5e-6]) ** 2
+        not_shown = judge(estimate(covariance=covariance), KNOWN).not_shown
+        words = [text for text in not_shown if "along the turn's axis" in text]
+        # 5 µT * sin 10° / 25 µT / sqrt 2
+        assert len(words) == 1
+        assert "at 10° of tilt it costs 1.4° (1σ) of heading" in words[0]
+
+    def test_a_certain_axial_hard_iron_is_not_named(self):
+        assert not [t for t in judge(estimate(), KNOWN).not_shown if "turn's axis" in t]
+
+
+class TestRefuse:
+    def test_a_refusal_is_a_verdict_with_its_reason_in_both_aspects(self):
+        refusal = Refusal(Reason.ARC_TOO_SHORT, "only 30° were seen; turn further")
+        verdict = refuse(refusal)
+        assert verdict.quality is verdict.confidence is Grade.REFUSED
+        assert not verdict.accepted
+        assert verdict.summary == "Refused: only 30° were seen; turn further."
+        assert {check.figure for check in verdict.checks} == {"arc_too_short"}
+        assert {check.words for check in verdict.checks} == {str(refusal)}
+
+    def test_the_sentence_ends_with_one_stop(self):
+        assert refuse(Refusal(Reason.PLANAR, "It is flat.")).summary == "Refused: It is flat."
+
+    def test_dots_inside_the_words_are_kept(self):
+        verdict = refuse(Refusal(Reason.PLANAR, "see ../notes... and turn."))
+        assert verdict.summary == "Refused: see ../notes... and turn."
+
+
+@pytest.mark.parametrize(("figure", "grade"), [(0.0, Grade.EXCELLENT), (1.0, Grade.WARN)])
+def test_an_optimisation_that_did_not_converge_is_a_warning(figure, grade):
+    verdict = judge(estimate(figures={Figure.NOT_CONVERGED: figure}), KNOWN)
+    check = next(check for check in verdict.checks if check.figure is Figure.NOT_CONVERGED)
+    assert check.grade is grade
+    assert ("did not converge" in verdict.summary) is (grade is Grade.WARN)
+
+
+def test_a_method_that_does_not_iterate_is_not_asked_whether_it_converged():
+    figures = {check.figure for check in judge(estimate(), KNOWN).checks}
+    assert Figure.NOT_CONVERGED not in figures

@@ -1,0 +1,72 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+
+seeds = st.integers(0, 10_000)
+
+
+def any_correction(seed):
+    rng = np.random.default_rng(seed)
+    gains = np.diag(rng.uniform(0.5, 2.0, 3))
+    return Correction(
+        gains @ rotation_from_rpy(*rng.uniform(-1, 1, 3)), 50e-6 * rng.uniform(-1, 1, 3)
+    )
+
+
+@given(seeds)
+def test_undo_is_the_inverse_of_apply(seed):
+    correction = any_correction(seed)
+    field = 50e-6 * np.random.default_rng(seed).standard_normal((5, 3))
+    np.testing.assert_allclose(correction.undo(correction.apply(field)), field, atol=1e-18)
+
+
+@given(seeds, seeds)
+def test_after_is_one_and_then_the_other(first, second):
+    first, second = any_correction(first), any_correction(second)
+    field = np.array([[20e-6, -10e-6, 40e-6]])
+    expected = second.apply(first.apply(field))
+    np.testing.assert_allclose(second.after(first).apply(field), expected, atol=1e-18)
+
+
+@given(seeds)
+def test_parameters_come_back(seed):
+    correction = any_correction(seed)
+    again = Correction.from_parameters(correction.parameters)
+    np.testing.assert_array_equal(again.matrix, correction.matrix)
+    np.testing.assert_array_equal(again.hard_iron, correction.hard_iron)
+
+
+def test_covariance_is_that_of_corrected_noise():
+    correction = any_correction(3)
+    sigma = np.diag([1.0, 4.0, 9.0])
+    noise = np.random.default_rng(0).multivariate_normal(np.zeros(3), sigma, 200_000)
+    seen = np.cov(correction.apply(noise).T)
+    np.testing.assert_allclose(correction.covariance(sigma), seen, rtol=0.05, atol=0.1)
+
+
+def test_identity_changes_nothing():
+    field = np.array([[1e-6, 2e-6, 3e-6]])
+    np.testing.assert_array_equal(Correction.identity().apply(field), field)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.zeros((3, 3)), np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan), np.eye(2)]
+)
+def test_impossible_matrices_are_rejected(matrix):
+    with pytest.raises(ValueError, match="matrix"):
+        Correction(matrix, np.zeros(3))
+
+
+def test_it_cannot_be_changed_afterwards():
+    matrix = np.eye(3)
+    correction = Correction(matrix, np.zeros(3))
+    matrix[0, 0] = 7.0
+    assert correction.matrix[0, 0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        correction.matrix[0, 0] = 7.0

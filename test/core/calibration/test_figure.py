@@ -1,0 +1,35 @@
+import json
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.calibration import Evidence
+from magcal_ros.core.calibration.figure import Figure, along
+
+
+def test_a_figure_is_its_name_wherever_it_is_written():
+    assert json.dumps({Figure.ARC: Figure.KAPPA}) == '{"arc": "kappa"}'
+    assert f"{Figure.ARC} {Figure.KAPPA}" == "arc kappa"
+    assert type(str(Figure.ARC)) is str
+
+
+def test_gyro_against_compass_keeps_the_name_that_readers_know():
+    one, two, three = (
+        Figure.GYRO_COMPASS_SWING,
+        Figure.GYRO_COMPASS_DIFFERENCE,
+        Figure.GYRO_COMPASS_HARMONIC,
+    )
+    assert len({one, two, three}) == 3
+    assert {one.key, two.key, three.key} == {"gyro_compass_rms"}
+    assert all(figure.key == figure.value for figure in Figure if figure not in (two, three))
+
+
+def test_a_name_that_is_none_is_found_out():
+    with pytest.raises(ValueError, match="centre_length_x"):
+        along("centre_length", np.zeros(3))
+
+
+def test_evidence_gives_figures_by_their_stored_names():
+    evidence = Evidence("m", "good", "good", "", figures={"heading_sigma": 0.02, "of_2031": 1.0})
+    assert evidence.figure(Figure.HEADING_SIGMA, 0.0) == 0.02
+    assert evidence.figure(Figure.KAPPA, 7.0) == 7.0

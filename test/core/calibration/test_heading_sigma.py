@@ -1,0 +1,107 @@
+import math
+
+import numpy as np
+import pytest
+from sample_results import SKEWED, estimate, small_covariance
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.estimate import Installation
+from magcal_ros.core.calibration.heading_sigma import (
+    common_figures,
+    predicted_heading_sigma,
+    sideways_pull,
+)
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import LEVEL_TILT, Robot, heading_errors, measure, turn
+
+TRUTH = Robot()
+
+
+def iron_only(sigma):
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.diag(np.square(sigma))
+    return covariance
+
+
+class TestPredictedHeadingSigma:
+    def test_on_the_level_it_is_hard_iron_over_level_field(self):
+        one = estimate(covariance=iron_only([0.4e-6, 0.4e-6, 9e-6]))
+        assert predicted_heading_sigma(one, 0.0) == pytest.approx(0.4 / 25.0)
+
+    def test_on_a_slope_the_axial_hard_iron_counts(self):
+        tilt = math.radians(10.0)
+        one = estimate(covariance=iron_only([0.0, 0.0, 3e-6]))
+        assert predicted_heading_sigma(one, 0.0) == 0.0
+        expected = 3.0 / 25.0 * math.sin(tilt) / math.sqrt(2.0)
+        assert predicted_heading_sigma(one, tilt) == pytest.approx(expected, rel=0.02)
+
+    @pytest.mark.parametrize("tilt", [0.0, math.radians(10.0)])
+    def test_it_is_the_rms_error_of_corrections_drawn_from_the_covariance(self, tilt):
+        covariance = small_covariance(of_matrix=3e-3, of_iron=0.1e-6)
+        robot = Robot()
+        truth = robot.true_correction
+        one = estimate(correction=truth, covariance=covariance)
+        drawn = np.random.default_rng(2).multivariate_normal(
+            truth.parameters, covariance, 400, method="eigh"
+        )
+        errors = np.array([heading_errors(Correction.from_parameters(p), robot) for p in drawn])
+        # roll and pitch in {-10, 0, 10}: the four with one of them zero lie around the level.
+        poses = [LEVEL_TILT] if tilt == 0.0 else [1, 3, 5, 7]
+        found = math.sqrt(float(np.mean(errors[:, :, poses] ** 2)))
+        assert predicted_heading_sigma(one, tilt) == pytest.approx(found, rel=0.08)
+
+
+class TestCommonFigures:
+    def test_the_residual_counts_believed_samples_only_and_over_the_level_field(self):
+        residual = np.zeros((100, 3))
+        residual[:80] = 0.5e-6
+        residual[80:] = 40e-6
+        inliers = np.arange(100) < 80
+        figures = common_figures(estimate(residual=residual, inliers=inliers))
+        assert figures["residual_ratio"] == pytest.approx(0.5 / 25.0)
+        assert figures["outlier_share"] == pytest.approx(0.2)
+
+    @pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")
+    def test_no_believed_sample_is_an_infinite_residual(self):
+        figures = common_figures(estimate(inliers=np.zeros(500, dtype=bool)))
+        assert figures["residual_ratio"] == math.inf
+        assert figures["outlier_share"] == 1.0
+
+    def test_the_installation_angle_is_there_where_the_method_knows_it(self):
+        known = common_figures(estimate(installation=Installation(0.3, 0.0)))
+        assert known["installation_angle"] == pytest.approx(0.3)
+        assert "installation_angle" not in common_figures(estimate(installation=None))
+
+    @pytest.mark.parametrize("ratio", [0.9, 1.1])
+    def test_a_radius_too_small_misfits_as_much_as_one_too_large(self, ratio):
+        figures = common_figures(estimate(figures={"radius_ratio": ratio}))
+        assert figures["radius_misfit"] == pytest.approx(0.1)
+
+    def test_a_circle_has_no_ellipse_excess(self):
+        assert common_figures(estimate(figures={"ellipse_ratio": 1.0}))["ellipse_excess"] == 0.0
+        assert "ellipse_excess" not in common_figures(estimate())
+        assert "radius_misfit" not in common_figures(estimate())
+
+    def test_the_sigmas_are_those_predicted(self):
+        one = estimate(correction=SKEWED, covariance=small_covariance())
+        figures = common_figures(one)
+        assert figures["heading_sigma"] == predicted_heading_sigma(one, 0.0)
+        tilted = predicted_heading_sigma(one, math.radians(10.0))
+        assert figures["heading_sigma_tilted"] == tilted != figures["heading_sigma"]
+
+
+class TestSidewaysPull:
+    @staticmethod
+    def window(pull=0.0, **motion):
+        one = measure(Robot(), turn(**motion), np.random.default_rng(3), gyro=True)
+        force = one.specific_force + np.array([pull * 9.81, 0.0, 0.0])
+        return Window(one.time, one.field, force, one.angular_rate)
+
+    @pytest.mark.parametrize(
+        "motion", [{}, {"arc": -math.tau}, {"start_rpy": (0.2, 0.1, 1.0)}, {"axis": [0.3, 0, 1.0]}]
+    )
+    def test_a_turn_on_the_spot_has_none(self, motion):
+        assert sideways_pull(self.window(**motion)) < math.radians(0.5)
+
+    def test_a_circle_has_its_angle(self):
+        assert sideways_pull(self.window(0.1)) == pytest.approx(math.atan(0.1), abs=0.01)

@@ -1,0 +1,33 @@
+"""The gyro's word against the compass's: silent on clean turns, loud in a distorted room."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+
+
+@pytest.mark.parametrize(("arc", "samples"), [(360.0, 500), (180.0, 500), (360.0, 60)])
+def test_a_clean_turn_reads_next_to_nothing(arc, samples):
+    robot = Robot()
+    motion = turn(arc=arc * DEGREE, samples=samples)
+    estimate = fit(measure(robot, motion, np.random.default_rng(1), gyro=True), robot.knowledge())
+    assert estimate.figures["gyro_compass_rms"] < 0.7 * DEGREE
+
+
+@pytest.mark.parametrize("phase", [0.0, 1.0, 2.0])
+@pytest.mark.parametrize("swing_deg", [19.0, 27.0])
+def test_a_room_that_turns_the_field_shows_in_its_true_size(phase, swing_deg):
+    robot, motion, rng = Robot(), turn(), np.random.default_rng(2)
+    window = measure(robot, motion, rng, gyro=True)
+    swing = swing_deg * DEGREE * np.sin(np.linspace(0.0, 2.0 * math.pi, len(window)) + phase)
+    turned = np.stack([rotation_from_rpy(0.0, 0.0, angle) @ robot.field_enu for angle in swing])
+    body = np.einsum("nij,nj->ni", motion.attitude, turned)
+    field = robot.raw_field(body) + robot.noise_field * rng.standard_normal(body.shape)
+    distorted = Window(window.time, field, window.specific_force, window.angular_rate)
+    found = fit(distorted, robot.knowledge()).figures["gyro_compass_rms"]
+    assert found == pytest.approx(swing_deg * DEGREE / math.sqrt(2.0), rel=0.2)

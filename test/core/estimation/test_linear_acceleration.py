@@ -1,0 +1,80 @@
+"""A pull of the turn, a bias of the gyro, and what tells them apart."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Motion,
+    Robot,
+    heading_errors,
+    measure,
+)
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def circles(bias=(0.0, 0.0, 0.0), radius=0.0, unevenness=0.4, seed=1):
+    """Two circles at an uneven rate; the pull is that of a vehicle on a circle of this radius."""
+    time = np.arange(0.0, 40.0, 0.05)
+    rate = math.tau / 20.0 * (1.0 + unevenness * np.sin(math.tau * time / 13.0))
+    yaw = np.cumsum(rate) * 0.05
+    robot = Robot(gyro_bias=np.array(bias) * DEGREE, noise_field=0.3e-6, noise_force=0.05)
+    motion = Motion(time, rotation_about(UP, -yaw))
+    window = measure(robot, motion, np.random.default_rng(seed), gyro=True)
+    pull = np.zeros((len(time), 3))
+    pull[:, 1] = rate**2 * radius
+    return robot, Window(time, window.field, window.specific_force + pull, window.angular_rate)
+
+
+def known(robot):
+    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+
+
+def error_and_sigma(robot, window):
+    estimate = fit(window, known(robot))
+    gap = heading_errors(estimate.correction, robot)[:, LEVEL_TILT]
+    return math.sqrt(np.mean(gap**2)), predicted_heading_sigma(estimate, 0.0), estimate
+
+
+@pytest.mark.parametrize("radius", [5.0, 10.0])
+def test_a_cars_circle_is_told_from_a_leaning_sensor(radius):
+    error, sigma, estimate = error_and_sigma(*circles(radius=radius))
+    assert error < 1.0 * DEGREE
+    assert error < 3.0 * sigma
+    mean = radius * (math.tau / 20.0) ** 2 / 9.81
+    assert estimate.figures[Figure.STEADY_PULL] == pytest.approx(mean, rel=0.3)
+
+
+@pytest.mark.parametrize("direction", [(2.0, 0.0, 0.0), (0.0, -2.0, 0.0), (1.0, 1.0, 1.5)])
+def test_a_gyros_bias_is_no_pull(direction):
+    """More knowledge never hurts: with this gyro as without it."""
+    robot, window = circles(bias=direction)
+    error, sigma, estimate = error_and_sigma(robot, window)
+    without = error_and_sigma(robot, Window(window.time, window.field, window.specific_force))[0]
+    assert estimate.figures[Figure.STEADY_PULL] == 0.0
+    assert error < 1.1 * without + 0.1 * DEGREE
+    assert error < 3.0 * sigma
+
+
+def test_what_cannot_be_told_apart_has_a_large_sigma():
+    """An even turn: a gyro of 2 degrees a second, or a robot that is pulled."""
+    for case in ({"bias": (0.0, 2.0, 0.0)}, {"radius": 10.0}):
+        error, sigma, _ = error_and_sigma(*circles(unevenness=0.0, **case))
+        assert error < 3.0 * sigma
+
+
+def test_a_clean_turn_is_asked_for_no_pull():
+    _, _, estimate = error_and_sigma(*circles())
+    assert estimate.figures[Figure.STEADY_PULL] == 0.0
+    assert estimate.figures[Figure.GYRO_GAP] < 0.2 * DEGREE

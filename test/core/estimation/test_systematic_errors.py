@@ -1,0 +1,96 @@
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.estimation.systematic_errors import Lasting, Turning, systematic_covariance
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, heading_errors, measure, turn
+
+QUIET = Robot(noise_field=0.1e-6, noise_force=0.01, gyro_bias=np.zeros(3))
+
+
+def known(systematics):
+    from dataclasses import replace
+
+    return replace(QUIET.knowledge(1.5e-6, 1.0 * DEGREE), systematics=systematics)
+
+
+def sigma_with(systematics, window):
+    return predicted_heading_sigma(fit(window, known(systematics)), 0.0)
+
+
+@pytest.fixture(scope="module")
+def window():
+    return measure(QUIET, turn(samples=300), np.random.default_rng(3))
+
+
+def test_a_negative_or_unknown_error_is_no_belief():
+    with pytest.raises(ValueError, match="zero or more"):
+        Systematics(axes=-0.01)
+    with pytest.raises(ValueError, match="zero or more"):
+        Systematics(field=math.inf)
+
+
+def test_without_systematics_the_samples_noise_is_all(window):
+    assert Systematics.none().are_none
+    assert sigma_with(Systematics.none(), window) < 0.05 * DEGREE
+
+
+def test_the_typical_set_makes_a_clean_turn_a_third_of_a_degree(window):
+    assert 0.2 * DEGREE < sigma_with(Systematics(), window) < 0.6 * DEGREE
+
+
+@pytest.mark.parametrize(
+    ("one", "radians"),
+    [
+        ({"axes": 0.01}, 0.01),
+        # Two axes of hard iron, of which the one across the field turns the heading.
+        ({"field": 0.25e-6}, 0.25e-6 / (50e-6 * math.cos(60 * DEGREE))),
+        (
+            {"lever_arm": 0.5},
+            0.5 * (math.tau / 15.0) ** 2 / STANDARD_GRAVITY * math.tan(60 * DEGREE),
+        ),
+    ],
+)
+def test_each_error_is_worth_what_it_does_to_the_heading(window, one, radians):
+    none = {"axes": 0.0, "field": 0.0, "lever_arm": 0.0, "latency": 0.0}
+    assert sigma_with(Systematics(**none | one), window) == pytest.approx(radians, rel=0.1)
+
+
+def test_what_strays_for_good_is_a_heading_error_of_its_own_size():
+    from magcal_ros.core.estimation.parameters import Globals
+
+    shared = Globals(np.eye(3), np.eye(3), 0.0, 0.0, np.zeros(3), 1.0, 60 * DEGREE)
+    added = systematic_covariance(
+        shared, np.eye(3), 50e-6, Systematics.none(), Turning(0.4, 0.0), Lasting(0.03, 0.04)
+    )
+    across = math.sqrt(added[9, 9])
+    assert across / 25e-6 == pytest.approx(0.05)
+    assert added[11, 11] == pytest.approx(0.0, abs=1e-30)
+
+
+def test_a_lever_arm_is_within_sigma():
+    """A fault that no residual shows: the centripetal acceleration of an even turn."""
+    motion = turn(samples=400, duration=12.0)
+    found = measure(QUIET, motion, np.random.default_rng(5))
+    arm = np.array([0.0, 0.1, 0.0])
+    rate = motion.angular_rate
+    force = found.specific_force + np.cross(rate, np.cross(rate, arm))
+    estimate = fit(Window(found.time, found.field, force), known(Systematics()))
+    error = math.sqrt(np.mean(heading_errors(estimate.correction, QUIET)[:, 4] ** 2))
+    assert 0.1 * DEGREE < error < 2.0 * predicted_heading_sigma(estimate, 0.0)
+
+
+def test_a_turning_rate_comes_from_the_gyro_or_from_the_arc():
+    robot = Robot()
+    motion = turn(samples=200, duration=10.0)
+    with_gyro = measure(robot, motion, np.random.default_rng(1), gyro=True)
+    without = Window(with_gyro.time, with_gyro.field, with_gyro.specific_force)
+    expected = pytest.approx(math.tau / 10.0, rel=0.02)
+    assert Turning.of(with_gyro, math.tau).rms == expected
+    assert Turning.of(without, math.tau).rms == expected

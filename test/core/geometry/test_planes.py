@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.planes import PlaneFit
+
+every_fit = pytest.mark.parametrize("fit", PlaneFit)
+
+
+def disc(normal, centre=(0.0, 0.0, 0.0), noise=0.0, seed=0, samples=50, size=(1.0, 1.0)):
+    rng = np.random.default_rng(seed)
+    in_plane = np.linalg.svd(np.asarray(normal, dtype=float)[None])[2][1:]
+    angle = np.linspace(0.0, 5.0, samples)
+    flat = np.column_stack([np.cos(angle), np.sin(angle)]) * size
+    return flat @ in_plane + centre + noise * rng.standard_normal((samples, 3))
+
+
+def unit(vector):
+    return np.asarray(vector) / np.linalg.norm(vector)
+
+
+@every_fit
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_finds_any_plane_at_any_place_and_size(fit, seed):
+    rng = np.random.default_rng(seed)
+    normal, centre = unit(rng.standard_normal(3)), 3.0 * rng.standard_normal(3)
+    points = disc(normal, centre) * 50e-6
+    plane = fit(points)
+    assert abs(plane.normal @ normal) == pytest.approx(1.0, abs=1e-12)
+    assert np.linalg.norm(plane.normal) == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(plane.centre, points.mean(axis=0), atol=1e-18)
+    assert plane.thickness < 1e-7 * plane.spread[2]
+
+
+@every_fit
+@pytest.mark.parametrize("normal", np.eye(3))
+def test_planes_along_the_axes(fit, normal):
+    assert abs(fit(disc(normal)).normal @ normal) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_spread_is_ordered_and_measured():
+    plane = PlaneFit.EIGEN(disc([0, 0, 1], noise=0.01, samples=5000))
+    assert plane.spread[0] == pytest.approx(0.01, rel=0.05)
+    assert plane.spread[0] <= plane.spread[1] <= plane.spread[2]
+    assert plane.thickness == pytest.approx(plane.spread[0], rel=1e-6)
+
+
+def test_thin_clouds_dilute_the_least_squares_normal_only():
+    normal = unit([0.5, 0.0, 0.8])
+    cloud = disc(normal, noise=0.03, samples=20_000, size=(0.1, 0.1))
+    off = {fit: np.arccos(min(1.0, abs(fit(cloud).normal @ normal))) for fit in PlaneFit}
+    assert off[PlaneFit.LEAST_SQUARES] > np.radians(1.0)
+    assert off[PlaneFit.EIGEN] < np.radians(0.5)
+
+
+def test_the_normals_sigma_is_the_scatter_of_many_fits():
+    normal = np.array([0.0, 0.0, 1.0])
+    planes = [PlaneFit.EIGEN(disc(normal, noise=0.05, seed=s, size=(1.0, 0.3))) for s in range(300)]
+    tilt = np.array([p.normal[:2] * np.sign(p.normal[2]) for p in planes])
+    worst = np.sqrt(np.linalg.eigvalsh(np.cov(tilt.T))[1])
+    predicted = np.mean([plane.normal_sigma(1e-9) for plane in planes])
+    assert predicted == pytest.approx(worst, rel=0.15)
+
+
+def test_a_round_cloud_says_nothing_of_its_normal():
+    plane = PlaneFit.EIGEN(np.random.default_rng(0).standard_normal((500, 3)))
+    assert plane.normal_sigma(1e-9) > np.radians(20.0)
+
+
+@every_fit
+@pytest.mark.parametrize(
+    ("points", "reason"),
+    [
+        (np.tile([1.0, 2.0, 3.0], (30, 1)), Reason.NO_MOTION),
+        (np.zeros((30, 3)), Reason.NO_MOTION),
+        (np.outer(np.arange(30.0), [1.0, 2.0, 3.0]) + 5.0, Reason.FIELD_ON_A_LINE),
+        (np.eye(3)[:2], Reason.TOO_FEW_SAMPLES),
+        (np.array([[0.0, 0.0, 1.0], [np.nan, 0.0, 0.0], [1.0, 0.0, 0.0]]), Reason.NOT_FINITE),
+        (np.array([[0.0, 0.0, 1.0], [np.inf, 0.0, 0.0], [1.0, 0.0, 0.0]]), Reason.NOT_FINITE),
+    ],
+)
+def test_degenerate_clouds_are_refused(fit, points, reason):
+    with pytest.raises(Refusal) as caught:
+        fit(points)
+    assert caught.value.reason is reason

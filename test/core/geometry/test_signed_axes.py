@@ -1,0 +1,39 @@
+import numpy as np
+import pytest
+
+from magcal_ros.core.geometry.signed_axes import (
+    is_mirrored,
+    likely_slip,
+    signed_permutations,
+    spoken,
+)
+
+EVERY = signed_permutations()
+
+
+def test_there_are_48_and_half_of_them_are_rotations():
+    assert len({tuple((axes + 0.0).ravel()) for axes in EVERY}) == 48
+    assert [is_mirrored(axes) for axes in EVERY] == [False] * 24 + [True] * 24
+    assert all(np.array_equal(axes @ axes.T, np.eye(3)) for axes in EVERY)
+
+
+def test_what_changes_least_comes_first():
+    assert np.array_equal(EVERY[0], np.eye(3))
+    assert sorted(int(np.trace(axes)) for axes in EVERY[24:28]) == [1, 1, 1, 1]
+
+
+def test_upside_down_about_x_is_the_usual_way_to_be_upside_down():
+    half_turns = [axes for axes in EVERY[:24] if np.array_equal(np.abs(axes), np.eye(3))][1:]
+    assert spoken(half_turns[0]) == "x forward, y right, z down"
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        (np.diag([1.0, -1.0, 1.0]), "one axis has the wrong sign in the driver, most likely y"),
+        (np.diag([1.0, 1.0, -1.0]), "one axis has the wrong sign in the driver, most likely z"),
+        (np.eye(3)[[1, 0, 2]], "x and y are swapped in the driver"),
+    ],
+)
+def test_what_the_driver_did(axes, words):
+    assert likely_slip(axes) == words

@@ -1,0 +1,93 @@
+import math
+
+import pytest
+
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
+
+DIP = math.radians(65.0)
+UP = (0.0, 0.0, 1.0)
+
+
+def field(strength=48e-6, dip=DIP):
+    return (strength * math.cos(dip), 0.0, -strength * math.sin(dip))
+
+
+def watch(patience=20.0):
+    return DisturbanceDetector(Expected(48e-6, DIP), 0.3e-6, patience)
+
+
+def look(found, seconds, start=1.0, **changes):
+    """Returns at how many samples a new field was accepted."""
+    stamps = [start + 0.02 * k for k in range(int(seconds / 0.02))]
+    return sum(found.add(t, field(**changes), UP, 1e-5, 0.5) for t in stamps)
+
+
+def test_the_calibrated_field_is_good():
+    found = watch()
+    assert not look(found, 5.0)
+    assert found.trust is Trust.GOOD
+    assert found.departure == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "trust"),
+    [
+        ({"strength": 48e-6 * 1.05}, Trust.WEIGHED_DOWN),
+        ({"dip": DIP - math.radians(3.0)}, Trust.WEIGHED_DOWN),
+        ({"strength": 48e-6 * 1.3}, Trust.IGNORED),
+        ({"dip": DIP + math.radians(10.0)}, Trust.IGNORED),
+    ],
+)
+def test_a_departed_field_is_weighed_down_then_ignored(changes, trust):
+    found = watch()
+    look(found, 5.0, **changes)
+    assert found.trust is trust
+
+
+def test_a_disturbance_is_noted_with_when_where_and_how_much():
+    found = watch()
+    look(found, 2.0)
+    look(found, 5.0, start=3.0, strength=48e-6 * 1.3)
+    last = found.last
+    assert last.since == pytest.approx(3.0, abs=0.3)
+    assert last.until == pytest.approx(8.0, abs=0.1)
+    assert last.strength == pytest.approx(0.3, abs=0.01)
+    assert "+30%" in last.in_words
+    assert "29°" in last.in_words
+
+
+def test_a_field_that_returns_is_taken_back():
+    found = watch()
+    look(found, 5.0, strength=48e-6 * 1.3)
+    look(found, 3.0, start=6.0)
+    assert found.trust is Trust.GOOD
+    assert not found.last.is_accepted
+
+
+def test_a_field_that_stays_is_accepted_and_the_calibrated_one_still_is():
+    found = watch(patience=20.0)
+    assert not look(found, 19.0, strength=48e-6 * 1.3)
+    assert look(found, 5.0, start=20.0, strength=48e-6 * 1.3) == 1
+    assert found.trust is Trust.GOOD
+    assert found.last.is_accepted
+    look(found, 5.0, start=25.0)
+    assert found.trust is Trust.GOOD
+
+
+def test_places_that_differ_widen_what_is_called_good():
+    found = watch()
+    for k in range(6000):
+        wave = 0.08 * math.sin(0.02 * k)
+        found.add(1.0 + 0.02 * k, field(strength=48e-6 * (1.0 + wave)), UP, 1e-5, 0.5)
+        found.learn(0.02, 1e-5, wave**2)
+    assert 0.03 < math.sqrt(found.amplitude_variance) < 0.08
+    assert found.departure < 2.0
+
+
+def test_a_poor_calibration_is_no_disturbance():
+    sure = watch()
+    unsure = DisturbanceDetector(Expected(48e-6, DIP), 0.3e-6, 20.0, (3e-6) ** 2)
+    for found in (sure, unsure):
+        look(found, 5.0, strength=48e-6 * 1.08)
+    assert sure.trust is Trust.IGNORED
+    assert unsure.trust is not Trust.IGNORED

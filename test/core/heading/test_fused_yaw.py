@@ -1,0 +1,324 @@
+"""The fused yaw against the truth: smoother than raw, deaf to passing iron, never trapped."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from moving import FORWARD, ROBOT, Course
+from sample_results import EVIDENCE
+from street import Street, city_drive
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.disturbance import PATIENCE, Trust
+from magcal_ros.core.heading.fused_yaw import FusedYaw
+from magcal_ros.core.samples.streams import ImuSample, Streams
+from magcal_ros.core.up import Up, UpFollower
+from magcal_ros.files.recording import read_csv_folder
+
+CALIBRATED = Calibration(
+    ROBOT.true_correction,
+    np.zeros((12, 12)),
+    ROBOT.noise_field,
+    0.005,
+    ROBOT.strength,
+    ROBOT.inclination,
+    EVIDENCE,
+)
+IRON = np.array([0.3 * ROBOT.strength, 0.0, 0.0])
+"""Tesla to the east: it turns the compass by 35 degrees."""
+
+
+class Fusing:
+    """A listener that runs messages through the same walk as the node."""
+
+    def __init__(self, calibration=CALIBRATED, patience=PATIENCE):
+        self.compass = Compass(calibration)
+        self.streams = Streams(0.2)
+        self.follower = UpFollower()
+        self.fused = FusedYaw(calibration, patience)
+        self.raw, self.found, self.truth = [], [], []
+
+    def __call__(self, sample, ride=None):
+        if isinstance(sample, ImuSample):
+            self.on_imu(sample, ride)
+        elif self.streams.add_field(sample):
+            self.follower.add_field(sample.stamp, sample.field)
+            up = self.follower.at(sample.stamp, 0.2)
+            field = self.compass.correct(sample.field)
+            heading = up and self.compass.heading(field, up.direction, up.variance)
+            if heading:
+                self.raw.append((sample.stamp, heading.yaw))
+                self.fused.correct(sample.stamp, field, up, heading)
+
+    def on_imu(self, sample, ride):
+        if not self.streams.add_imu(sample):
+            return
+        self.follower.add(sample)
+        up = self.follower.at(sample.stamp, 0.0)
+        if up is None or not self.follower.is_propagated:
+            self.fused.restart()
+            return
+        follower = self.follower
+        self.fused.propagate(
+            sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
+        )
+        heading = self.fused.heading()
+        if heading is not None:
+            self.found.append((sample.stamp, heading.yaw, heading.yaw_variance))
+            if ride is not None:
+                self.truth.append(ride.magnetic_yaw)
+
+    def errors_deg(self):
+        yaw = np.array(self.found)[:, 1]
+        return np.degrees(wrap_angle(yaw - np.array(self.truth)))
+
+    def sigmas_deg(self):
+        return np.degrees(np.sqrt(np.array(self.found)[:, 2]))
+
+
+def driven(fusing, seed=1):
+    course = Course(fusing, seed=seed)
+    course.go(3.0)
+    return course
+
+
+def test_nothing_before_a_field_and_then_the_compass():
+    fusing = Fusing()
+    course = Course(lambda s, r: fusing(s, r) if isinstance(s, ImuSample) else None)
+    course.go(1.0)
+    assert not fusing.found
+    course.listener = fusing
+    course.go(1.0)
+    assert abs(fusing.errors_deg()[-1]) < 3.0
+
+
+def test_it_is_smooth_and_right_while_driving():
+    fusing = Fusing()
+    course = driven(fusing)
+    for side in (1.0, -1.0):
+        course.go(1.0, acceleration=2.0 * FORWARD)
+        course.circle(12.0, rate=0.5 * side)
+    errors, sigmas = fusing.errors_deg()[200:], fusing.sigmas_deg()[200:]
+    assert np.sqrt(np.mean(errors**2)) < 0.8
+    assert np.abs(np.diff(errors)).max() < 0.2
+    assert np.mean((errors / sigmas) ** 2) < 1.5
+
+
+def test_a_start_with_an_uncertain_up_is_given_up_once_the_compass_knows_better():
+    up, north = (0.0, 0.0, 1.0), CALIBRATED.strength * math.cos(CALIBRATED.inclination)
+    down = -CALIBRATED.strength * math.sin(CALIBRATED.inclination)
+    fused, compass = FusedYaw(CALIBRATED, PATIENCE), Compass(CALIBRATED)
+    for k in range(100):
+        yaw, variance = (math.radians(20.0), 0.05) if k < 25 else (0.0, 0.01)
+        field = (north * math.sin(yaw), north * math.cos(yaw), down)
+        heading = compass.heading(field, up, variance)
+        fused.propagate(0.02 * k, Up(up, variance), (0.0, 0.0, 0.0))
+        fused.correct(0.02 * k, field, Up(up, variance), heading)
+    assert abs(math.degrees(fused.heading().yaw)) < 4.0
+
+
+def test_passing_iron_hardly_moves_it_and_is_noted():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.go(20.0, disturbance=IRON, yaw_rate=0.1)
+    raw = fusing.raw[-1][1] - course.ride.magnetic_yaw
+    assert abs(math.degrees(float(wrap_angle(raw)))) > 25.0
+    assert fusing.fused.detector.trust is Trust.IGNORED
+    assert np.abs(fusing.errors_deg()).max() < 3.0
+    assert fusing.sigmas_deg()[-1] > 2.0 * fusing.sigmas_deg()[250]
+    course.go(5.0)
+    assert fusing.fused.detector.trust is Trust.GOOD
+    assert abs(fusing.errors_deg()[-1]) < 2.0
+    assert fusing.fused.detector.last.until - fusing.fused.detector.last.since > 18.0
+
+
+def test_a_doubtful_field_never_overrules_the_gyro():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.go(10.0, disturbance=np.array([13.5e-6, -2e-6, 0.0]))
+    assert fusing.fused.detector.trust is Trust.WEIGHED_DOWN
+    raw = fusing.raw[-1][1] - course.ride.magnetic_yaw
+    assert abs(math.degrees(float(wrap_angle(raw)))) > 25.0
+    assert np.abs(fusing.errors_deg()).max() < 5.0
+
+
+def test_iron_that_stays_is_accepted():
+    fusing = Fusing(patience=10.0)
+    course = driven(fusing)
+    course.go(20.0, disturbance=IRON)
+    assert fusing.fused.detector.last.is_accepted
+    yaw, compass = fusing.found[-1][1], fusing.raw[-1][1]
+    assert abs(math.degrees(float(wrap_angle(yaw - compass)))) < 5.0
+
+
+def test_a_start_beside_iron_recovers_once_the_field_is_good():
+    fusing = Fusing()
+    course = Course(fusing)
+    course.go(5.0, disturbance=IRON)
+    assert abs(fusing.errors_deg()[-1]) > 20.0
+    assert fusing.sigmas_deg()[-1] > 20.0
+    course.go(10.0, yaw_rate=0.2)
+    assert abs(fusing.errors_deg()[-1]) < 3.0
+
+
+def test_a_yaw_that_went_wrong_unseen_is_overruled_by_a_good_field():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.ride.stand(0.0, 0.0, 2.0)
+    course.go(12.0)
+    assert abs(fusing.errors_deg()[-1]) < 3.0
+
+
+def test_a_gap_forgets_north_and_the_compass_tells_it_anew():
+    fusing = Fusing()
+    course = driven(fusing)
+    course.ride.stamp += 2.0
+    course.ride.stand(0.0, 0.0, 2.0)
+    course.go(2.0)
+    assert np.abs(fusing.errors_deg()[-150:]).max() < 6.0
+
+
+@pytest.mark.nightly
+def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
+    """Streets bend the field by 3 µT an axis over 30 m: the compass is wrong by 9 degrees."""
+    squares, raws, nees = [], [], []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        fusing = Fusing()
+        course = driven(fusing, seed=seed)
+        begun = len(fusing.found)
+        for samples in city_drive(course.ride, Street(rng), 180.0, rng):
+            for sample in samples:
+                fusing(sample, course.ride)
+        errors = fusing.errors_deg()[begun:]
+        squares.append(np.mean(errors**2))
+        nees.append(np.mean((errors / fusing.sigmas_deg()[begun:]) ** 2))
+        stamps, yaws = np.array(fusing.raw).T
+        truth = np.interp(stamps, np.array(fusing.found)[:, 0], np.unwrap(fusing.truth))
+        raws.append(np.mean(np.degrees(wrap_angle(yaws - truth)) ** 2))
+    print(f"streets: fused {np.sqrt(squares)}, compass {np.sqrt(raws)} deg RMS, NEES {nees}")
+    assert np.sqrt(np.mean(squares)) < 0.6 * np.sqrt(np.mean(raws))
+    assert 0.1 < np.mean(nees) < 2.0
+
+
+def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
+    """Truth is the course of a GPS: one offset is removed, and it is late by 0.6 s."""
+    folder = recording("car_drive_neu2022_rahul")
+    calibration = Calibration(
+        Correction(np.eye(3), np.array([-9.0e-6, -31.9e-6, -5.4e-6])),
+        np.zeros((12, 12)),
+        0.5e-6,
+        0.01,
+        51.3e-6,
+        math.radians(66.3),
+        EVIDENCE,
+    )
+    fusing = Fusing(calibration)
+    for sample in read_csv_folder(folder).samples():
+        fusing(sample)
+    truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
+    found = np.array(fusing.found)
+    moments = truth[:, 0] - 0.6
+    chosen = (truth[:, 2] > 2.0) & (moments > found[0, 0]) & (moments < found[-1, 0])
+    gap = np.interp(moments[chosen], found[:, 0], np.unwrap(found[:, 1])) - truth[chosen, 1]
+    gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
+    nees = np.mean(gap**2 / np.interp(moments[chosen], found[:, 0], found[:, 2]))
+    print(f"city: {np.degrees(np.sqrt(np.mean(gap**2))):.2f} deg RMS, NEES {nees:.2f}")
+    assert np.degrees(np.sqrt(np.mean(gap**2))) < 8.0
+    assert 0.3 < nees < 2.5
+
+
+def test_standing_in_a_clean_field_it_says_a_small_figure():
+    fusing = Fusing()
+    driven(fusing).go(60.0)
+    assert fusing.sigmas_deg()[-1] < 1.5
+    assert abs(fusing.errors_deg()[-1]) < 2.0 * fusing.sigmas_deg()[-1]
+
+
+def test_a_large_bias_at_rest_does_not_turn_the_yaw():
+    plain, biased = Fusing(), Fusing()
+    for fusing, bias in ((plain, 0.0), (biased, 5.0)):
+        robot = dataclasses.replace(ROBOT, gyro_bias=np.radians([bias, -bias, bias]))
+        course = Course(fusing, robot)
+        course.go(10.0)
+        course.circle(20.0)
+    late = slice(1000, None)
+    rms = [np.sqrt(np.mean(fusing.errors_deg()[late] ** 2)) for fusing in (plain, biased)]
+    assert rms[1] < rms[0] + 0.2
+    assert np.mean((biased.errors_deg() / biased.sigmas_deg()) ** 2) < 1.5
+
+
+@settings(max_examples=3)
+@given(st.integers(0, 10_000))
+def test_missing_late_repeated_and_reordered_messages(seed):
+    rng = np.random.default_rng(seed)
+    fusing, late = Fusing(), []
+
+    def mangle(sample, ride):
+        chance = rng.random()
+        if chance < 0.05:
+            return
+        if chance < 0.1:
+            late.append(sample)
+            return
+        fusing(sample, ride)
+        if chance > 0.95:
+            fusing(sample, ride)
+        if late and chance > 0.8:
+            fusing(late.pop(), ride)
+
+    course = Course(mangle, seed=seed)
+    course.go(3.0)
+    course.circle(8.0)
+    found = np.array(fusing.found)
+    assert np.isfinite(found).all()
+    assert (found[:, 2] > 0.0).all()
+    ratio = fusing.errors_deg()[100:] / fusing.sigmas_deg()[100:]
+    assert np.mean(ratio**2) < 3.0
+
+
+def test_it_gains_on_a_hand_held_drive_with_truth(recording):
+    folder = recording("broad05")
+    bias = np.array([-0.14e-6, 0.20e-6, 0.39e-6])
+    calibration = Calibration(
+        Correction(np.eye(3), bias),
+        np.zeros((12, 12)),
+        0.4e-6,
+        0.01,
+        44.3e-6,
+        math.radians(69.6),
+        EVIDENCE,
+    )
+    fusing = Fusing(calibration)
+    for sample in read_csv_folder(folder).samples():
+        fusing(sample._replace(stamp=sample.stamp + 1.0))
+    truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
+    x, y = truth[:, 3], truth[:, 4]
+    tilt = np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1))
+
+    def rms(rows):
+        rows = np.array(rows)
+        stamps = rows[:, 0] - 1.0
+        gap = wrap_angle(rows[:, 1] - np.interp(stamps, truth[:, 0], np.unwrap(truth[:, 1])))
+        level = np.interp(stamps, truth[:, 0], tilt) < math.radians(45.0)
+        return math.degrees(math.sqrt(np.mean(gap[level] ** 2)))
+
+    raw, fused = rms(fusing.raw), rms(fusing.found)
+    print(f"broad05, tilt below 45 deg: raw {raw:.2f}, fused {fused:.2f} deg RMS")
+    assert fused < 0.55 * raw
+    assert fused < 1.6
+
+
+@pytest.mark.parametrize("rate", [10.0, 400.0])
+def test_slow_and_fast_imus(rate):
+    fusing = Fusing()
+    course = Course(fusing, rate=rate)
+    course.go(3.0)
+    course.go(3.0, yaw_rate=0.5)
+    assert abs(fusing.errors_deg()[-1]) < 3.0

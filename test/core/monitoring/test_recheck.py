@@ -1,0 +1,180 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from drives import ROBOT
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.monitoring.recheck import NO_GYRO, STATES, check, expected_field
+from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
+from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+
+
+def window(robot=ROBOT, seed=1, gyro=True, samples=700, duration=14.0, **motion):
+    moved = turn(samples=samples, duration=duration, **motion)
+    return measure(robot, moved, np.random.default_rng(seed), gyro=gyro)
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(window(), ROBOT.knowledge()).calibration
+
+
+def moved(x=0.0, y=0.0, z=0.0, **changes):
+    shift = np.array([x, y, z]) * 1e-6
+    return dataclasses.replace(ROBOT, hard_iron=ROBOT.hard_iron + shift, **changes)
+
+
+def figures(result):
+    return {finding.figure.value: finding for finding in result.findings}
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("arc", [math.tau, -math.tau, 4.0])
+def test_a_good_one_holds_on_a_fresh_turn(calibration, gyro, arc):
+    result = check(window(seed=2, gyro=gyro, arc=arc), calibration)
+    assert result.state == "holds", result.verdict.summary
+    assert result.verdict.summary.startswith("The calibration holds: ")
+    assert ("gyro_compass_difference" in figures(result)) == gyro
+    assert (NO_GYRO in result.verdict.not_shown) == (not gyro)
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("shift", [(5, 0), (0, -5), (-3.5, 3.5)])
+def test_hard_iron_that_moved_by_5_ut_makes_it_stale(calibration, gyro, shift):
+    result = check(window(moved(*shift), seed=3, gyro=gyro), calibration)
+    assert result.state == "stale"
+    found = figures(result)
+    # 5 µT across a level field of 25 µT swing the heading by 11.5° at most, 8.1° rms.
+    assert found["heading_swing"].value == pytest.approx(8.1, abs=0.8)
+    assert "calibrate again" in result.verdict.summary
+    if gyro:
+        assert found["gyro_compass_difference"].value == pytest.approx(8.1, abs=1.0)
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_it_swings_less_after_than_before(calibration, gyro):
+    for finding in check(window(seed=4, gyro=gyro), calibration).findings:
+        assert finding.value < 0.5 * finding.before, finding
+
+
+def test_hard_iron_along_the_axis_is_doubtful_and_no_heading_error(calibration):
+    result = check(window(moved(z=5.0), seed=5), calibration)
+    assert result.state == "doubtful"
+    assert STATES[figures(result)["heading_swing"].grade] == "holds"
+    assert STATES[figures(result)["strength_offset"].grade] == "doubtful"
+    assert "doubtful" in result.verdict.summary
+
+
+def test_a_distorted_room_is_found_by_the_gyro_alone(calibration):
+    """The robot sees a clean circle: the field's direction depends on where it looks."""
+    clean = window(seed=6)
+    bent = clean.time * 0.0 + np.radians(15.0) * np.sin(np.linspace(0, math.tau, len(clean)))
+    cosine, sine = np.cos(bent), np.sin(bent)
+    body = calibration.correction.apply(clean.field)
+    x, y = cosine * body[:, 0] - sine * body[:, 1], sine * body[:, 0] + cosine * body[:, 1]
+    raw = calibration.correction.undo(np.column_stack([x, y, body[:, 2]]))
+    result = check(dataclasses.replace(clean, field=raw), calibration)
+    found = figures(result)
+    assert STATES[found["heading_swing"].grade] == "holds"
+    assert found["gyro_compass_difference"].value == pytest.approx(15.0 / math.sqrt(2.0), rel=0.15)
+    assert result.state == "stale"
+
+
+def test_a_steady_gyro_bias_is_no_fault(calibration):
+    biased = moved(gyro_bias=np.radians([0.3, -0.2, 0.8]))
+    result = check(window(biased, seed=7), calibration)
+    assert result.state == "holds", result.verdict.summary
+
+
+def test_wobble_and_vibration_are_no_fault(calibration):
+    wobble = smooth_wobble(np.random.default_rng(8), 700, 14.0, math.radians(4.0))
+    shaky = moved(noise_force=0.5)
+    result = check(window(shaky, seed=8, wobble=wobble), calibration)
+    assert result.state == "holds", result.verdict.summary
+
+
+def test_gaps_and_several_turns_do_not_upset_the_gyro(calibration):
+    long = window(seed=9, samples=6000, duration=120.0, arc=9 * math.tau)
+    keep = np.ones(len(long), dtype=bool)
+    for first in (500, 1800, 3500):
+        keep[first : first + 300] = False
+    result = check(long.take(keep), calibration)
+    assert result.state == "holds", result.verdict.summary
+
+
+def test_a_turn_on_a_slope_is_looked_at_in_the_level_plane():
+    """Installation known, so the slope itself is no fault."""
+    robot = Robot(roll=0.0, pitch=0.0)
+    level = calibrate(window(robot), robot.knowledge()).calibration
+    slope = window(robot, seed=10, axis=np.array([0.0, 0.1, 1.0]))
+    assert check(slope, level).state == "holds"
+
+
+def test_another_field_strength_is_another_place(calibration):
+    result = check(window(moved(strength=60e-6), seed=11), calibration)
+    assert result.state == "stale"
+    assert figures(result)["strength_offset"].value == pytest.approx(20.0, abs=1.0)
+
+
+@pytest.mark.parametrize("bound", RECHECK_BOUNDS[:-1], ids=lambda bound: bound.figure.value)
+def test_every_bound_grades_from_holds_to_stale(bound):
+    cases = (0.99 * bound.good, 1.01 * bound.good, 1.01 * bound.warn, math.nan)
+    found = [bound.check(value / bound.scale, before=0.0) for value in cases]
+    assert [STATES[f.grade] for f in found] == ["holds", "doubtful", "stale", "stale"]
+    assert "want" not in found[0].words
+    assert bound.remedy in found[1].words
+
+
+def test_the_names_that_readers_know_are_told(calibration):
+    told = {finding.key for finding in check(window(seed=2), calibration).findings}
+    assert told == {
+        "heading_swing",
+        "gyro_compass_rms",
+        "strength_spread",
+        "dip_spread",
+        "strength_offset",
+        "dip_offset",
+    }
+
+
+def test_part_of_a_turn_costs_confidence_and_not_quality(calibration):
+    verdict = check(window(seed=2, arc=3.0), calibration).verdict
+    assert (verdict.quality, verdict.confidence) == (Grade.GOOD, Grade.WARN)
+    assert verdict.accepted
+
+
+def test_the_residual_is_the_sensors_noise_while_the_calibration_holds(calibration):
+    result = check(window(seed=2), calibration)
+    rms = float(np.sqrt(np.mean(result.estimate.residual**2)))
+    assert rms == pytest.approx(ROBOT.noise_field, rel=0.35)
+
+
+def test_a_hard_iron_that_moved_is_in_the_residual_and_refused(calibration):
+    result = check(window(moved(6.0), seed=2), calibration)
+    assert float(np.sqrt(np.mean(result.estimate.residual**2))) > 1.2e-6
+    assert result.verdict.quality is Grade.REFUSED
+    assert result.verdict.confidence is Grade.GOOD
+
+
+def test_the_gyros_swing_that_is_drawn_is_the_one_that_is_judged(calibration):
+    result = check(window(moved(5.0), seed=3), calibration)
+    drawn = result.estimate.swing
+    assert len(drawn.heading) == len(drawn.deviation)
+    rms = math.degrees(float(np.sqrt(np.mean(drawn.deviation**2))))
+    assert rms == pytest.approx(figures(result)["gyro_compass_difference"].value)
+
+
+def test_the_expected_field_has_the_strength_the_dip_and_the_heading_of_the_measured():
+    up = np.tile([0.0, 0.0, 1.0], (5, 1))
+    angles = np.linspace(0.0, 5.0, 5)
+    field = np.stack([np.cos(angles), np.sin(angles), np.full(5, -3.0)], axis=-1)
+    expected = expected_field(field, up, 2.0, math.radians(60.0))
+    assert np.allclose(np.linalg.norm(expected, axis=1), 2.0)
+    assert np.allclose(expected[:, 2], -2.0 * math.sin(math.radians(60.0)))
+    assert np.allclose(
+        np.arctan2(expected[:, 1], expected[:, 0]) - angles,
+        np.round((np.arctan2(expected[:, 1], expected[:, 0]) - angles) / math.tau) * math.tau,
+    )

@@ -1,0 +1,175 @@
+"""Long drives under a calibration that holds, and under one that no longer does."""
+
+import math
+
+import numpy as np
+import pytest
+from driving import PERIOD, ROBOT, Way, changed, drive, promise
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.monitoring.watch import Watch
+from magcal_ros.core.monitoring.watch_tuning import WatchTuning
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up import UpFollower
+
+PROMISE = promise()
+
+
+def watched(robots, minutes, way=Way(), **options):
+    """The watch after the drive, and all that it has said in the course of it."""
+    watch = Watch(PROMISE)
+    return watch, drive(watch, PROMISE, robots, minutes, way, **options)
+
+
+def doubts(watch):
+    return {f.figure.value: f for f in watch.watched.findings if f.grade.rank >= Grade.WARN.rank}
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        Way(),
+        Way(turns=(1.0,), slope=math.radians(3.0)),
+        Way(steel=0.05 * ROBOT.strength),
+        Way(headings=(0.0, math.pi)),
+    ],
+    ids=["plain", "left turns on slopes", "steel", "corridor"],
+)
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.nightly)])
+def test_an_honest_drive_raises_no_alarm(way, seed):
+    watch, said = watched([ROBOT], [15], way, seed=seed)
+    assert not any(word.is_stale for _, word in said)
+    assert said[-1][1].was_judged
+    assert "holds" in watch.watched.summary or "held" in watch.watched.summary
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("shift", [(2.5, 0.0), (-1.8, 1.8)])
+def test_hard_iron_of_a_twentieth_of_the_field_is_found_and_its_size_said(shift, gyro):
+    watch, said = watched([ROBOT, changed(*shift)], [6, 9], gyro=gyro, seed=3)
+    assert not any(word.is_stale for stamp, word in said if stamp < 1000.0 + 6 * 60.0)
+    assert watch.watched.is_stale
+    assert "hard_iron_change" in doubts(watch)
+    assert np.array(watch.watched.hard_iron) * 1e6 == pytest.approx(shift, abs=0.5)
+    assert watch.watched.minutes == pytest.approx(9.0, abs=2.0)
+    assert "calibrate again" in watch.watched.summary
+
+
+def test_a_small_change_is_not_worth_a_word():
+    _, said = watched([ROBOT, changed(1.0)], [5, 10])
+    assert not any(word.is_stale for _, word in said)
+
+
+@pytest.mark.parametrize(
+    ("robot", "figure", "size"),
+    [
+        (changed(roll=ROBOT.roll + math.radians(5.0)), "mounting_change", 5.0),
+        (changed(pitch=ROBOT.pitch - math.radians(5.0)), "mounting_change", 5.0),
+        (changed(soft_iron=np.diag([0.06, -0.06, 0.0])), "soft_iron_change", 6.0),
+        (changed(soft_iron=0.12 * np.eye(3)), "strength_shift", 12.0),
+        (changed(strength=40e-6), "strength_shift", 20.0),
+        (changed(inclination=math.radians(45.0)), "dip_shift", 15.0),
+        (changed(20.0), "hard_iron_change", 40.0),
+    ],
+)
+def test_each_change_is_called_by_its_name(robot, figure, size):
+    watch, _ = watched([ROBOT, robot], [4, 9])
+    assert watch.watched.is_stale
+    found = doubts(watch)
+    assert found[figure].value == pytest.approx(size, rel=0.2)
+    if figure in ("strength_shift", "dip_shift"):
+        assert "another place" in watch.watched.summary
+        assert not {"hard_iron_change", "mounting_change", "soft_iron_change"} & set(found)
+
+
+def test_a_magnet_that_hides_the_headings_is_found_by_the_gyro():
+    watch, _ = watched([ROBOT, changed(40.0)], [4, 7])
+    assert "gyro_compass_harmonic" in doubts(watch)
+
+
+def test_it_comes_back_when_the_field_does():
+    watch, said = watched([ROBOT, changed(5.0), ROBOT], [4, 8, 12])
+    assert any(word.is_stale for _, word in said)
+    assert not watch.watched.is_stale
+
+
+def test_parked_beside_a_car_is_no_change_and_later_cannot_be_judged():
+    watch = Watch(PROMISE)
+    way = Way(parked=(300.0, 1500.0))
+    said = drive(watch, PROMISE, [ROBOT, changed(8.0, 5.0), ROBOT], [5, 20, 6], way)
+    assert not any(word.is_stale for _, word in said)
+    parked = [word for stamp, word in said if 2200.0 < stamp < 2490.0]
+    assert all("not enough" in word.lacking for word in parked)
+    assert "held when it was last judged" in parked[0].summary
+
+
+def test_nothing_is_said_before_enough_was_seen():
+    watch, _ = watched([changed(20.0)], [1])
+    assert not watch.watched.is_stale
+    assert watch.watched.summary.startswith("Not judged yet: ")
+
+
+def test_a_calibration_that_promised_little_is_not_blamed_for_it():
+    poor = promise(heading_sigma=math.radians(4.0))
+    watch = Watch(poor)
+    drive(watch, poor, [changed(2.5)], [10])
+    assert watch.watched.was_judged
+    assert not watch.watched.is_stale
+
+
+def test_memory_stays_bounded_and_time_that_goes_back_starts_all_over():
+    watch, _ = watched([ROBOT], [12])
+    assert len(watch._records) <= WatchTuning.most_records
+    drive(watch, PROMISE, [ROBOT], [1], start=10.0)
+    assert len(watch._records) < 100
+    assert not watch.watched.is_stale
+
+
+def test_gaps_and_repeats_do_no_harm():
+    class Holed(Watch):
+        def add(self, stamp, *rest):
+            if stamp % 20.0 > 3.0:
+                super().add(stamp, *rest)
+                super().add(stamp, *rest)
+
+    watch = Holed(PROMISE)
+    said = drive(watch, PROMISE, [ROBOT], [14])
+    assert said[-1][1].was_judged
+    assert not any(word.is_stale for _, word in said)
+    assert PERIOD < 3.0
+
+
+def ride_along(recording, calibration, shift, repeats):
+    """Watch a recording over and over, with a hard iron added from half-way on."""
+    watch, compass, carried = Watch(calibration), Compass(calibration), UpFollower()
+    imu, mag, length = recording
+    for lap in range(repeats):
+        extra = shift if 2 * lap >= repeats else np.zeros(3)
+        for (t, *inertial), (_, *raw) in zip(imu, mag, strict=True):
+            sample = ImuSample(t + lap * length, tuple(inertial[:3]), tuple(inertial[3:]))
+            carried.add(sample)
+            field = compass.correct(tuple(FieldSample(t, raw).field + extra))
+            up = carried.at(sample.stamp, 0.0).direction
+            heading = compass.heading(field, up)
+            if heading is not None:
+                watch.add(sample.stamp, field, up, heading.yaw, sample.rate)
+    return watch
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("added", [0.0, 5e-6])
+def test_a_recorded_drive_holds_until_iron_is_added(recording, added):
+    folder = recording("broad05")
+    imu, mag = (np.loadtxt(folder / f"{n}.csv", delimiter=",", skiprows=1) for n in ("imu", "mag"))
+    turn = (imu[:, 0] > 48.0) & (imu[:, 0] < 62.0)
+    window = Window(imu[turn, 0], mag[turn, 1:4], imu[turn, 1:4], imu[turn, 4:7])
+    calibration = calibrate(window, Knowledge()).calibration
+    imu, mag = imu[::4], mag[::4]
+    length = float(imu[-1, 0] - imu[0, 0]) + 0.05
+    watch = ride_along((imu, mag, length), calibration, np.array([added, 0.0, 0.0]), 6)
+    print(watch.watched)
+    assert watch.watched.is_stale == bool(added)

@@ -1,0 +1,78 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
+
+from magcal_ros.core.calibrate import take_turn
+from magcal_ros.core.errors import Reason
+from magcal_ros.core.multi_turn.keep import MOST_SAMPLES, MOST_TURNS, Kept, names_of
+from magcal_ros.core.multi_turn.result import Several, Shown, TurnFate
+
+METHOD = "maximum_likelihood"
+
+
+@pytest.fixture(scope="module")
+def windows():
+    rng = np.random.default_rng(1)
+    foreign = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([4e-6, 0.0, 0.0]))
+    return {
+        "level": window_on(LEVEL, rng),
+        "east": window_on(EAST, rng),
+        "foreign": window_on(EAST, rng, foreign),
+        "still": window_on(LEVEL, rng, arc=1e-3, samples=60),
+    }
+
+
+@pytest.fixture(scope="module")
+def first(windows):
+    return take_turn(Kept(), windows["level"], KNOWN, METHOD, accumulate=True)
+
+
+def test_turns_join_one_after_another(windows, first):
+    outcome, kept = first
+    assert outcome.verdict.accepted
+    assert kept.names == ("turn 1",)
+    outcome, kept = take_turn(kept, windows["east"], KNOWN, METHOD, accumulate=True)
+    assert kept.names == ("turn 1", "turn 2")
+    assert outcome.estimate.figures["turns"] == 2.0
+
+
+@pytest.mark.parametrize("kind", ["foreign", "still"])
+def test_a_refused_turn_does_not_join_and_the_others_stay(windows, first, kind):
+    outcome, kept = take_turn(first[1], windows[kind], KNOWN, METHOD, accumulate=True)
+    assert kept is first[1]
+    assert not outcome.verdict.accepted
+    assert outcome.calibration is None
+    assert "turn 2 does not join the turn before it: " in outcome.verdict.summary
+    assert "those before stay" in outcome.verdict.summary
+    if kind == "foreign":
+        assert outcome.reason is Reason.TURNS_DISAGREE
+
+
+def test_a_first_turn_that_is_refused_is_not_kept(windows):
+    outcome, kept = take_turn(Kept(), windows["still"], KNOWN, METHOD, accumulate=True)
+    assert not outcome.verdict.accepted
+    assert kept.windows == ()
+
+
+def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, first):
+    outcome, kept = take_turn(first[1], windows["east"], KNOWN, METHOD, accumulate=False)
+    assert outcome.several is None
+    assert kept.windows == ()
+
+
+def test_what_is_kept_is_bounded(windows):
+    window = window_on(LEVEL, np.random.default_rng(2), samples=MOST_SAMPLES + 1)
+    shown = Shown(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    kept = Kept()
+    for _ in range(MOST_TURNS + 2):
+        fates = tuple(TurnFate(f"{k}", True, "") for k in range(len(kept.windows) + 1))
+        kept = kept.joined(window, Several(fates, shown, ()))
+    assert len(kept.windows) == MOST_TURNS
+    assert max(len(each) for each in kept.windows) <= MOST_SAMPLES
+    assert kept.names[-1] == f"turn {MOST_TURNS + 2}"
+
+
+def test_recordings_that_come_twice_are_told_apart():
+    assert names_of(["a", "b", "a"]) == ["a (1)", "b", "a (2)"]

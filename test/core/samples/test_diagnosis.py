@@ -1,0 +1,76 @@
+from collections import Counter
+
+import pytest
+
+from magcal_ros.core.samples.diagnosis import Heard, complaints
+from magcal_ros.core.samples.streams import Drop, FieldSample, ImuSample, Streams
+
+
+def streams(field_ahead=0.0, max_gap=0.2):
+    both = Streams(max_gap)
+    for k in range(50):
+        stamp = 1e5 + 0.01 * k
+        both.add_imu(ImuSample(stamp, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+        both.add_field(FieldSample(stamp + field_ahead, (2e-5, 1e-9 * k, -4e-5)))
+    return both
+
+
+def said(both=None, imu=None, mag=None):
+    imu, mag = imu or Heard("/imu", 100), mag or Heard("/mag", 100)
+    return complaints(both or streams(), imu, mag)
+
+
+def test_there_is_none_where_nothing_is_wrong():
+    assert said() == []
+
+
+@pytest.mark.parametrize("drop", [Drop.NOT_FINITE, Drop.ZERO, Drop.BACKWARD_STAMP])
+def test_a_share_of_dropped_samples_is_said_with_topic_and_count(drop):
+    (words,) = said(imu=Heard("/imu", 100, Counter({drop: 7})))
+    assert words.startswith("/imu: 7 of 100 ")
+    assert said(mag=Heard("/mag", 1000, Counter({drop: 7}))) == []
+
+
+def test_an_imu_beyond_every_unit_is_said():
+    (words,) = said(imu=Heard("/imu", 100, Counter({Drop.TOO_LARGE: 50})))
+    assert "no acceleration in m/s² or no rate in rad/s" in words
+
+
+@pytest.mark.parametrize("ahead", [-9.0, -1.5, 0.4, 0.6, 3.0, 86_400.0])
+def test_stamps_apart_are_said_with_the_offset_found(ahead):
+    (words,) = said(streams(ahead))
+    assert f"{ahead:+.1f} s apart" in words
+
+
+@pytest.mark.parametrize("ahead", [-0.6, -0.05, 0.0, 0.05, 0.2])
+def test_a_field_that_is_late_or_a_little_early_is_none(ahead):
+    assert said(streams(ahead)) == []
+
+
+def test_a_slow_imu_whose_gap_is_allowed_is_none():
+    assert said(streams(0.5, max_gap=0.5)) == []
+
+
+@pytest.mark.parametrize("dies", [ImuSample, FieldSample])
+def test_the_last_stamp_of_a_sensor_that_died_says_nothing_of_its_clock(dies):
+    both = streams()
+    for k in range(500):
+        if dies is FieldSample:
+            both.add_imu(ImuSample(1e5 + 1.0 + k, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+        else:
+            both.add_field(FieldSample(1e5 + 1.0 + k, (2e-5, 1e-9 * k, -4e-5)))
+    assert said(both) == []
+
+
+def test_what_was_wrong_before_is_no_complaint_any_more():
+    then = Heard("/imu", 1000, Counter({Drop.NOT_FINITE: 900}))
+    now = Heard("/imu", 2000, Counter({Drop.NOT_FINITE: 905}))
+    assert said(imu=now)
+    assert said(imu=now.since(then)) == []
+
+
+def test_what_goes_wrong_after_a_good_month_is_one():
+    then = Heard("/mag", 10**8, Counter({Drop.ZERO: 3}))
+    now = Heard("/mag", 10**8 + 3000, Counter({Drop.ZERO: 3003}))
+    assert said(mag=now) == []
+    assert said(mag=now.since(then)) == ["/mag: 3000 of 3000 samples are all zero"]

@@ -1,0 +1,351 @@
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magcal_ros.core.samples.streams import (
+    BACKWARD_SAMPLES_UNTIL_RESTART,
+    HISTORY,
+    LARGEST_FIELD,
+    Drop,
+    FieldSample,
+    ImuSample,
+    Pairer,
+    StampGuard,
+    Streams,
+)
+
+UP = (0.0, 0.0, 9.81)
+STILL = (0.0, 0.0, 0.0)
+FIELD = (20e-6, 5e-6, -40e-6)
+MAX_GAP = 0.2
+
+
+def imu(stamp, force=UP, rate=STILL):
+    return ImuSample(stamp, force, rate)
+
+
+def mag(stamp, field=FIELD):
+    return FieldSample(stamp, field)
+
+
+def numbered(stamp):
+    """A field sample whose values no other stamp has."""
+    return FieldSample(stamp, (20e-6 + 1e-9 * stamp, 5e-6, -40e-6))
+
+
+def line(stamp):
+    """An IMU whose every number is a straight line over time."""
+    force = (1.0 + 0.5 * stamp, 2.0 - 0.25 * stamp, 9.0 + 0.125 * stamp)
+    return ImuSample(stamp, force, (0.5 * stamp, -stamp, 1.0 + stamp))
+
+
+class Walk:
+    """Streams and pairer as the node puts them together."""
+
+    def __init__(self, max_gap=MAX_GAP):
+        self.streams = Streams(max_gap)
+        self.pairer = Pairer(self.streams)
+        self.pairs = []
+
+    def feed(self, sample):
+        if isinstance(sample, ImuSample):
+            self.streams.add_imu(sample)
+        elif self.streams.add_field(sample) and not self.streams.is_repeated:
+            self.pairer.offer(sample)
+        self.pairs += self.pairer.take()
+
+    def feed_all(self, samples):
+        for sample in samples:
+            self.feed(sample)
+        return self.pairs
+
+
+def drive(start, seconds, imu_rate=100.0, field_rate=50.0, phase=0.003):
+    imus = [line(start + k / imu_rate) for k in range(int(seconds * imu_rate))]
+    fields = [numbered(start + phase + k / field_rate) for k in range(int(seconds * field_rate))]
+    return imus, fields
+
+
+def by_stamp(imus, fields):
+    return sorted([*imus, *fields], key=lambda sample: sample.stamp)
+
+
+class TestStampGuard:
+    def test_lets_increasing_stamps_pass(self):
+        guard = StampGuard()
+        assert [guard.check(stamp) for stamp in (0.1, 0.2, 5.0)] == [None, None, None]
+        assert guard.newest == 5.0
+
+    @pytest.mark.parametrize("stamp", [0.0, -1.0, math.nan, math.inf, -math.inf])
+    def test_refuses_a_stamp_that_is_no_time(self, stamp):
+        guard = StampGuard()
+        assert guard.check(stamp) is Drop.ZERO_STAMP
+        assert guard.check(1e-3) is None
+
+    def test_refuses_a_stamp_before_the_newest(self):
+        guard = StampGuard()
+        guard.check(2.0)
+        assert guard.check(1.0) is Drop.BACKWARD_STAMP
+        assert guard.newest == 2.0
+
+    def test_a_stamp_that_stands_still_never_passes(self):
+        guard = StampGuard()
+        guard.check(2.0)
+        frozen = [guard.check(2.0) for _ in range(5 * BACKWARD_SAMPLES_UNTIL_RESTART)]
+        assert set(frozen) == {Drop.REPEATED}
+
+    def test_follows_time_that_was_set_back_for_good(self):
+        guard = StampGuard()
+        guard.check(100.0)
+        answers = [guard.check(1.0 + 0.01 * k) for k in range(BACKWARD_SAMPLES_UNTIL_RESTART + 5)]
+        assert answers[:9] == [Drop.BACKWARD_STAMP] * (BACKWARD_SAMPLES_UNTIL_RESTART - 1)
+        assert answers[9:] == [None] * 6
+
+    def test_now_and_then_an_old_stamp_never_sets_time_back(self):
+        guard = StampGuard()
+        for k in range(100):
+            assert guard.check(10.0 + k) is None
+            assert guard.check(9.5 + k) is Drop.BACKWARD_STAMP
+        assert guard.newest == 109.0
+
+    @given(st.lists(st.floats(0.001, 1e4), min_size=1, max_size=60))
+    def test_what_passes_increases_except_where_time_was_set_back(self, stamps):
+        guard, newest, refused = StampGuard(), -math.inf, 0
+        for stamp in stamps:
+            passed = guard.check(stamp) is None
+            assert passed == (stamp > newest or (stamp < newest and refused == 9))
+            refused = 0 if passed else refused + (stamp < newest)
+            newest = stamp if passed else newest
+            assert guard.newest == newest
+
+
+class TestImuDrops:
+    @pytest.mark.parametrize(
+        ("sample", "reason"),
+        [
+            (imu(1.0, (math.nan, 0.0, 9.8)), Drop.NOT_FINITE),
+            (imu(1.0, (0.0, math.inf, 9.8)), Drop.NOT_FINITE),
+            (imu(1.0, (0.0, 1e200, 9.8)), Drop.NOT_FINITE),
+            (imu(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
+            (imu(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
+            (imu(1.0, (0.0, 1e6, 9.8)), Drop.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (1e200, 0.0, 0.0)), Drop.TOO_LARGE),
+            (imu(1.0, (0.0, 0.0, 9.8), (0.0, -math.inf, 0.0)), Drop.TOO_LARGE),
+            (imu(0.0), Drop.ZERO_STAMP),
+            (imu(0.5), Drop.BACKWARD_STAMP),
+            (imu(0.6), Drop.REPEATED),
+        ],
+    )
+    def test_an_unusable_sample_is_counted_by_its_reason_and_not_used(self, sample, reason):
+        streams = Streams(MAX_GAP)
+        assert streams.add_imu(imu(0.6))
+        assert not streams.add_imu(sample)
+        assert streams.imu_drops == {reason: 1}
+        assert not streams.imu_has_passed(0.7)
+
+    def test_a_sample_without_gyro_is_used(self):
+        streams = Streams(MAX_GAP)
+        assert streams.add_imu(imu(1.0, rate=(math.nan,) * 3))
+        assert not streams.imu_drops
+
+
+class TestFieldDrops:
+    @pytest.mark.parametrize(
+        ("sample", "reason"),
+        [
+            (mag(1.0, (math.nan, 0.0, 1e-6)), Drop.NOT_FINITE),
+            (mag(1.0, (math.inf, 0.0, 1e-6)), Drop.NOT_FINITE),
+            (mag(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
+            (mag(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
+            (mag(1.0, (0.0, 0.0, 1.001 * LARGEST_FIELD)), Drop.TOO_LARGE),
+            (mag(0.0), Drop.ZERO_STAMP),
+            (mag(0.5), Drop.BACKWARD_STAMP),
+            (mag(0.6), Drop.REPEATED),
+        ],
+    )
+    def test_an_unusable_sample_is_counted_by_its_reason(self, sample, reason):
+        streams = Streams(MAX_GAP)
+        assert streams.add_field(mag(0.6))
+        assert not streams.add_field(sample)
+        assert streams.field_drops == {reason: 1}
+
+    def test_a_field_up_to_the_limit_is_used(self):
+        assert Streams(MAX_GAP).add_field(mag(1.0, (0.0, 0.0, 0.999 * LARGEST_FIELD)))
+
+    def test_the_size_of_a_field_too_large_is_remembered(self):
+        streams = Streams(MAX_GAP)
+        streams.add_field(mag(1.0, (30.0, 0.0, 40.0)))
+        assert streams.largest_field == pytest.approx(50.0)
+
+    def test_a_bad_sample_does_not_move_time(self):
+        streams = Streams(MAX_GAP)
+        streams.add_field(mag(1000.0, (math.nan, 0.0, 0.0)))
+        assert streams.add_field(mag(1.0))
+
+    def test_an_unchanged_value_with_a_new_stamp_is_usable_and_counted(self):
+        streams = Streams(MAX_GAP)
+        streams.add_field(mag(1.0))
+        assert not streams.is_repeated
+        assert streams.add_field(mag(1.1))
+        assert streams.is_repeated
+        assert streams.field_drops == {Drop.REPEATED: 1}
+        assert streams.add_field(mag(1.2, (21e-6, 5e-6, -40e-6)))
+        assert not streams.is_repeated
+
+
+class TestInterpolation:
+    @given(
+        st.lists(st.floats(0.005, 0.19), min_size=1, max_size=20),
+        st.floats(0.0, 1.0),
+    )
+    def test_a_straight_line_is_met_anywhere(self, steps, share):
+        streams, stamp = Streams(MAX_GAP), 1.0
+        streams.add_imu(line(stamp))
+        for step in steps:
+            stamp += step
+            streams.add_imu(line(stamp))
+        asked = 1.0 + share * (stamp - 1.0)
+        found, truth = streams.imu_at(min(asked, stamp)), line(min(asked, stamp))
+        assert found.stamp == truth.stamp
+        assert found.force == pytest.approx(truth.force, abs=1e-12)
+        assert found.rate == pytest.approx(truth.rate, abs=1e-12)
+
+    def test_there_is_none_outside_the_samples(self):
+        streams = Streams(MAX_GAP)
+        assert streams.imu_at(1.0) is None
+        streams.add_imu(line(1.0))
+        streams.add_imu(line(1.1))
+        assert streams.imu_at(0.999) is None
+        assert streams.imu_at(1.101) is None
+
+    def test_there_is_none_across_a_gap_but_at_its_edges(self):
+        streams = Streams(MAX_GAP)
+        streams.add_imu(line(1.0))
+        streams.add_imu(line(1.0 + 1.01 * MAX_GAP))
+        assert streams.imu_at(1.1) is None
+        assert streams.imu_at(1.0) == line(1.0)
+        streams.add_imu(line(1.3))
+        assert streams.imu_at(1.25).force == pytest.approx(line(1.25).force)
+
+    def test_a_rate_that_is_absent_stays_absent(self):
+        streams = Streams(MAX_GAP)
+        for stamp in (1.0, 1.1):
+            streams.add_imu(imu(stamp, rate=(math.nan,) * 3))
+        found = streams.imu_at(1.05)
+        assert found.force == pytest.approx(UP)
+        assert all(math.isnan(value) for value in found.rate)
+
+    def test_only_the_history_is_kept(self):
+        streams = Streams(MAX_GAP)
+        for k in range(HISTORY + 1):
+            streams.add_imu(line(1.0 + 0.001 * k))
+        assert streams.imu_at(1.0) is None
+        assert streams.imu_at(1.0015) is not None
+
+    def test_after_time_was_set_back_nothing_of_the_old_run_is_met(self):
+        streams = Streams(MAX_GAP)
+        for k in range(200):
+            streams.add_imu(imu(1.0 + 0.01 * k, force=(9.81, 0.0, 0.0)))
+        for k in range(50):
+            streams.add_imu(imu(2.0 + 0.01 * k))
+        assert streams.imu_at(2.05) is None
+        assert streams.imu_at(2.255).force == pytest.approx(UP)
+
+
+class TestPairs:
+    def test_a_field_waits_for_the_imu_after_it(self):
+        walk = Walk()
+        walk.feed_all([line(1.0), numbered(1.005)])
+        assert not walk.pairs
+        walk.feed(line(1.01))
+        assert [pair.field.stamp for pair in walk.pairs] == [1.005]
+        assert walk.pairs[0].imu.force == pytest.approx(line(1.005).force)
+
+    @settings(max_examples=60)
+    @given(
+        st.data(),
+        st.floats(20.0, 400.0),
+        st.floats(5.0, 150.0),
+        st.floats(0.0, 0.05),
+    )
+    def test_the_order_of_arrival_does_not_matter(self, data, imu_rate, field_rate, phase):
+        imus, fields = drive(1.0, 1.0, imu_rate, field_rate, phase)
+        expected = Walk().feed_all(by_stamp(imus, fields))
+        merged, i, j = [], 0, 0
+        while i < len(imus) or j < len(fields):
+            take_imu = i < len(imus) and (j == len(fields) or data.draw(st.booleans()))
+            merged.append(imus[i] if take_imu else fields[j])
+            i, j = i + take_imu, j + (not take_imu)
+        assert Walk().feed_all(merged) == expected
+        enclosed = [f for f in fields if imus[0].stamp <= f.stamp <= imus[-1].stamp]
+        assert [pair.field for pair in expected] == enclosed
+
+    @pytest.mark.parametrize("late", ["imu", "field"])
+    def test_one_sensor_may_come_seconds_after_the_other(self, late):
+        imus, fields = drive(1.0, 8.0)
+        expected = Walk().feed_all(by_stamp(imus, fields))
+        first, second = (fields, imus) if late == "imu" else (imus, fields)
+        assert Walk().feed_all([*first, *second]) == expected
+        assert len(expected) == len(fields)
+
+    def test_pairs_carry_the_imu_of_their_own_moment(self):
+        for pair in Walk().feed_all(by_stamp(*drive(1.0, 3.0, 37.0, 61.0))):
+            truth = line(pair.field.stamp)
+            assert pair.imu.force == pytest.approx(truth.force)
+            assert pair.imu.rate == pytest.approx(truth.rate)
+
+    def test_a_field_in_a_gap_of_the_imu_is_counted_as_unpaired(self):
+        imus, fields = drive(1.0, 3.0)
+        holed = [sample for sample in imus if not 1.8 < sample.stamp < 2.3]
+        walk = Walk()
+        walk.feed_all(by_stamp(holed, fields))
+        lost = [sample for sample in fields if 1.8 < sample.stamp < 2.3]
+        assert walk.streams.field_drops[Drop.UNPAIRED] == len(lost) > 20
+        assert len(walk.pairs) == len(fields) - len(lost)
+
+    def test_what_waits_too_long_for_an_imu_is_let_go_and_counted(self):
+        walk = Walk()
+        walk.feed_all(drive(1.0, 100.0)[1])
+        assert walk.streams.field_drops[Drop.UNPAIRED] == 5000 - HISTORY
+
+    def test_repeated_field_samples_make_no_second_pair(self):
+        imus, fields = drive(1.0, 2.0)
+        doubled = [copy for f in fields for copy in (f, FieldSample(f.stamp + 1e-3, f.field))]
+        walk = Walk()
+        walk.feed_all(by_stamp(imus, doubled))
+        assert [pair.field for pair in walk.pairs] == fields[: len(walk.pairs)]
+        assert len(walk.pairs) >= len(fields) - 1
+        assert walk.streams.field_drops[Drop.REPEATED] == len(fields)
+
+    @pytest.mark.parametrize("tail", ["imu", "field"])
+    def test_a_bag_that_starts_anew_is_paired_again_after_a_few_samples(self, tail):
+        """Whichever sensor had the last word before the loop."""
+        imus, fields = drive(50.0, 2.0)
+        first = by_stamp(imus, fields)
+        first = first[:-5] if tail == "imu" else [*first, numbered(52.5)]
+        walk = Walk()
+        walk.feed_all(first)
+        before = len(walk.pairs)
+        again = by_stamp(*drive(1.0, 2.0))
+        walk.feed_all(again)
+        found = [pair.field.stamp for pair in walk.pairs[before:]]
+        assert len(found) >= 100 - 2 * BACKWARD_SAMPLES_UNTIL_RESTART
+        assert found == sorted(found)
+        assert all(1.0 <= stamp < 3.1 for stamp in found)
+        for pair in walk.pairs[before:]:
+            assert pair.imu.force == pytest.approx(line(pair.field.stamp).force)
+
+    @pytest.mark.parametrize("which", ["imu", "field"])
+    def test_one_stray_stamp_from_the_far_future_costs_only_a_few_samples(self, which):
+        imus, fields = drive(1.0, 4.0)
+        stray = line(1e9) if which == "imu" else mag(1e9, (1e-6, 2e-6, 3e-6))
+        stream = by_stamp(imus, fields)
+        stream.insert(len(stream) // 2, stray)
+        walk = Walk()
+        walk.feed_all(stream)
+        assert len(walk.pairs) >= len(fields) - 2 * BACKWARD_SAMPLES_UNTIL_RESTART
+        assert walk.pairs[-1].field.stamp > 4.9
+        for pair in walk.pairs:
+            assert pair.imu.force == pytest.approx(line(pair.field.stamp).force)

@@ -1,0 +1,46 @@
+import math
+
+import pytest
+
+from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+
+EARTH = [22e-6, 48e-6, 67e-6]
+UNITS = [
+    ("gauss", 1e4, "1e-4"),
+    ("microtesla", 1e6, "1e-6"),
+    ("milligauss", 1e7, "1e-7"),
+    ("nanotesla", 1e9, "1e-9"),
+]
+
+
+@pytest.mark.parametrize("tesla", EARTH)
+@pytest.mark.parametrize(("name", "per_tesla", "factor"), UNITS)
+def test_the_earths_field_published_in_another_unit_is_recognised(tesla, name, per_tesla, factor):
+    words = likely_field_unit(tesla * per_tesla)
+    assert f"looks like {name} published as tesla" in words
+    assert words.endswith(f"multiply by {factor} in the driver")
+
+
+@pytest.mark.parametrize("tesla", EARTH)
+@pytest.mark.parametrize(("name", "per_tesla", "factor"), UNITS)
+def test_the_factor_named_brings_the_field_back_to_tesla(tesla, name, per_tesla, factor):
+    assert tesla * per_tesla * float(factor) == pytest.approx(tesla)
+
+
+@pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e5, math.inf, math.nan])
+def test_where_no_unit_fits_nothing_is_said(size):
+    assert likely_field_unit(size) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "size"), [("g", "9.80665", 0.99), ("milli-g", "0.00980665", 1004.0)]
+)
+def test_gravity_published_in_another_unit_is_recognised(name, factor, size):
+    words = likely_acceleration_unit(size)
+    assert f"looks like {name} published as m/s²; multiply by {factor} in the driver" in words
+    assert size * float(factor) == pytest.approx(9.8, rel=0.02)
+
+
+@pytest.mark.parametrize("size", [0.0, 5.0, 9.81, 20.0, 9810.0, math.inf, math.nan])
+def test_other_lengths_of_gravity_have_no_unit(size):
+    assert likely_acceleration_unit(size) == ""

@@ -1,0 +1,186 @@
+"""A turn in virtual time: a simulated robot, its base, and whoever fits and stores."""
+
+import math
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+
+from magcal_ros.core.calibrate import Outcome, calibrate
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
+from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
+from magcal_ros.core.session.session import Limits
+from magcal_ros.core.session.turn_events import (
+    Answer,
+    Brief,
+    Conclude,
+    FitDone,
+    FitFailed,
+    FitTurn,
+    Looked,
+    MoveBase,
+    Opened,
+    PairArrived,
+    Preview,
+    PreviewFitted,
+    PutInForce,
+    RateHeard,
+    Report,
+    Reported,
+    Saved,
+    Ticked,
+)
+from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
+
+STEP = 0.02
+ROBOT = Robot()
+GOOD = calibrate(measure(ROBOT, turn(), np.random.default_rng(1)), ROBOT.knowledge())
+BAD = Outcome.refused(Refusal(Reason.NO_MOTION, "no good"))
+SHORT = replace(GOOD, verdict=replace(GOOD.verdict, checks=()))
+NO_RATE = (math.nan,) * 3
+
+
+class Scene:
+    """Lets robot, base and state machine live, and keeps what was said.
+
+    The base follows its commands with a lag, times `gain`; `mangle` makes of each sample what
+    arrives in its place, or None.
+    """
+
+    def __init__(self, speed=None, gain=1.0, gyro=True, outcome=GOOD, sigma=0.001, **limits):
+        self.now = 500.0
+        self.gain, self.outcome, self.sigma = gain, outcome, sigma
+        self.turn = TurnMachine(SelfTurn(Topics("/imu", "/mag", "/cmd_vel")))
+        self.ride = Ride(
+            ROBOT,
+            np.random.default_rng(3),
+            start=1000.0,
+            imu_rate=1.0 / STEP,
+            steps_per_field=2,
+            gyro=gyro,
+        )
+        self.streams = Streams(0.2)
+        self.pairer = Pairer(self.streams)
+        self.mangle = lambda sample: sample
+        self.listeners, self.is_allowed, self.is_guarded = 1, True, True
+        self.command = self.rate = self.turned = self.farthest = self.swept = 0.0
+        self.said, self.concluded, self.asked, self.in_force = [], [], [], []
+        self.fit_takes, self.preview_takes, self.saving_takes = 0.3, 0.2, 0.05
+        self._later = []
+        self._steps = count()
+        self._heard = {ImuSample: -math.inf, "field": -math.inf}
+        limits = Limits(**{"timeout": 90.0, **limits})
+        order = None if speed is None else Order(speed, limits.timeout, np.eye(3))
+        self.brief = Brief(limits, Knowledge(), "maximum_likelihood", False, order)
+
+    @property
+    def conclusion(self):
+        return self.concluded[-1]
+
+    def open(self, **changes):
+        return self.tell(Opened(replace(self.brief, **changes)))
+
+    def tell(self, event):
+        """Tell the machine and do what it says; returns its answer."""
+        answer = None
+        for command in self.turn.handle(event, self.now):
+            self.asked.append(command)
+            if isinstance(command, Answer):
+                answer = command.conclusion
+            elif isinstance(command, Conclude):
+                self.concluded.append(command.conclusion)
+            elif isinstance(command, MoveBase):
+                self.command = command.rate
+                self.said.append((self.now, command.rate))
+            elif isinstance(command, Report):
+                self.tell(Reported("Report: here."))
+            elif isinstance(command, PutInForce):
+                self.in_force.append(command.calibration)
+                self.later(self.saving_takes, Saved("In force and saved."))
+            elif isinstance(command, FitTurn):
+                self.later(self.fit_takes, self.fitted(command))
+            elif isinstance(command, Preview):
+                self.later(self.preview_takes, PreviewFitted(command.turn, self.sigma))
+        return answer
+
+    def fitted(self, command):
+        if isinstance(self.outcome, Exception):
+            return FitFailed(command.turn, repr(self.outcome))
+        return FitDone(command.turn, self.outcome, Kept(count=command.kept.count + 1))
+
+    def later(self, seconds, event):
+        self._later.append((self.now + seconds, event))
+
+    def live(self, seconds, yaw_rate=None, stop=lambda: False):
+        """Go on for so long, turned by hand at a rate or by the base as it is told."""
+        end = self.now + seconds
+        while self.now < end and not stop():
+            self._step(yaw_rate)
+        return self
+
+    def until_moving(self, rate=0.2):
+        self.live(5.0, stop=lambda: abs(self.command) > rate)
+        assert abs(self.command) > rate
+
+    def until_concluded(self, patience=100.0, yaw_rate=None):
+        self.live(patience, yaw_rate, stop=lambda: bool(self.concluded))
+        return self.conclusion
+
+    def freeze(self, seconds):
+        """Let the world go on while nobody serves the node."""
+        for _ in range(round(seconds / STEP)):
+            self.now += STEP
+            self._move(None)
+
+    def _move(self, yaw_rate):
+        wanted = self.gain * self.command
+        self.rate += (wanted - self.rate) * STEP / 0.1
+        rate = self.rate if yaw_rate is None else yaw_rate
+        self.turned += rate * STEP
+        self.swept += abs(rate) * STEP
+        self.farthest = max(self.farthest, abs(self.turned))
+        return self.ride.step(rate)
+
+    def _step(self, yaw_rate):
+        self.now += STEP
+        due = [event for moment, event in self._later if moment <= self.now]
+        self._later = [(moment, event) for moment, event in self._later if moment > self.now]
+        for event in due:
+            self.tell(event)
+        for sample in self._move(yaw_rate):
+            arrived = self.mangle(sample)
+            if arrived is not None:
+                self._arrive(arrived)
+        number = next(self._steps)
+        if number % 3 == 0:
+            ages = self._heard[ImuSample], self._heard["field"]
+            ages = [self.now - moment for moment in ages]
+            around = Around(*ages, self.listeners, self.is_allowed, self.is_guarded)
+            self.tell(Looked(around))
+        if number % 5 == 0:
+            self.tell(Ticked("/mag has been silent"))
+
+    def _arrive(self, sample):
+        if isinstance(sample, ImuSample):
+            self._heard[ImuSample] = self.now
+            if self.streams.add_imu(sample):
+                self.tell(RateHeard(sample.rate))
+        else:
+            self._heard["field"] = self.now
+            if self.streams.add_field(sample):
+                self.pairer.offer(sample)
+        for pair in self.pairer.take():
+            self.tell(PairArrived(pair))
+
+    def assert_stopped_and_silent(self):
+        """The last words are zeros, several of them, and then nothing."""
+        self.live(1.5)
+        assert [rate for _, rate in self.said[-5:]] == [0.0] * 5
+        heard = len(self.said)
+        self.live(2.0)
+        assert len(self.said) == heard

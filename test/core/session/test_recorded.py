@@ -1,0 +1,243 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from drives import ROBOT, drive, write_csv
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
+from magcal_ros.core.session.session import LARGEST_BUFFER, Limits
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot, heading_errors, measure, turn
+from magcal_ros.files.sources import open_recording
+
+KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
+
+
+def gathered(samples, mounting=ROBOT.mounting):
+    gathering = Gathering(mounting, "/imu", "/mag")
+    gathering.take(samples)
+    return gathering
+
+
+def fitted(samples, knowledge=KNOWLEDGE):
+    return fit_gathered(gathered(samples), knowledge)[0]
+
+
+class House:
+    """A node around a turn, with everything at hand and nothing elsewhere."""
+
+    def put_in_force(self, _):
+        return str
+
+    def begin_report(self, *_):
+        return ""
+
+    def turn_ended(self):
+        pass
+
+    def run(self, work, then, _):
+        then(work())
+
+
+def live(samples, knowledge):
+    """What the node's own control makes of the samples."""
+    pytest.importorskip("rclpy")
+    from magcal_ros.core.samples.streams import Streams
+    from magcal_ros.core.session.self_turn import SelfTurn
+    from magcal_ros.ros.control import Control
+    from magcal_ros.ros.parameter_table import PARAMETERS
+    from magcal_ros.ros.settings import Settings
+
+    streams, house = Streams(0.2), House()
+    control = Control(streams, house, SelfTurn(), house, house)
+    settings = Settings.of({spec.name: spec.default for spec in PARAMETERS})
+    assert control.start(dataclasses.replace(settings, knowledge=knowledge)).success
+    for sample in samples:
+        if isinstance(sample, ImuSample):
+            streams.add_imu(sample)
+        elif streams.add_field(sample) and not streams.is_repeated:
+            control.add(sample)
+    assert control.finish() is None
+    control.shut_down()
+    return control.turn.last_outcome
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_it_finds_to_the_last_bit_what_the_node_finds(gyro):
+    samples = drive(400.0, gyro=gyro)
+    found, expected = fitted(samples), live(samples, KNOWLEDGE)
+    assert found.verdict == expected.verdict
+    one, other = found.calibration.correction, expected.calibration.correction
+    assert (one.parameters == other.parameters).all()
+    assert (found.calibration.covariance == expected.calibration.covariance).all()
+
+
+def test_the_heading_is_right_afterwards():
+    errors = heading_errors(fitted(drive(400.0)).calibration.correction, ROBOT)
+    assert np.degrees(np.sqrt(np.mean(errors**2))) < 0.7
+
+
+def test_the_whole_span_is_used_and_not_only_the_first_turn():
+    window = gathered(drive(1000.0)).window()
+    assert window.time[-1] - window.time[0] > 0.98 * math.radians(1000.0) / 0.5
+
+
+def test_hours_stay_within_the_sessions_memory():
+    motion = turn(arc=60 * math.tau, samples=60_000, duration=1200.0)
+    window = measure(ROBOT, motion, np.random.default_rng(1), gyro=True)
+    gathering = Gathering(ROBOT.mounting)
+    stamps = (window.time + 100.0).tolist()
+    for stamp, b, f, w in zip(
+        stamps, window.field, window.specific_force, window.angular_rate, strict=True
+    ):
+        gathering.take([ImuSample(stamp, tuple(f), tuple(w)), FieldSample(stamp, tuple(b))])
+    kept = gathering.window()
+    assert LARGEST_BUFFER // 8 < len(kept) <= LARGEST_BUFFER
+    assert kept.time[-1] == stamps[-1]
+    assert gathering.heard == (60_000, 60_000)
+
+
+def test_field_may_be_recorded_before_or_after_its_imu_samples():
+    """A recorder's order is not the stamps' order: the field comes 0.3 s late or early."""
+    samples = drive(400.0)
+    expected = gathered(samples).window()
+    for late in (0.3, -0.3):
+        moved = sorted(samples, key=lambda s: s.stamp + late * isinstance(s, FieldSample))
+        found = gathered(moved).window()
+        np.testing.assert_array_equal(found.field, expected.field)
+        np.testing.assert_array_equal(found.specific_force, expected.specific_force)
+
+
+class TestRefusals:
+    def test_nothing_at_all(self):
+        outcome = fitted([])
+        assert outcome.reason is Reason.TOO_FEW_SAMPLES
+        assert not outcome.verdict.accepted
+
+    @pytest.mark.parametrize("kind", [ImuSample, FieldSample])
+    def test_one_sensor_only(self, kind):
+        outcome = fitted([s for s in drive(400.0) if isinstance(s, kind)])
+        assert outcome.reason is Reason.TOO_FEW_SAMPLES
+
+    def test_a_robot_that_stands(self):
+        assert fitted(drive(0.0)).reason is Reason.NO_MOTION
+
+    def test_too_short_an_arc_says_what_was_seen(self):
+        outcome = fitted(drive(30.0))
+        assert outcome.reason is Reason.ARC_TOO_SHORT
+        assert "of the turn seen" in outcome.verdict.summary
+
+    def test_a_wrong_unit_is_named(self):
+        samples = [
+            s._replace(field=tuple(1e6 * x for x in s.field)) if isinstance(s, FieldSample) else s
+            for s in drive(400.0)
+        ]
+        with pytest.raises(Refusal, match="looks like microtesla published as tesla"):
+            gathered(samples).window()
+
+    def test_every_little_data_reason_is_one_that_more_data_mends(self):
+        assert all(fitted(drive(arc)).reason in LITTLE_DATA for arc in (0.0, 10.0, 30.0))
+
+
+def test_bad_samples_are_dropped_and_said():
+    samples = drive(400.0)
+    nan = (math.nan,) * 3
+    spoiled = [
+        s._replace(field=nan) if isinstance(s, FieldSample) and k % 2 else s
+        for k, s in enumerate(samples)
+    ]
+    gathering = gathered([None, *spoiled])
+    assert np.isfinite(gathering.window().field).all()
+    words = "; ".join(gathering.complaints())
+    assert "/mag: " in words
+    assert "samples are not finite" in words
+    assert gathering.streams.imu_drops["absent"] == 1
+
+
+def test_a_mounting_upside_down_is_taken_into_account():
+    knowledge = knowledge_of(50.0, 1.5, 60.0, 1.0, mount_rpy_deg=(180.0, 0.0, 30.0))
+    robot = Robot(mounting=knowledge.mounting)
+    gathering = gathered(drive(400.0, robot), knowledge.mounting)
+    outcome, _ = fit_gathered(gathering, knowledge)
+    errors = heading_errors(outcome.calibration.correction, robot)
+    assert np.degrees(np.sqrt(np.mean(errors**2))) < 1.0
+
+
+class TestRecordings:
+    def read(self, folder, **span):
+        with open_recording(folder, **span) as source:
+            return gathered(source.readings())
+
+    def test_the_car_gives_the_same_from_its_bag_and_its_csv(self, recording):
+        folder, knowledge = recording("car_circles_neu2025_kiran"), knowledge_of(51.3, 1.5, 66.3)
+        one, other = (
+            fit_gathered(self.read(path), knowledge)[0] for path in (folder, folder / "bag_mcap")
+        )
+        assert one.verdict.accepted
+        assert one.verdict.summary == other.verdict.summary
+        difference = one.calibration.correction.parameters - other.calibration.correction.parameters
+        assert np.abs(difference[:9]).max() < 1e-4
+        assert np.abs(difference[9:]).max() < 1e-8
+
+    def test_a_span_of_the_hand_held_recording_is_one_turn(self, recording):
+        gathering = self.read(recording("broad05"), start=48.0, stop=62.0)
+        assert gathering.heard == pytest.approx((1333, 1333), abs=2)
+        assert gathering.progress().coverage.is_complete
+        outcome, window = fit_gathered(gathering, Knowledge())
+        assert len(outcome.verdict.summary) > 40
+        assert window.time[-1] - window.time[0] < 14.1
+
+    def test_a_boat_that_rolls_is_refused(self, recording):
+        outcome, _ = fit_gathered(self.read(recording("sailboat_lsm303_roll")), Knowledge())
+        assert not outcome.verdict.accepted
+
+
+def test_limits_of_the_session_do_not_end_it(tmp_path):
+    """Longer than the node's timeout, with a pause longer than its silence."""
+    first, second = drive(200.0), drive(250.0, start=1000.0 + 2 * Limits().timeout, seed=2)
+    with open_recording(write_csv(tmp_path / "csv", [*first, *second])) as source:
+        window = gathered(source.readings()).window()
+    assert window.time[-1] - window.time[0] > 2 * Limits().timeout
+
+
+@pytest.mark.parametrize("turn_first", [True, False])
+def test_where_a_recording_was_set_back_the_better_stretch_is_taken(turn_first):
+    turned, little = drive(400.0, start=1000.0), drive(90.0, start=900.0, seed=2)
+    if not turn_first:
+        turned, little = drive(400.0, start=900.0), drive(90.0, start=1000.0, seed=2)
+    gathering = gathered([*turned, *little] if turn_first else [*little, *turned])
+    assert gathering.progress().coverage.is_complete
+    outcome = fit_gathered(gathering, KNOWLEDGE)[0]
+    assert outcome.verdict.accepted, outcome.verdict.summary
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize(("imu_rate", "steps"), [(100, 10), (10, 10), (4, 1), (20, 20)])
+def test_a_field_at_a_tenth_of_the_imus_rate_carries_a_turn(imu_rate, steps, gyro):
+    """A field sample a second is half a radian of turn: the robot turns twice, or more slowly."""
+    ride = Ride(
+        ROBOT,
+        np.random.default_rng(3),
+        start=1000.0,
+        imu_rate=float(imu_rate),
+        steps_per_field=steps,
+        gyro=gyro,
+    )
+    turns = 2.2 if imu_rate / steps < 2 else 1.1
+    count = int(turns * math.tau / 0.5 * imu_rate)
+    outcome = fitted([sample for _ in range(count) for sample in ride.step(0.5)])
+    assert outcome.verdict.accepted, outcome.verdict.summary
+
+
+def test_a_field_at_ten_times_the_imus_rate_carries_a_turn():
+    ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=100.0, steps_per_field=1)
+    samples = [sample for _ in range(1400) for sample in ride.step(0.5)]
+    imus = [sample for sample in samples if isinstance(sample, ImuSample)][::10]
+    fields = [sample for sample in samples if isinstance(sample, FieldSample)]
+    both = sorted([*imus, *fields], key=lambda sample: sample.stamp)
+    outcome = fitted(both)
+    assert outcome.verdict.accepted, outcome.verdict.summary

@@ -1,0 +1,81 @@
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.samples.coverage import Coverage
+from magcal_ros.core.samples.streams import FieldSample, Pair
+from magcal_ros.core.session.rotation_plan import Fault, Seen
+from magcal_ros.core.session.rotation_proof import RotationProof
+from magcal_ros.core.session.session import Progress, Stage
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import UP_ENU, Robot
+
+TOLD = 0.4
+NOTHING = Progress(Stage.COLLECTING, Coverage.nothing(), 0, 0.0, 0.0)
+
+
+def watch(yaw_rate=TOLD, seconds=2.0, mirror_gyro=1.0, seed=1, gyro=True, gap=None, lean=(0, 0)):
+    """What the proof has seen after the robot has turned for a while."""
+    proof = RotationProof(np.eye(3))
+    ride = Ride(Robot(), np.random.default_rng(seed), start=1.0, steps_per_field=1, gyro=gyro)
+    ride.stand(*lean, 0.3)
+    ride.axis = ride.attitude @ UP_ENU
+    for _ in range(int(seconds * 100)):
+        imu, field = ride.step(yaw_rate)
+        if gap and gap[0] < ride.stamp - 1.0 < gap[1]:
+            continue
+        rate = tuple(mirror_gyro * value for value in imu.rate)
+        proof.add(Pair(FieldSample(imu.stamp, field.field), imu._replace(rate=rate)))
+    return proof
+
+
+@pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.2, -0.1), (math.pi, 0.0)])
+def test_the_gyro_tells_rate_and_angle_about_up(yaw_rate, lean):
+    seen = watch(yaw_rate, lean=lean).seen(NOTHING)
+    assert seen.by_gyro
+    assert seen.rate == pytest.approx(yaw_rate, rel=0.02)
+    assert seen.turned == pytest.approx(2.0 * yaw_rate, rel=0.03)
+
+
+def test_a_gap_is_not_turned_through_and_the_rate_is_right_after_it():
+    seen = watch(seconds=4.0, gap=(1.0, 2.0)).seen(NOTHING)
+    assert seen.turned == pytest.approx(3.0 * TOLD, rel=0.03)
+    assert seen.rate == pytest.approx(TOLD, rel=0.02)
+
+
+def test_without_a_gyro_the_sessions_compass_speaks():
+    coverage = Coverage.of(np.linspace(0.0, 2.0, 50))
+    progress = Progress(Stage.COLLECTING, coverage, 50, 5.0, 0.37)
+    assert watch(gyro=False).seen(progress) == Seen(2.0, 0.37, False, False)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+@pytest.mark.parametrize("yaw_rate", [0.4, -0.4])
+def test_the_compass_tells_its_sense_on_an_arc_of_45_degrees(seed, mirror, yaw_rate):
+    assert watch(yaw_rate, 2.0, mirror, seed).compass_sense() == mirror
+
+
+def test_a_robot_at_rest_shows_no_sense():
+    assert watch(0.0).compass_sense() == 0
+    assert RotationProof(np.eye(3)).compass_sense() == 0
+
+
+def test_a_mirrored_gyro_and_a_mirrored_base_are_told_apart():
+    def words(**case):
+        proof = watch(**case)
+        return proof.explain(Fault.WRONG_WAY, proof.seen(NOTHING), TOLD)
+
+    assert "the gyro is mirrored" in words(mirror_gyro=-1.0)
+    assert "the base turns the wrong way" in words(yaw_rate=-TOLD)
+    assert "cannot tell" in words(yaw_rate=-TOLD, seconds=0.2)
+    assert "-23°/s where +23°/s were commanded" in words(yaw_rate=-TOLD)
+
+
+def test_a_gyro_that_misses_the_turn_is_named_and_a_robot_at_rest_too():
+    turning, resting = watch(mirror_gyro=1e-6), watch(0.0)
+    seen = Seen(0.0, 0.0, True, False)
+    assert "the gyro does not measure" in turning.explain(Fault.NOT_TURNING, seen, TOLD)
+    assert "emergency stop" in resting.explain(Fault.NOT_TURNING, seen, TOLD)

@@ -1,0 +1,316 @@
+"""A robot that turns itself, in virtual time: what it is told, and every reason to stop it."""
+
+import math
+
+import numpy as np
+import pytest
+from scene import NO_RATE, Scene
+
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.session.self_turn import GYRO_SILENCE, LONGEST_LOOK, ZEROS
+from magcal_ros.core.session.turn_events import CancelAsked, Faulted, FinishAsked
+from magcal_ros.core.session.turn_states import TurnState
+
+SPEED = 0.5
+
+
+def robot(**options):
+    scene = Scene(**{"speed": SPEED, **options})
+    assert scene.open().success
+    return scene
+
+
+def with_rate(change):
+    """Let the gyro read what `change` makes of its rate."""
+
+    def mangle(sample):
+        if isinstance(sample, ImuSample):
+            return sample._replace(rate=tuple(change(np.array(sample.rate)).tolist()))
+        return sample
+
+    return mangle
+
+
+def test_it_turns_once_each_way_and_stands_where_it_stood():
+    scene = robot()
+    conclusion = scene.until_concluded()
+    assert conclusion.success, conclusion.message
+    scene.assert_stopped_and_silent()
+    rates = np.array([rate for _, rate in scene.said])
+    assert (rates.max(), rates.min()) == (SPEED, -SPEED)
+    assert np.abs(np.diff(rates)).max() < 0.5 * 0.1
+    assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
+    assert scene.turned == pytest.approx(0.0, abs=0.2)
+
+
+def test_without_a_gyro_the_compass_leads_it_there_and_back():
+    scene = robot(gyro=False)
+    assert scene.until_concluded().success
+    assert scene.farthest == pytest.approx(math.tau, abs=0.5)
+    assert scene.turned == pytest.approx(0.0, abs=0.5)
+
+
+def test_nothing_is_said_before_both_sensors_and_a_base_are_there():
+    scene = robot()
+    scene.mangle = lambda sample: sample if isinstance(sample, ImuSample) else None
+    scene.live(2.0)
+    scene.mangle, scene.listeners = (lambda sample: sample), 0
+    scene.live(0.5)
+    assert not scene.said
+    scene.listeners = 1
+    scene.until_moving()
+
+
+def test_a_base_that_does_not_listen_is_said_with_the_topic():
+    scene = robot()
+    scene.listeners = 0
+    assert "nobody listens to /cmd_vel" in scene.until_concluded(5.0).message
+    assert not scene.said
+
+
+def test_without_a_guard_it_does_not_set_off_and_says_so():
+    scene = robot()
+    scene.is_guarded = False
+    words = scene.until_concluded(20.0).message
+    assert words.startswith("the robot does not set off: the guard")
+    assert not scene.said
+
+
+def test_it_waits_for_a_guard_that_takes_its_time():
+    scene = robot()
+    scene.is_guarded = False
+    scene.live(5.0)
+    assert not scene.said
+    scene.is_guarded = True
+    assert scene.until_concluded().success
+
+
+def test_a_guard_that_ends_in_the_turn_ends_it():
+    scene = robot()
+    scene.until_moving()
+    scene.is_guarded = False
+    since = scene.now
+    assert "the robot was stopped: its guard has ended" in scene.until_concluded(1.0).message
+    assert scene.now - since < 0.1
+    scene.assert_stopped_and_silent()
+
+
+def test_a_turn_that_would_not_fit_into_the_window_is_refused_before_it_begins():
+    scene = Scene(speed=SPEED, timeout=20.0)
+    answer = scene.open()
+    assert not answer.success
+    assert "window.timeout_s" in answer.message
+    assert scene.turn.state is TurnState.IDLE
+
+
+@pytest.mark.parametrize(
+    ("gain", "words", "gyro"),
+    [
+        (0.0, "does not turn", True),
+        (0.0, "does not turn", False),
+        (-1.0, "base turns the wrong way", True),
+        (3.0, "far too fast", True),
+        (3.0, "far too fast", False),
+    ],
+)
+def test_a_base_that_does_not_do_as_told_is_stopped_and_named(gain, words, gyro):
+    scene = robot(gain=gain, gyro=gyro)
+    conclusion = scene.until_concluded(10.0)
+    assert not conclusion.success
+    assert conclusion.message.startswith("the robot was stopped: ")
+    assert words in conclusion.message
+    scene.assert_stopped_and_silent()
+
+
+def test_a_mirrored_gyro_is_not_blamed_on_the_base():
+    scene = robot()
+    scene.mangle = with_rate(lambda rate: -rate)
+    assert "the gyro is mirrored" in scene.until_concluded(10.0).message
+
+
+def test_an_emergency_stop_in_the_turn_ends_it():
+    scene = robot()
+    scene.until_moving()
+    scene.gain = 0.0
+    assert "emergency stop" in scene.until_concluded(10.0).message
+
+
+@pytest.mark.parametrize(("kind", "topic"), [(True, "/imu"), (False, "/mag")])
+def test_a_sensor_that_dies_stops_the_robot_long_before_the_session_ends(kind, topic):
+    scene = robot()
+    scene.until_moving()
+    scene.mangle = lambda s: None if isinstance(s, ImuSample) is kind else s
+    since = scene.now
+    words = scene.until_concluded(5.0).message
+    assert words.startswith(f"the robot was stopped: {topic} has been silent")
+    assert scene.now - since < 1.2
+    scene.assert_stopped_and_silent()
+
+
+def test_a_fault_around_it_stops_a_robot_that_turns_itself_and_no_other():
+    scene = robot()
+    scene.until_moving()
+    scene.tell(Faulted("an error in a callback"))
+    assert scene.said[-1] == (scene.now, 0.0)
+    assert scene.conclusion.message.startswith("the robot was stopped: an error in a callback")
+    scene.assert_stopped_and_silent()
+    by_hand = Scene()
+    by_hand.open()
+    by_hand.tell(Faulted("an error in a callback"))
+    assert by_hand.turn.state is TurnState.COLLECTING
+
+
+def test_switching_it_off_stops_the_robot():
+    scene = robot()
+    scene.until_moving()
+    scene.is_allowed = False
+    scene.live(0.1)
+    assert "rotate.enabled was switched off" in scene.conclusion.message
+    scene.assert_stopped_and_silent()
+
+
+@pytest.mark.parametrize("event", [CancelAsked(), FinishAsked()])
+def test_who_ends_the_turn_stops_the_robot_at_once(event):
+    scene = robot()
+    scene.until_moving()
+    scene.tell(event)
+    assert scene.said[-1] == (scene.now, 0.0)
+    scene.assert_stopped_and_silent()
+
+
+def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
+    scene = robot()
+    scene.until_moving()
+    scene.tell(CancelAsked())
+    scene.live(0.1)
+    assert scene.open().success
+    scene.until_moving()
+    rates = [rate for _, rate in scene.said]
+    assert rates[rates.index(0.0) :][:ZEROS] == [0.0] * ZEROS
+    scene.live(60.0, stop=lambda: len(scene.concluded) > 1)
+    assert scene.conclusion.success
+
+
+class TestGyro:
+    """A gyro that was heard leads the robot; it must go on to be heard, and to be right."""
+
+    @pytest.mark.parametrize("rate", [NO_RATE, (math.inf, 0.0, 0.0)])
+    @pytest.mark.parametrize("moment", [3.0, 11.0, 16.0])
+    def test_one_that_is_not_heard_any_more_stops_the_robot_within_half_a_second(
+        self, rate, moment
+    ):
+        scene = robot()
+        scene.live(moment)
+        scene.mangle = with_rate(lambda _: np.array(rate))
+        since, before = scene.now, scene.swept
+        words = scene.until_concluded(20.0).message
+        assert "the gyro is not heard any more" in words
+        assert "/imu has brought no angular velocity" in words
+        assert scene.now - since < GYRO_SILENCE + 0.15
+        scene.assert_stopped_and_silent()
+        assert scene.swept - before < math.radians(30.0)
+
+    @pytest.mark.parametrize("gain", [0.0, -1.0, 3.0])
+    def test_one_that_dies_beside_a_base_that_does_not_obey_is_followed_by_zeros(self, gain):
+        scene = robot()
+        scene.live(3.0)
+        scene.gain = gain
+        scene.mangle = with_rate(lambda _: np.array(NO_RATE))
+        since = scene.now
+        assert not scene.until_concluded(20.0).success
+        assert scene.now - since < GYRO_SILENCE + 0.15
+        scene.assert_stopped_and_silent()
+
+    def test_a_short_dropout_is_lived_with(self):
+        scene = robot()
+        scene.live(3.0)
+        scene.mangle = with_rate(lambda _: np.array(NO_RATE))
+        scene.live(0.3)
+        scene.mangle = lambda sample: sample
+        assert scene.until_concluded().success
+
+    @pytest.mark.parametrize("frozen_at", [0.02, 0.1, 0.2])
+    def test_one_that_freezes_below_the_rate_is_told_within_a_quarter_turn(self, frozen_at):
+        scene = robot()
+        scene.mangle = with_rate(lambda rate: np.array([0.0, 0.0, min(rate[2], frozen_at)]))
+        words = scene.until_concluded().message
+        assert "the gyro" in words
+        assert scene.farthest < math.radians(115.0)
+        scene.assert_stopped_and_silent()
+
+    def test_one_that_hangs_in_full_turn_is_told_although_the_base_is_blocked(self):
+        scene = robot()
+        scene.until_moving(0.45)
+        scene.gain = 0.0
+        scene.mangle = with_rate(lambda _: np.array([0.0, 0.0, SPEED]))
+        since = scene.now
+        words = scene.until_concluded().message
+        assert "in which the field stood still" in words
+        assert scene.now - since < math.radians(115.0) / SPEED
+
+    def test_one_that_hangs_in_full_turn_neither_blames_the_base_nor_turns_it_far(self):
+        scene = robot()
+        scene.until_moving(0.45)
+        scene.mangle = with_rate(lambda _: np.array([0.0, 0.0, SPEED]))
+        assert "the gyro shows" in scene.until_concluded().message
+        assert scene.farthest < math.tau + math.radians(60.0)
+        scene.assert_stopped_and_silent()
+
+    def test_saturation_at_a_third_is_told(self):
+        scene = robot(speed=0.9)
+        scene.mangle = with_rate(lambda rate: np.clip(rate, -0.3, 0.3))
+        assert "the gyro shows" in scene.until_concluded().message
+        assert scene.farthest < math.radians(115.0)
+
+    def test_a_slipping_base_with_a_true_gyro_is_not_stopped(self):
+        scene = robot(gain=0.7)
+        assert scene.until_concluded().success
+
+
+class TestBounds:
+    def test_a_base_that_does_not_stop_is_given_up_beyond_its_full_turn(self):
+        scene = robot(speed=1.0)
+        scene.live(60.0, stop=lambda: scene.turned > math.radians(330.0))
+
+        def run_on(sample):
+            scene.rate = 1.0
+            return sample
+
+        scene.mangle = run_on
+        conclusion = scene.until_concluded(20.0)
+        assert "of a turn that goes from 0° to 360°" in conclusion.message
+        assert scene.farthest < math.radians(415.0)
+
+    def test_commands_have_an_end_even_where_every_sensor_is_content(self):
+        scene = robot(gain=0.45)
+        conclusion = scene.until_concluded(200.0)
+        commanded = sum(
+            abs(rate) * (after - before)
+            for (before, rate), (after, _) in zip(scene.said, scene.said[1:], strict=False)
+        )
+        assert commanded < 1.55 * 2.0 * math.tau
+        assert not conclusion.success
+        assert "were commanded, and its turn is still not done" in conclusion.message
+
+    def test_the_deadline_ends_a_turn_that_creeps_and_what_was_seen_is_used(self):
+        scene = robot(gain=0.75, timeout=29.0)
+        conclusion = scene.until_concluded(60.0)
+        assert "did not come round in time" in conclusion.message
+        assert scene.said[-1][1] == 0.0
+
+    @pytest.mark.parametrize("phase", [3.0, 15.0])
+    def test_who_was_not_looked_at_is_stopped_before_another_command(self, phase):
+        scene = robot()
+        scene.live(phase)
+        before = len(scene.said)
+        scene.freeze(12.9)
+        scene.live(0.2)
+        assert [rate for _, rate in scene.said[before:]] == [0.0] * (len(scene.said) - before)
+        assert "too busy to look at it for 1" in scene.conclusion.message
+        scene.assert_stopped_and_silent()
+
+    def test_a_hiccup_is_none(self):
+        scene = robot()
+        scene.live(3.0)
+        scene.freeze(0.8 * LONGEST_LOOK)
+        assert scene.until_concluded().success

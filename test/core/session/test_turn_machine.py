@@ -1,0 +1,264 @@
+"""One turn in virtual time: what is asked for, in which order, and what everyone is told."""
+
+import math
+
+import pytest
+from scene import BAD, GOOD, SHORT, Scene
+
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.session.turn_events import (
+    CancelAsked,
+    FinishAsked,
+    FitDone,
+    FitTurn,
+    ForgetAsked,
+    Preview,
+    PreviewFitted,
+    PutInForce,
+    SensorsMet,
+)
+from magcal_ros.core.session.turn_states import TurnState
+
+
+def asked_for(scene, kind):
+    return [command for command in scene.asked if isinstance(command, kind)]
+
+
+def turned_fully(**options):
+    scene = Scene(**options)
+    assert scene.open().success
+    scene.live(40.0, 0.5, stop=lambda: scene.turn.state is not TurnState.COLLECTING)
+    return scene
+
+
+def test_a_turn_is_fitted_put_in_force_stored_and_told():
+    scene = turned_fully()
+    assert scene.turn.state is TurnState.FITTING
+    assert 5.7 < scene.turned < 7.0
+    scene.live(0.32)
+    assert (scene.turn.state, scene.in_force) == (TurnState.SAVING, [GOOD.calibration])
+    assert not scene.concluded
+    conclusion = scene.until_concluded()
+    assert conclusion.success
+    assert conclusion.message.endswith("In force and saved. Report: here.")
+    assert GOOD.verdict.summary in conclusion.message
+    assert scene.turn.state is TurnState.IDLE
+    assert scene.turn.last_conclusion is conclusion
+
+
+def test_a_verdict_that_falls_short_leaves_what_is_in_force_and_names_the_remedy():
+    scene = turned_fully(outcome=SHORT)
+    conclusion = scene.until_concluded()
+    assert not conclusion.success
+    assert "The calibration in force is unchanged; ~/accept" in conclusion.message
+    assert "Report: here." in conclusion.message
+    assert not scene.in_force
+    assert scene.turn.last_outcome is SHORT
+
+
+def test_what_cannot_be_fitted_offers_nothing_to_accept():
+    conclusion = turned_fully(outcome=BAD).until_concluded()
+    assert not conclusion.success
+    assert "~/accept" not in conclusion.message
+
+
+def test_a_fault_in_the_fit_is_told_and_the_next_turn_is_welcome():
+    scene = turned_fully(outcome=MemoryError("out of it"))
+    assert "unexpectedly: MemoryError('out of it')" in scene.until_concluded().message
+    assert scene.open().success
+
+
+def test_a_second_turn_is_refused_in_every_state_of_the_first():
+    scene = Scene()
+    assert scene.open().success
+    for state in (TurnState.COLLECTING, TurnState.FITTING, TurnState.SAVING):
+        scene.live(60.0, 0.5, stop=lambda state=state: scene.turn.state is state)
+        answer = scene.open()
+        assert not answer.success
+        assert f"already {state.value}" in answer.message
+    scene.until_concluded()
+    assert len(scene.in_force) == 1
+
+
+def test_finish_fits_what_there_is_and_says_by_whom_it_was_ended():
+    scene = Scene()
+    assert "~/start" in scene.tell(FinishAsked()).message
+    scene.open()
+    scene.live(8.0, 0.5)
+    assert scene.tell(FinishAsked()) is None
+    assert scene.tell(FinishAsked()).message == "already fitting"
+    assert scene.until_concluded().message.startswith("finished by hand; ")
+
+
+def test_finish_of_too_little_is_refused_with_what_was_seen_and_not_fitted():
+    scene = Scene()
+    scene.open()
+    scene.live(1.0, 0.5)
+    scene.tell(FinishAsked())
+    conclusion = scene.conclusion
+    assert "too little of a turn" in conclusion.message
+    seen = int(conclusion.message.split("° of the turn seen")[0].split()[-1])
+    assert abs(seen - 28) < 6
+    assert not asked_for(scene, FitTurn)
+
+
+@pytest.mark.parametrize("state", [TurnState.COLLECTING, TurnState.FITTING])
+def test_cancel_ends_it_at_once_and_a_late_fit_changes_nothing(state):
+    scene = Scene()
+    scene.open()
+    scene.live(60.0, 0.5, stop=lambda: scene.turn.state is state)
+    assert scene.tell(CancelAsked()).success
+    assert "cancelled" in scene.conclusion.message
+    scene.open()
+    scene.live(1.0)
+    assert scene.turn.state is TurnState.COLLECTING
+    assert not scene.in_force
+
+
+def test_cancel_is_too_late_once_it_is_in_force_and_too_early_before():
+    scene = Scene()
+    assert "nothing to cancel" in scene.tell(CancelAsked()).message
+    scene.open()
+    scene.live(60.0, 0.5, stop=lambda: scene.turn.state is TurnState.SAVING)
+    assert "too late" in scene.tell(CancelAsked()).message
+    assert scene.until_concluded().success
+
+
+def test_half_a_turn_is_used_when_the_time_is_up():
+    scene = Scene(timeout=12.0)
+    scene.open()
+    scene.live(7.0, 0.5)
+    scene.live(5.2, 0.0)
+    assert scene.turn.state is TurnState.FITTING
+    assert scene.until_concluded().message.startswith("the time is up after 12 s; ")
+
+
+def test_nothing_at_all_is_said_in_the_sensors_words():
+    scene = Scene(silence=4.0)
+    scene.mangle = lambda _: None
+    scene.open()
+    scene.live(4.3)
+    assert not scene.conclusion.success
+    assert "/mag has been silent" in scene.conclusion.message
+
+
+@pytest.mark.parametrize("arc", [math.radians(20.0), math.radians(200.0)])
+def test_a_sensor_that_dies_ends_it_with_its_name(arc):
+    scene = Scene(silence=3.0)
+    scene.open()
+    scene.live(arc / 0.5, 0.5)
+    scene.mangle = lambda sample: None if isinstance(sample, ImuSample) else sample
+    scene.live(4.5)
+    assert scene.conclusion.message.startswith("/mag has been silent; ")
+    assert scene.conclusion.success == (arc > 1.0)
+
+
+def test_a_pause_shorter_than_the_patience_is_waited_out():
+    scene = Scene(silence=6.0)
+    scene.open()
+    scene.live(6.0, 0.5)
+    scene.mangle = lambda _: None
+    scene.live(5.0, 0.1)
+    scene.mangle = lambda sample: sample
+    assert scene.until_concluded(yaw_rate=0.5).success
+
+
+def test_a_clock_that_is_set_back_begins_the_turn_anew_and_says_so():
+    scene = Scene()
+    scene.open()
+    scene.live(6.0, 0.5)
+    assert scene.turn.progress.coverage.arc > math.radians(90.0)
+    scene.ride.stamp -= 100.0
+    scene.live(2.0, 0.5)
+    assert scene.turn.progress.coverage.arc < math.radians(90.0)
+    conclusion = scene.until_concluded(yaw_rate=0.5)
+    assert conclusion.success
+    assert "time was set back during the turn" in conclusion.message
+
+
+def test_previews_take_a_quarter_of_the_time_and_never_overlap():
+    scene = Scene(sigma=1.0)
+    scene.preview_takes = 1.0
+    scene.open()
+    scene.live(20.0, 0.5)
+    previews = asked_for(scene, Preview)
+    assert 3 <= len(previews) <= 5
+    sizes = [len(preview.window) for preview in previews]
+    assert sizes == sorted(sizes)
+
+
+def test_a_turn_goes_on_while_previews_say_that_it_is_uncertain():
+    scene = Scene(sigma=math.radians(2.0))
+    scene.open()
+    scene.live(20.0, 0.5)
+    assert scene.turn.state is TurnState.COLLECTING
+    scene.sigma = math.radians(0.1)
+    scene.live(4.0, 0.5)
+    assert scene.turn.state is not TurnState.COLLECTING
+
+
+def test_the_preview_of_a_turn_that_is_gone_says_nothing_of_the_next():
+    scene = Scene()
+    scene.open()
+    scene.live(9.0, 0.5)
+    scene.tell(CancelAsked())
+    scene.open()
+    for _ in range(2):
+        scene.tell(PreviewFitted(1, 1e-9))
+    assert scene.turn.progress.heading_sigma == math.inf
+    scene.live(0.2)
+    assert scene.turn.progress.heading_sigma == math.inf
+
+
+class TestKeptTurns:
+    def after_one(self):
+        scene = Scene()
+        scene.open(accumulate=True)
+        scene.until_concluded(yaw_rate=0.5)
+        return scene
+
+    def kept_by_the_next(self, scene):
+        scene.open(accumulate=True)
+        scene.live(60.0, 0.5, stop=lambda: scene.turn.state is TurnState.FITTING)
+        return asked_for(scene, FitTurn)[-1].kept.count
+
+    def test_the_next_turn_joins_those_that_are_kept(self):
+        assert self.kept_by_the_next(self.after_one()) == 1
+
+    def test_forgotten_turns_are_not_joined(self):
+        scene = self.after_one()
+        scene.tell(ForgetAsked())
+        assert self.kept_by_the_next(scene) == 0
+
+    def test_turns_of_another_sensor_are_not_joined(self):
+        scene = self.after_one()
+        scene.tell(SensorsMet("another imu"))
+        assert self.kept_by_the_next(scene) == 0
+
+    def test_a_turn_alone_forgets_those_before(self):
+        scene = self.after_one()
+        scene.open()
+        scene.tell(CancelAsked())
+        assert self.kept_by_the_next(scene) == 0
+
+    def test_turns_forgotten_during_the_fit_do_not_come_back_with_it(self):
+        scene = Scene()
+        scene.open(accumulate=True)
+        scene.live(60.0, 0.5, stop=lambda: scene.turn.state is TurnState.FITTING)
+        scene.tell(ForgetAsked())
+        scene.until_concluded()
+        assert self.kept_by_the_next(scene) == 0
+
+    def test_a_method_that_joins_nothing_is_refused_before_the_turn(self):
+        answer = Scene().open(accumulate=True, method="min_max")
+        assert not answer.success
+        assert "min_max does not join turns" in answer.message
+
+
+def test_an_answer_to_what_nobody_asked_is_passed_over():
+    scene = Scene()
+    scene.tell(FitDone(0, GOOD, scene.turn._kept))
+    scene.open()
+    scene.tell(FitDone(1, GOOD, scene.turn._kept))
+    assert scene.turn.state is TurnState.COLLECTING
+    assert not asked_for(scene, PutInForce)

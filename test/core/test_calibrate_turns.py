@@ -1,0 +1,208 @@
+"""Turns on different tilts show what one cannot; a turn that does not belong is left out."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from slope_turns import (
+    EAST,
+    KNOWN,
+    LEVEL,
+    NORTH,
+    ROBOT,
+    SOUTH,
+    UNKNOWN,
+    WEST,
+    window_on,
+    windows_on,
+)
+
+from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
+from magcal_ros.core.errors import Misuse, Reason
+from magcal_ros.core.simulation.simulator import heading_errors
+
+FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
+
+
+def absolute_rms_deg(outcome, robot=ROBOT):
+    errors = heading_errors(outcome.calibration.correction, robot)
+    return math.degrees(math.sqrt(float(np.mean(errors**2))))
+
+
+def fates_of(outcome):
+    return [fate.joined for fate in outcome.several.fates]
+
+
+def test_one_turn_is_exactly_what_it_is_alone():
+    window = windows_on([LEVEL], 1)[0]
+    together, alone = calibrate_turns([window], KNOWN), calibrate(window, KNOWN)
+    np.testing.assert_array_equal(
+        together.calibration.correction.parameters, alone.calibration.correction.parameters
+    )
+    np.testing.assert_array_equal(together.calibration.covariance, alone.calibration.covariance)
+    assert together.verdict == alone.verdict
+    assert math.degrees(together.several.shown.installation_yaw) == pytest.approx(5.0, abs=0.1)
+
+
+@pytest.mark.parametrize("knowledge", [KNOWN, UNKNOWN], ids=["reference", "no reference"])
+def test_quiet_sensors_show_everything(knowledge):
+    iron = np.array([[0.03, 0.01, -0.02], [0.01, -0.02, 0.01], [-0.02, 0.01, 0.02]])
+    robot = replace(
+        ROBOT, soft_iron=iron, yaw=math.radians(-12.0), noise_field=1e-10, noise_force=1e-5
+    )
+    outcome = calibrate_turns(windows_on([LEVEL, EAST, NORTH, WEST], 3, robot), knowledge)
+    assert absolute_rms_deg(outcome, robot) < 0.05
+    np.testing.assert_allclose(
+        outcome.calibration.correction.hard_iron, robot.hard_iron, atol=0.05e-6
+    )
+    assert outcome.estimate.installation.yaw == pytest.approx(robot.yaw, abs=1e-3)
+    assert outcome.estimate.figures["soft_iron"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("slopes", "bound"),
+    [((LEVEL, EAST, NORTH), 0.40), ((EAST, NORTH, WEST, SOUTH), 0.25)],
+    ids=["level and two ramps", "four ramps"],
+)
+def test_heading_is_absolute_and_the_covariance_knows_how_well(slopes, bound):
+    squares, sigmas = [], []
+    for seed in range(4):
+        outcome = calibrate_turns(windows_on(slopes, 100 + seed), KNOWN)
+        assert outcome.verdict.accepted
+        squares.append(absolute_rms_deg(outcome) ** 2)
+        off = outcome.estimate.installation.yaw - ROBOT.yaw
+        sigmas.append(off / outcome.estimate.figures["installation_yaw_sigma"])
+    assert math.sqrt(np.mean(squares)) <= bound
+    assert np.mean(np.square(sigmas)) < 2.5
+    level = math.degrees(outcome.several.shown.absolute_level)
+    assert bound / 3.0 < level < bound
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(2))
+def test_one_turn_more_never_makes_it_worse(seed):
+    rng = np.random.default_rng(seed)
+    slopes = [[LEVEL, EAST, NORTH, WEST, SOUTH][k] for k in rng.permutation(5)[:3]]
+    slopes.append(slopes[0])
+    windows = windows_on(slopes, 200 + seed)
+    outcomes = [calibrate_turns(windows[: k + 1], KNOWN) for k in range(len(windows))]
+    for name in ("installation_yaw", "inclination", "absolute_level", "absolute_tilted"):
+        sigmas = [getattr(outcome.several.shown, name) for outcome in outcomes]
+        # The noise is estimated anew with each turn, to some percent.
+        assert all(after < 1.1 * before for before, after in pairwise(sigmas))
+    errors = [absolute_rms_deg(outcome) for outcome in outcomes]
+    assert errors[-1] < 0.3 * errors[0]
+    assert all(outcome.verdict.accepted for outcome in outcomes)
+
+
+def test_the_yaw_of_the_installation_is_not_claimed_before_it_is_shown():
+    flat = calibrate_turns(windows_on([LEVEL, LEVEL], 5), KNOWN)
+    assert flat.estimate.installation.yaw == 0.0
+    assert "installation_yaw_sigma" not in flat.estimate.figures
+    assert any("yaw of the installation" in words for words in flat.verdict.not_shown)
+    assert "the same tilt as before" in flat.several.fates[1].words
+    tilted = calibrate_turns(windows_on([LEVEL, EAST], 5), KNOWN)
+    assert tilted.estimate.figures["installation_yaw_sigma"] < math.radians(0.5)
+    assert not any("yaw of the installation" in words for words in tilted.verdict.not_shown)
+    assert "yaw " in tilted.verdict.summary
+
+
+class TestTurnsThatDoNotBelong:
+    @pytest.mark.parametrize("place", [0, 1, 2])
+    def test_another_load_is_found_wherever_it_stands(self, place):
+        rng = np.random.default_rng(8)
+        windows = [window_on(slope, rng) for slope in (LEVEL, EAST)]
+        windows.insert(place, window_on(NORTH, rng, FOREIGN))
+        outcome = calibrate_turns(windows, KNOWN)
+        assert fates_of(outcome) == [k != place for k in range(3)]
+        assert "contradicts the other turns" in outcome.several.fates[place].words
+        assert absolute_rms_deg(outcome) < 1.0
+
+    def test_of_two_that_differ_the_first_stays(self):
+        rng = np.random.default_rng(9)
+        outcome = calibrate_turns(
+            [window_on(LEVEL, rng), window_on(EAST, rng, FOREIGN)], KNOWN, names=["a", "b"]
+        )
+        assert fates_of(outcome) == [True, False]
+        assert outcome.verdict.accepted
+        assert "Not joined: b: it contradicts the turn before" in outcome.several.in_words
+
+    def test_a_copy_adds_nothing_and_is_said(self):
+        windows = windows_on([LEVEL, EAST], 10)
+        part = windows[1].take(np.arange(100, 400))
+        outcome = calibrate_turns([*windows, part, windows[0]], KNOWN)
+        assert fates_of(outcome) == [True, True, False, False]
+        assert outcome.several.fates[2].words == "it holds the same samples as turn 2"
+
+    def test_a_robot_that_stood_is_left_out(self):
+        windows = [
+            *windows_on([LEVEL, EAST], 11),
+            window_on(NORTH, np.random.default_rng(1), arc=1e-3),
+        ]
+        outcome = calibrate_turns(windows, KNOWN)
+        assert fates_of(outcome) == [True, True, False]
+        assert "did not turn" in outcome.several.fates[2].words
+
+    def test_nothing_but_bad_turns_is_refused_with_all_reasons(self):
+        rng = np.random.default_rng(12)
+        still = [window_on(LEVEL, rng, arc=1e-3) for _ in range(2)]
+        outcome = calibrate_turns(still, KNOWN)
+        assert outcome.reason is Reason.NO_MOTION
+        assert outcome.calibration is None
+        assert "turn 1: " in outcome.verdict.summary
+        assert "turn 2: " in outcome.verdict.summary
+
+
+@pytest.mark.nightly
+def test_a_short_arc_that_cannot_stand_alone_helps_the_others():
+    rng = np.random.default_rng(13)
+    full = [window_on(LEVEL, rng), window_on(EAST, rng)]
+    short = window_on(NORTH, rng, arc=math.radians(70.0), samples=100)
+    assert calibrate(short, UNKNOWN).reason is Reason.ARC_TOO_SHORT
+    before, after = calibrate_turns(full, UNKNOWN), calibrate_turns([*full, short], UNKNOWN)
+    assert fates_of(after) == [True, True, True]
+    assert after.several.shown.absolute_tilted < 0.8 * before.several.shown.absolute_tilted
+    assert after.estimate.arc > 6.0
+
+
+def test_turns_with_gyro_and_without_are_joined():
+    rng = np.random.default_rng(14)
+    windows = [
+        window_on(LEVEL, rng, gyro=True),
+        window_on(EAST, rng),
+        window_on(NORTH, rng, gyro=True),
+    ]
+    outcome = calibrate_turns(windows, KNOWN)
+    assert fates_of(outcome) == [True, True, True]
+    assert absolute_rms_deg(outcome) < 1.0
+    assert outcome.estimate.figures["gyro_carried"] == 1.0
+
+
+def test_the_noisier_turn_weighs_less():
+    rng = np.random.default_rng(15)
+    loud = replace(ROBOT, noise_field=4.0 * ROBOT.noise_field, noise_force=4.0 * ROBOT.noise_force)
+    windows = [window_on(LEVEL, rng), window_on(EAST, rng), window_on(NORTH, rng)]
+    without = calibrate_turns(windows, KNOWN)
+    with_it = calibrate_turns([*windows, window_on(WEST, rng, loud)], KNOWN)
+    gain = with_it.several.shown.installation_yaw / without.several.shown.installation_yaw
+    assert 0.8 < gain < 1.02
+    assert absolute_rms_deg(with_it) < 1.0
+
+
+def test_residuals_are_those_of_the_last_turn_that_joined():
+    rng = np.random.default_rng(16)
+    windows = [window_on(LEVEL, rng), window_on(EAST, rng, samples=300)]
+    outcome = calibrate_turns([*windows, windows[0]], KNOWN)
+    assert outcome.several.newest == 1
+    assert len(outcome.estimate.residual) == len(outcome.estimate.inliers) == 300
+
+
+def test_other_methods_pool_or_say_that_they_do_not_join():
+    windows = windows_on([LEVEL, EAST], 17)
+    together = pooled(windows)
+    assert len(together) == len(windows[0]) + len(windows[1])
+    assert calibrate_turns(windows, KNOWN, "ellipsoid").several is None
+    with pytest.raises(Misuse, match="takes one turn; maximum_likelihood joins"):
+        calibrate_turns(windows, KNOWN, "design_tip")
