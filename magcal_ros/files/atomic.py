@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import glob
 import os
-import tempfile
+import secrets
+import stat
 import time
 from pathlib import Path
 
@@ -28,6 +30,9 @@ REMEDY = "Choose a writable place with the parameter calibration_file, or mend i
 def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
     """Replace the content of a file in one step.
 
+    A symbolic link stays one: what it points to is replaced. A file that was there passes on its
+    mode, and its owner as far as that is allowed; a new one has what the umask leaves.
+
     Parameters
     ----------
     path : Path
@@ -41,27 +46,60 @@ def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
     ------
     FileTrouble
         If the folder cannot be made or written to, or the disk is full; the old file stays.
+        Also if there is something else than a file.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(path)
-        descriptor, name = tempfile.mkstemp(UNFINISHED, f".{path.name}.", path.parent)
+        target = Path(os.path.realpath(path))
+        before = _looked_at(target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target)
+        name = target.with_name(f".{target.name}.{secrets.token_hex(4)}{UNFINISHED}")
+        mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
+        descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     except OSError as error:
         raise _trouble(path, error, remedy) from error
     try:
         with os.fdopen(descriptor, "w", encoding="utf-8") as handle:
             handle.write(text)
             handle.flush()
-            os.fsync(handle.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
+            if before is not None:
+                _pass_on(before, descriptor)
+            os.fsync(descriptor)
+        os.replace(name, target)
     except BaseException as error:
         with contextlib.suppress(OSError):
             os.unlink(name)
         if isinstance(error, OSError):
             raise _trouble(path, error, remedy) from error
         raise
-    _sync_folder(path.parent)
+    _sync_folder(target.parent)
+
+
+def _looked_at(target: Path) -> os.stat_result | None:
+    """Return what is known about the old file; None if there is none."""
+    try:
+        about = os.stat(target)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(about.st_mode):
+        raise FileExistsError(errno.EEXIST, "it is a device or a pipe, not a file")
+    return about
+
+
+def _pass_on(before: os.stat_result, descriptor: int) -> None:
+    """Give the new file the old one's owner, group and mode."""
+    mode = stat.S_IMODE(before.st_mode)
+    try:
+        os.fchown(descriptor, before.st_uid, before.st_gid)
+    except OSError:
+        try:
+            os.fchown(descriptor, -1, before.st_gid)
+        except OSError:
+            # What the old group was allowed, the new one is not.
+            mode &= ~stat.S_IRWXG
+    os.fchmod(descriptor, mode)
 
 
 def _sweep(path: Path) -> None:

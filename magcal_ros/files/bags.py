@@ -1,4 +1,4 @@
-"""Bags read lazily with the `rosbags` library: rosbag2 (mcap, sqlite3) and ROS 1, without ROS."""
+"""Bags read lazily: rosbag2 (mcap, sqlite3) with ROS's own reader, or without ROS, and ROS 1."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from magcal_ros.core.earth_field.position import place_of
+from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.fixes import place_of
-from magcal_ros.core.geomagnetism import Place
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample
-from magcal_ros.core.offline import Reading
+from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
@@ -45,7 +45,7 @@ class Bag:
     ----------
     path : Path
         For words.
-    reader : AnyReader
+    reader : AnyReader or RosReader
         Open.
     imu, field : str
         Topics; empty to take the only one of the right type.
@@ -54,7 +54,7 @@ class Bag:
     """
 
     def __init__(
-        self, path: Path, reader: AnyReader, imu: str, field: str, start: float, stop: float
+        self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
     ) -> None:
         self._path, self._reader = path, reader
         if not reader.message_count:
@@ -63,9 +63,9 @@ class Bag:
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
         self.imu_frame = self.field_frame = ""
-        self._first = reader.start_time + _nanoseconds(max(start, 0.0))
-        self._end = min(reader.end_time, reader.start_time + _nanoseconds(stop))
-        self._reached = self._first
+        self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
+        self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
+        self._reached: int = self._first
 
     @property
     def share(self) -> float:
@@ -137,24 +137,42 @@ def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Ite
     Raises
     ------
     FileTrouble
-        If `rosbags` is not installed, or if the bag cannot be read or has no such topics.
+        If there is neither ROS nor the library rosbags, or if the bag cannot be read or has no
+        such topics.
     Misuse
         If it has several topics of the right type.
     """
+    _refuse_other_files(path)
+    with contextlib.ExitStack() as stack:
+        with _damage_in_words(path):
+            reader = _ros_reader(path) or stack.enter_context(_library_reader(path))
+        yield Bag(path, reader, imu, field, start, stop)
+
+
+def _ros_reader(path: Path) -> Any:
+    """Return a reader of ROS's own; None where there is no ROS, and for bags of ROS 1."""
+    if path.suffix == ".bag":
+        return None
+    try:
+        import rosbag2_py
+    except ImportError:
+        return None
+    from magcal_ros.files.ros_reader import RosReader
+
+    return RosReader(path, rosbag2_py)
+
+
+def _library_reader(path: Path) -> AnyReader:
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise FileTrouble(
-            "reading a bag needs the library rosbags: pip install 'magcal_ros[bags]'"
+            f"reading {plain(str(path))} needs ROS 2 (source its setup file) or the Python library "
+            "rosbags (in a virtual environment: pip install rosbags)"
         ) from error
-    _refuse_other_files(path)
-    with contextlib.ExitStack() as stack:
-        with _damage_in_words(path):
-            # Bags of old distributions do not carry their types: these two never changed.
-            types = get_typestore(Stores.ROS2_HUMBLE)
-            reader = stack.enter_context(AnyReader([path], default_typestore=types))
-        yield Bag(path, reader, imu, field, start, stop)
+    # Bags of old distributions do not carry their types: these two never changed.
+    return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
 
 
 def _refuse_other_files(path: Path) -> None:
@@ -195,9 +213,7 @@ def _remedy(path: Path) -> str:
     return f"Record again; {remedy}." if remedy else "Record again."
 
 
-def _find(
-    path: Path, reader: AnyReader, msgtype: str, wanted: str, option: str
-) -> list[Connection]:
+def _find(path: Path, reader: Any, msgtype: str, wanted: str, option: str) -> list[Connection]:
     """Return the connections of the wanted topic, or of the only one of this type."""
     if wanted:
         return _named(path, reader, msgtype, wanted)
@@ -218,7 +234,7 @@ def _find(
     return fitting
 
 
-def _named(path: Path, reader: AnyReader, msgtype: str, wanted: str) -> list[Connection]:
+def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connection]:
     found = [c for c in reader.connections if c.topic == wanted]
     if not found:
         raise FileTrouble(
@@ -232,7 +248,7 @@ def _named(path: Path, reader: AnyReader, msgtype: str, wanted: str) -> list[Con
     return found
 
 
-def _listed(reader: AnyReader) -> str:
+def _listed(reader: Any) -> str:
     names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
     return ", ".join(names) or "nothing"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-import stat
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -13,15 +13,25 @@ from typing import Any
 import yaml
 
 from magcal_ros import __version__
-from magcal_ros.core.calibration import Calibration, Evidence
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.claims import require_possible
 from magcal_ros.files.places import known_as
+from magcal_ros.files.reading import NotOrdinary, read_small
 
 FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1
-LARGEST_FILE = 1_000_000
-"""Bytes. A calibration has a few thousand; anything larger is something else."""
+LARGEST_FILE = 100_000
+"""Bytes. A calibration has about ten thousand; anything larger is something else."""
+
+DEEPEST = 10
+"""Levels of nesting; a calibration has three."""
+
+_SAYS_IT_IS_OURS = re.compile(
+    rb"""^(format: *["']?magcal_ros/calibration\b|# Magnetometer calibration by magcal_ros\.)""",
+    re.MULTILINE,
+)
 
 _NONSENSE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
 """What the YAML loader and the reading of its document raise where a file holds nonsense."""
@@ -43,26 +53,37 @@ class Origin:
         `frame_id` of the two sensors' messages.
     created : str
         ISO 8601, UTC.
+    node : str
+        Fully qualified name of the node that made it; empty where there was none.
     """
 
     magnetometer_frame: str
     imu_frame: str
     created: str
+    node: str = ""
 
     @classmethod
-    def now(cls, magnetometer_frame: str, imu_frame: str) -> Origin:
+    def now(cls, magnetometer_frame: str, imu_frame: str, node: str = "") -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        return cls(known_as(magnetometer_frame), known_as(imu_frame), stamp)
+        return cls(known_as(magnetometer_frame), known_as(imu_frame), stamp, node)
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Safe YAML without anchors: a calibration needs none, and a bomb is made of them."""
+    """Safe YAML without anchors and deep nesting: a calibration needs neither, bombs do."""
+
+    _depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError("aliases do not belong in a calibration file")
-        return super().compose_node(parent, index)
+        if self._depth >= DEEPEST:
+            raise yaml.YAMLError("a calibration file is not nested so deeply")
+        self._depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
 
 
 class _PlainDumper(yaml.SafeDumper):
@@ -92,8 +113,10 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
     Raises
     ------
     FileTrouble
-        If the file cannot be written; what was there before still is.
+        If the file cannot be written, or if there is a file that is no calibration of this
+        package; what was there before still is.
     """
+    require_ours(path)
     document = _document(calibration, origin)
     body = yaml.dump(
         document,
@@ -103,6 +126,27 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
         default_flow_style=None,
     )
     write_atomically(path, HEADER + body)
+
+
+def require_ours(path: Path) -> None:
+    """Refuse to replace what belongs to somebody else.
+
+    Raises
+    ------
+    FileTrouble
+        If there is something at `path` that does not say it is a calibration of this package.
+        An empty file belongs to nobody.
+    """
+    try:
+        content = read_small(path, LARGEST_FILE)
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, NotOrdinary):
+        content = b"?"
+    if content.strip() and not _SAYS_IT_IS_OURS.search(content):
+        raise FileTrouble(
+            f"{path} is not a calibration of magcal_ros, and stays as it is; choose another name"
+        )
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
@@ -121,26 +165,30 @@ def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     Raises
     ------
     FileTrouble
-        If the file is missing, damaged, or something else than a calibration of this version.
+        If the file is missing, damaged, something else than a calibration of this version, or
+        claims what cannot be.
     """
     document = _parse(path)
     try:
-        return _calibration(document), _origin(document)
+        calibration, origin = _calibration(document), _origin(document)
+        require_possible(calibration)
     except _NONSENSE as error:
         detail = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise _damaged(path, detail) from error
+    return calibration, origin
 
 
 def _parse(path: Path) -> Mapping[str, Any]:
     try:
-        about = path.stat()
-        if about.st_size > LARGEST_FILE:
-            raise _damaged(path, "it is too large to be a calibration")
-        if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
-            raise _damaged(path, "it is not a regular file")
-        document = yaml.load(path.read_text(encoding="utf-8"), Loader=_PlainLoader)
+        content = read_small(path, LARGEST_FILE)
+        # Looked for first, because YAML takes a second for what is large and none of ours.
+        says_it = _SAYS_IT_IS_OURS.search(content) is not None
+        text = content.decode("utf-8")
+        document = yaml.load(text, Loader=_PlainLoader) if says_it else None
     except OSError as error:
         raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
+    except NotOrdinary as error:
+        raise _damaged(path, str(error)) from error
     except (yaml.YAMLError, RecursionError, *_NONSENSE) as error:
         reason = " ".join(str(error).split())[:200]
         raise _damaged(path, f"it is not readable YAML ({reason})") from error
@@ -167,6 +215,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "written_by": f"magcal_ros {__version__}",
         "created": origin.created,
+        **({"node": origin.node} if origin.node else {}),
         "formula": "field_body = correction_matrix * (field_raw - hard_iron)",
         "units": {
             "hard_iron": "tesla",
@@ -235,7 +284,9 @@ def _evidence(document: Mapping[str, Any]) -> Evidence:
 
 def _origin(document: Mapping[str, Any]) -> Origin:
     frames = document["frames"]
-    return Origin(str(frames["field_raw"]), str(frames["field_body"]), str(document["created"]))
+    node = str(document.get("node", ""))
+    created = str(document["created"])
+    return Origin(str(frames["field_raw"]), str(frames["field_body"]), created, node)
 
 
 def _number(value: Any) -> float:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from magcal_ros.files.atomic import FileTrouble
 
@@ -78,17 +80,78 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
 
 
-def default_calibration_path(magnetometer_frame: str, namespace: str = "/") -> Path:
-    """Return where the calibration of a sensor lives.
+FRAMELESS = "magnetometer"
+"""Stands in a path for the frame of a sensor that names none."""
+
+DEFAULT_NODE = "calibrator"
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """Where a node keeps the calibration of a sensor unless the user named a file.
+
+    Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
+    names stand in the file's.
 
     Parameters
     ----------
-    magnetometer_frame : str
-        `frame_id` of the field messages.
-    namespace : str
-        The node's namespace: two robots may carry the same sensor.
+    frame : str
+        `frame_id` of the field messages; empty if they have none.
+    namespace, node : str
+        The node's: two robots may carry the same sensor.
     """
-    folder = ros_home() / "magcal"
-    if namespace.strip("/"):
-        folder /= safe_name(namespace.strip("/"))
-    return folder / f"{safe_name(magnetometer_frame)}.yaml"
+
+    frame: str
+    namespace: str = "/"
+    node: str = DEFAULT_NODE
+
+    @property
+    def path(self) -> Path:
+        """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own.
+
+        Raises
+        ------
+        FileTrouble
+            If there is no home.
+        """
+        return self._folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
+
+    @property
+    def former(self) -> Path:
+        """Where earlier releases stored it, for all nodes of a namespace alike.
+
+        Raises
+        ------
+        FileTrouble
+            If there is no home.
+        """
+        return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
+
+    def find(self) -> Path:
+        """Return the file to load: the sensor's own, or else the former one if it is surely its.
+
+        A former file is the default node's. That of a node by another name may be its neighbour's
+        and is not taken.
+
+        Raises
+        ------
+        FileTrouble
+            If there is only a former file and it may be another node's; the text says how to keep
+            it. Or if there is no home.
+        """
+        own, former = self.path, self.former
+        if not is_missing(own) or is_missing(former):
+            return own
+        if self.node == DEFAULT_NODE:
+            return former
+        raise FileTrouble(
+            f"{former} may be this node's calibration or that of another node of its namespace: "
+            f"earlier releases kept them in one file. If it is this one's, move it: "
+            f"mv {quote(str(former))} {quote(str(own))}"
+        )
+
+    @property
+    def _folder(self) -> Path:
+        folder = ros_home() / "magcal"
+        inner = self.namespace.strip("/")
+        return folder / safe_name(inner) if inner else folder

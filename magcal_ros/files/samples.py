@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray
-from magcal_ros.core.window import Window
+from magcal_ros.core.geometry.arrays import BoolArray
+from magcal_ros.core.samples.window import Window
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 
 COLUMNS = {

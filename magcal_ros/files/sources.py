@@ -10,9 +10,9 @@ from typing import Protocol
 
 import numpy as np
 
+from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geomagnetism import Place
-from magcal_ros.core.offline import Reading
+from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
 from magcal_ros.files.recording import Recording, read_csv_folder

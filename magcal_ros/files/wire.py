@@ -11,7 +11,7 @@ from struct import Struct, error
 from typing import NamedTuple
 
 from magcal_ros.core.messages import imu_of
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4

@@ -13,7 +13,7 @@ from magcal_ros.files.atomic import LEFT_BEHIND, UNFINISHED, FileTrouble, write_
 
 pytestmark = pytest.mark.faults
 
-KILLS = rounds(40, 1000)
+KILLS = rounds(15, 1000)
 
 REWRITER = """
 import sys
@@ -39,11 +39,21 @@ except FileTrouble as trouble:
 """
 
 
-def test_the_whole_text_is_written_readable_for_all(tmp_path):
+@pytest.fixture
+def umask():
+    """Return what sets the umask for one test."""
+    before = os.umask(0o022)
+    yield os.umask
+    os.umask(before)
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_the_whole_text_is_written_and_the_umask_rules(tmp_path, umask, mask, mode):
+    umask(mask)
     path = tmp_path / "deep" / "file.yaml"
     write_atomically(path, "größe\n")
     assert path.read_bytes() == "größe\n".encode()
-    assert path.stat().st_mode & 0o777 == 0o644
+    assert path.stat().st_mode & 0o777 == mode
     write_atomically(path, "x")
     assert path.read_text() == "x"
     assert os.listdir(path.parent) == ["file.yaml"]
@@ -135,7 +145,7 @@ def test_a_name_too_long_is_trouble(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-@pytest.mark.parametrize("failing", ["fsync", "replace", "chmod"])
+@pytest.mark.parametrize("failing", ["fsync", "replace", "fchmod"])
 def test_whichever_step_fails_no_temporary_file_stays(tmp_path, monkeypatch, failing):
     def fail(*_):
         raise OSError(28, "No space left on device")
@@ -163,3 +173,66 @@ def test_an_interrupt_leaves_no_temporary_file(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         write_atomically(tmp_path / "file.yaml", "x")
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o600, 0o666, 0o604])
+def test_the_mode_of_the_old_file_stays(tmp_path, umask, mode):
+    umask(0o022)
+    path = tmp_path / "file.yaml"
+    path.write_text("old")
+    path.chmod(mode)
+    write_atomically(path, "new")
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == mode
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_owner_and_group_of_the_old_file_stay(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("old")
+    os.chown(path, 1000, 1001)
+    path.chmod(0o640)
+    write_atomically(path, "new")
+    about = path.stat()
+    assert (about.st_uid, about.st_gid, about.st_mode & 0o777) == (1000, 1001, 0o640)
+
+
+def test_where_the_group_cannot_stay_no_other_group_gets_its_rights(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    path = tmp_path / "file.yaml"
+    path.write_text("old")
+    path.chmod(0o664)
+    monkeypatch.setattr(os, "fchown", refuse)
+    write_atomically(path, "new")
+    assert path.stat().st_mode & 0o777 == 0o604
+
+
+def test_a_symbolic_link_stays_one_and_its_target_is_replaced(tmp_path):
+    target, link = tmp_path / "deep" / "true.yaml", tmp_path / "link.yaml"
+    target.parent.mkdir()
+    target.write_text("old")
+    link.symlink_to(Path("deep") / "true.yaml")
+    write_atomically(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    assert os.listdir(target.parent) == ["true.yaml"]
+    target.unlink()
+    write_atomically(link, "anew")
+    assert target.read_text() == "anew"
+
+
+def test_a_link_to_itself_is_trouble(tmp_path):
+    link = tmp_path / "link.yaml"
+    link.symlink_to(link)
+    with pytest.raises(FileTrouble, match="cannot write"):
+        write_atomically(link, "new")
+
+
+def test_a_pipe_stays_a_pipe(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(FileTrouble, match="a device or a pipe"):
+        write_atomically(pipe, "new")
+    assert pipe.is_fifo()

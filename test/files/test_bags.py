@@ -6,7 +6,7 @@ import pytest
 from drives import STORE2, drive, message, text, write_bag, write_csv
 
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.sources import open_recording
@@ -177,7 +177,7 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path, samples, monkeypatc
         return importing(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", lacking)
-    with pytest.raises(FileTrouble, match=r"pip install 'magcal_ros\[bags\]'"):
+    with pytest.raises(FileTrouble, match="source its setup file"):
         read(path)
 
 

@@ -8,8 +8,8 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.places import (
     LONGEST_FRAME,
     RESERVED,
+    SensorFile,
     chosen_path,
-    default_calibration_path,
     is_missing,
     known_as,
     ros_home,
@@ -35,7 +35,7 @@ def home(tmp_path_factory, monkeypatch):
 @pytest.mark.parametrize("frame", HOSTILE)
 @pytest.mark.parametrize("namespace", ["/", "/robot", "/../..", "/a/b"])
 def test_a_file_lies_inside_the_folder_and_can_be_made(home, frame, namespace):
-    path = default_calibration_path(frame, namespace)
+    path = SensorFile(frame, namespace).path
     assert (home / "magcal") in path.resolve().parents
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("x")
@@ -67,13 +67,47 @@ def test_a_safe_name_is_plain_and_short(text):
 
 
 def test_an_ordinary_name_stays_readable(home):
-    assert default_calibration_path("imu_link") == home / "magcal" / "imu_link.yaml"
-    assert default_calibration_path("mag", "/robot1") == home / "magcal" / "robot1" / "mag.yaml"
+    assert SensorFile("imu_link").path == home / "magcal" / "calibrator.imu_link.yaml"
+    assert SensorFile("mag", "/robot1", "left").path == home / "magcal/robot1/left.mag.yaml"
+    assert SensorFile("").path == home / "magcal" / "calibrator.magnetometer.yaml"
 
 
-def test_robots_in_nested_namespaces_have_files_of_their_own():
-    spaces = ["/", "/a/b", "/a_b", "/a", "/b/a", "/ab"]
-    assert len({default_calibration_path("mag", space) for space in spaces}) == len(spaces)
+def test_nodes_sensors_and_namespaces_have_files_of_their_own():
+    spaces = ["/", "/a/b", "/a_b", "/a", "/b/a", "/ab", "/left", "/calibrator"]
+    nodes = ["left", "right", "calibrator", "a"]
+    frames = ["imu_link", "left", "right", "a", ""]
+    files = [SensorFile(f, s, n) for f in frames for s in spaces for n in nodes]
+    assert len({file.path for file in files}) == len(files)
+    assert not {file.path for file in files} & {file.former for file in files}
+
+
+class TestFormerFiles:
+    """Until now the nodes of a namespace shared a file for each frame."""
+
+    def make(self, path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+        return path
+
+    def test_the_default_node_finds_its_former_file_until_it_has_its_own(self, home):
+        file = SensorFile("imu_link", "/robot")
+        assert file.find() == file.path
+        former = self.make(home / "magcal" / "robot" / "imu_link.yaml")
+        assert file.find() == former
+        self.make(file.path)
+        assert file.find() == file.path
+
+    def test_a_former_file_that_may_be_the_neighbours_is_not_taken_silently(self, home):
+        former = self.make(home / "magcal" / "imu_link.yaml")
+        right = SensorFile("imu_link", node="right")
+        with pytest.raises(FileTrouble, match=f"mv {former} {right.path}"):
+            right.find()
+        self.make(right.path)
+        assert right.find() == right.path
+
+    def test_a_sensor_without_a_frame_finds_its_former_file(self, home):
+        former = self.make(home / "magcal" / "magnetometer.yaml")
+        assert SensorFile("").find() == former
 
 
 def test_without_ros_home_it_is_the_users(monkeypatch):
@@ -92,7 +126,7 @@ def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
         chosen_path("~nobody_of_this_name/x")
     monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
     with pytest.raises(FileTrouble, match="set ROS_HOME"):
-        default_calibration_path("mag")
+        _ = SensorFile("mag").path
 
 
 def test_only_what_is_surely_not_there_is_missing(tmp_path):

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters import (
     ardupilot,
     c_header,
@@ -34,4 +34,7 @@ EXPORTERS: dict[str, Exporter] = {
 }
 """By the name that users give."""
 
-__all__ = ["EXPORTERS", "Exporter", "NotExportable"]
+NOTES = {"vectornav": vectornav.NOTES}
+"""What a form without comments cannot say of itself, by the same names."""
+
+__all__ = ["EXPORTERS", "NOTES", "Exporter", "NotExportable"]

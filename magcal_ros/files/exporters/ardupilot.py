@@ -8,7 +8,7 @@ the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 
 
 from __future__ import annotations
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import (
     MILLIGAUSS,
     commented,
@@ -42,6 +42,9 @@ def export(calibration: Calibration) -> str:
         provenance(calibration),
         "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
         "a larger COMPASS_OFFS_MAX.",
+        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
+        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
+        "OFS to those in force.",
         *held.comments,
     )
     offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix

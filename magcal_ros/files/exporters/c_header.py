@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import numbers, provenance
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import FRD_FROM_FLU
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.rotations import rotation_angle, rpy_from_rotation
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
+from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
 from magcal_ros.files.plain import plain
 
 GAUSS = 1e4
@@ -77,11 +77,14 @@ def without_rotation(correction: Correction, consumer: str) -> Symmetric:
     angle = rotation_angle(rotation)
     roll, pitch, yaw = (round(math.degrees(v), 2) + 0.0 for v in rpy_from_rotation(rotation))
     turned = f"roll {roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} degrees (forward-left-up)"
+    largest = math.degrees(LARGEST_LOST_ROTATION)
     if angle > LARGEST_LOST_ROTATION:
+        shown = _above(math.degrees(angle), largest)
         raise NotExportable(
             f"{consumer} holds a symmetric matrix only, and this calibration turns the field by "
-            f"{math.degrees(angle):.1f}° ({turned}). Tell the nominal mounting to {consumer} as "
-            "its sensor rotation, let the driver publish in the mounted axes, and calibrate again."
+            f"{shown}°, more than {largest:g}° ({turned}). Tell the nominal mounting to {consumer} "
+            "as its sensor rotation, let the driver publish in the mounted axes, and calibrate "
+            "again."
         )
     comments: tuple[str, ...] = ()
     if angle > MENTIONED_ROTATION:
@@ -92,6 +95,12 @@ def without_rotation(correction: Correction, consumer: str) -> Symmetric:
         )
     framed = in_forward_right_down(Correction(symmetric, correction.hard_iron))
     return Symmetric(framed.matrix, framed.hard_iron, comments)
+
+
+def _above(value: float, limit: float) -> str:
+    """Write a value with as many digits as show that it is above the limit."""
+    digits = next(n for n in range(1, 16) if float(f"{value:.{n}f}") > limit or n == 15)
+    return f"{value:.{digits}f}"
 
 
 def number(value: float) -> str:

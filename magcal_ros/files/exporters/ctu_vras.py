@@ -10,7 +10,7 @@ got as a parameter stays in force.
 
 from __future__ import annotations
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import commented, number, numbers, provenance
 
 

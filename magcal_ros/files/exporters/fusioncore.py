@@ -7,7 +7,7 @@ docs/configuration.md of github.com/manankharwar/fusioncore).
 
 from __future__ import annotations
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import commented, number, numbers, provenance
 
 

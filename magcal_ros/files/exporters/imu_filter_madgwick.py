@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.rotations import rotation_angle
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.rotations import rotation_angle
 from magcal_ros.files.exporters.common import commented, number, provenance
 
 UNCHANGED = 1e-9

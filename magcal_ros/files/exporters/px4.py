@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import (
     GAUSS,
     NotExportable,
@@ -54,6 +54,8 @@ def export(calibration: Calibration) -> str:
         provenance(calibration),
         "corrected = CAL_MAG0_ROT * S * (mag - OFF), gauss, forward-right-down; for the first",
         "magnetometer and CAL_MAG0_ROT = 0 or -1.",
+        "RESTS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
+        "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
         *held.comments,
     )
     values = {f"CAL_MAG0_{axis}OFF": GAUSS * held.hard_iron[k] for k, axis in enumerate("XYZ")}

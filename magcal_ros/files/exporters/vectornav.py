@@ -1,7 +1,9 @@
 """VectorNav: register 23, magnetometer compensation.
 
 `X = C (M - B)`, C row by row, B in gauss (VN-100 user manual UM001, 6.2.1). The sensor's axes are
-forward-right-down. The checksum is the exclusive or of the bytes between `$` and `*`.
+forward-right-down. The checksum is the exclusive or of the bytes between `$` and `*`. The command
+rests on uncompensated readings: the ROS drivers publish the compensated field, some in axes of
+their own, so register 23 has to be the identity while the turn is made.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import operator
 
 import numpy as np
 
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import (
     GAUSS,
     NotExportable,
@@ -19,6 +21,11 @@ from magcal_ros.files.exporters.common import (
 )
 
 LARGEST_NUMBER = 1e3
+
+NOTES = (
+    "register 23 had to be the identity while the turn was made, and the field in the sensor's own "
+    "axes: ROS drivers publish the compensated field, some in axes of their own"
+)
 
 
 def export(calibration: Calibration) -> str:
@@ -32,7 +39,8 @@ def export(calibration: Calibration) -> str:
     Returns
     -------
     str
-        One line; `$VNWNV` stores it for good. The serial line knows no comments.
+        One line; `$VNWNV` stores it for good. The serial line knows no comments: `NOTES` says
+        beside it what it rests on.
 
     Raises
     ------

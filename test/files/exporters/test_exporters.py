@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sample_results import calibration
 
-from magcal_ros.core.correction import Correction
-from magcal_ros.core.rotations import rotation_from_rpy
-from magcal_ros.files.exporters import EXPORTERS, NotExportable
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.files.exporters import EXPORTERS, NOTES, NotExportable
 from magcal_ros.files.exporters.common import number
 from magcal_ros.files.exporters.vectornav import checksum
 
@@ -213,3 +213,18 @@ def test_words_of_a_file_do_not_end_the_comment_they_become(consumer):
     assert not any(line.startswith("evil") for line in text.splitlines())
     if consumer == "c-header":
         assert text.count("*/") == 1
+
+
+def test_a_rotation_just_beyond_the_limit_is_not_called_the_limit():
+    turned = calibration(Correction(rotation_from_rpy(np.radians(5.02), 0.0, 0.0), np.zeros(3)))
+    with pytest.raises(NotExportable, match=r"turns the field by 5\.02°, more than 5° "):
+        EXPORTERS["px4"](turned)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("ardupilot", "RAW_IMU"), ("px4", "CAL_MAG0_ID"), ("vectornav", "identity")]
+)
+def test_what_the_numbers_rest_on_is_said(name, words):
+    text = EXPORTERS[name](calibration(Correction.identity()))
+    assert words in NOTES.get(name, text)
+    assert (name in NOTES) is not ("RESTS ON" in text)

@@ -1,0 +1,111 @@
+"""Reading a small file that may be anything: a pipe, a device, a folder, a gigabyte."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+from magcal_ros.files.atomic import FileTrouble
+
+PATIENCE = 5.0
+"""Seconds within which a disk answers that is there at all."""
+
+Result = TypeVar("Result")
+
+
+class NotOrdinary(ValueError):
+    """What lies there is no regular file, or larger than allowed; the text says which."""
+
+
+def read_small(path: Path, largest: int) -> bytes:
+    """Return the content of a regular file; nothing else is waited for.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    largest : int
+        Bytes that it may have.
+
+    Raises
+    ------
+    NotOrdinary
+        If it is a pipe, a device, a socket, or too large.
+    OSError
+        If it cannot be read.
+    """
+    with open_regular(path) as handle:
+        about = os.fstat(handle.fileno())
+        # The size may be wrong where a file is made as it is read (/proc), so both are looked at.
+        content = b"" if about.st_size > largest else handle.read(largest + 1)
+    if about.st_size > largest or len(content) > largest:
+        raise NotOrdinary(f"it is too large: more than {largest} bytes")
+    return content
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading; nothing else is waited for.
+
+    Raises
+    ------
+    NotOrdinary
+        If it is a pipe, a device or a socket.
+    OSError
+        If it cannot be read.
+    """
+    # Without O_NONBLOCK, opening a pipe waits for somebody who writes into it.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise NotOrdinary("it is not a regular file")
+
+
+def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
+    """Do what touches a disk, and give up waiting for a disk that does not answer.
+
+    A mount whose server is gone holds whoever touches it, for hours and beyond every signal: the
+    thread that does so stays behind.
+
+    Parameters
+    ----------
+    work : callable
+        What to do.
+    path : Path
+        For words.
+    patience : float
+        Seconds.
+
+    Raises
+    ------
+    FileTrouble
+        If it takes longer.
+    """
+    done: list[Result] = []
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:  # handed on to the caller's thread, whatever it is
+            failed.append(error)
+
+    thread = threading.Thread(target=run, name="disk", daemon=True)
+    thread.start()
+    thread.join(patience)
+    if failed:
+        raise failed[0]
+    if not done:
+        raise FileTrouble(
+            f"{path} does not answer within {patience:g} s: is it on a disk or a network share "
+            "that is gone? Name another place with the parameter calibration_file"
+        )
+    return done[0]

@@ -1,0 +1,141 @@
+"""Bags read with ROS's own `rosbag2_py`, so that a robot needs nothing from elsewhere.
+
+It offers what `bags` needs of a reader, with the names that the library rosbags gives it. Held
+against the published source of rosbag2_py from Humble to Rolling: before Jazzy the metadata's
+duration is a `timedelta`, since then an `rclpy` Duration; Humble wants the storage named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from datetime import timedelta
+from pathlib import Path
+from struct import Struct
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.wire import CDR_START, is_plain_cdr
+
+STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+
+HEADER = Struct("<iII")
+"""Stamp and length of the frame, from where CDR counts its alignment."""
+
+PLACE = Struct("<3d")
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+
+
+class Channel(NamedTuple):
+    """A topic of the bag."""
+
+    id: str
+    topic: str
+    msgtype: str
+    msgcount: int
+
+
+class RosReader:
+    """An open rosbag2.
+
+    Parameters
+    ----------
+    path : Path
+        Folder with metadata.yaml, or a single .mcap or .db3.
+    library : module
+        `rosbag2_py`.
+
+    Raises
+    ------
+    RuntimeError
+        Where the library cannot read it.
+    """
+
+    is2 = True
+
+    def __init__(self, path: Path, library: Any) -> None:
+        self._path, self._library = path, library
+        self._metadata = library.Info().read_metadata(str(path), _storage_of(path))
+        self.message_count = int(self._metadata.message_count)
+        self.connections = [
+            Channel(about.name, about.name, about.type, int(topic.message_count))
+            for topic in self._metadata.topics_with_message_count
+            for about in (topic.topic_metadata,)
+        ]
+        # The metadata's own start is rounded to microseconds before Jazzy.
+        first = next(self._everything(self.connections), None)
+        self.start_time = 0 if first is None else first[2]
+        self.end_time = self.start_time + _nanoseconds(self._metadata.duration) + 1
+
+    def messages(
+        self, connections: Iterable[Channel], start: int, stop: int
+    ) -> Iterator[tuple[Channel, int, bytes]]:
+        """Yield channel, time of recording in ns and bytes from `start` to before `stop`."""
+        channels = {channel.topic: channel for channel in connections}
+        for topic, data, stamp in self._everything(channels.values()):
+            if stamp >= stop:
+                # Messages are written as they come: a later one may be a little older.
+                if stamp >= stop + LATE:
+                    return
+            elif stamp >= start and topic in channels:
+                yield channels[topic], stamp, data
+
+    def deserialize(self, data: bytes, msgtype: str) -> Any:
+        """Return a NavSatFix; the sensors' own messages are read from their bytes.
+
+        Raises
+        ------
+        FileTrouble
+            For anything else, and for a foreign byte order.
+        """
+        if msgtype != FIX_TYPE or not is_plain_cdr(data):
+            raise FileTrouble(
+                f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
+                "Python library rosbags is installed and ROS is not"
+            )
+        return _fix(data)
+
+    def _everything(self, channels: Iterable[Channel]) -> Iterator[tuple[str, bytes, int]]:
+        library = self._library
+        storage = self._metadata.storage_identifier or _storage_of(self._path)
+        is_packed = bool(self._metadata.compression_mode or self._metadata.compression_format)
+        kind = library.SequentialCompressionReader if is_packed else library.SequentialReader
+        reader = kind()
+        reader.open(
+            library.StorageOptions(uri=str(self._path), storage_id=storage),
+            library.ConverterOptions("cdr", "cdr"),
+        )
+        reader.set_filter(library.StorageFilter(topics=[channel.topic for channel in channels]))
+        while reader.has_next():
+            yield reader.read_next()
+
+
+LATE = 5_000_000_000
+"""Nanoseconds after the end of a span within which a message of the span may still come."""
+
+
+def _storage_of(path: Path) -> str:
+    """Return the storage by the file's name; a folder's metadata tells it."""
+    return STORAGES.get(path.suffix, "") if path.is_file() else ""
+
+
+def _nanoseconds(duration: Any) -> int:
+    if isinstance(duration, timedelta):
+        return round(duration.total_seconds() * 1e9)
+    return int(duration.nanoseconds)
+
+
+def _fix(data: bytes) -> SimpleNamespace:
+    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
+    end = CDR_START + HEADER.size + length
+    status = int.from_bytes(data[end : end + 1], "little", signed=True)
+    # The service after the status is aligned to two bytes, the doubles after it to eight.
+    after = end + 1 + (CDR_START - end - 1) % 2 + 2
+    latitude, longitude, altitude = PLACE.unpack_from(data, after + (CDR_START - after) % 8)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
+        status=SimpleNamespace(status=status),
+        latitude=latitude,
+        longitude=longitude,
+        altitude=altitude,
+    )
