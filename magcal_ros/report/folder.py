@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import re
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.atomic import UNFINISHED, FileTrouble
+from magcal_ros.report.write import PAGE, SAMPLES
+
+IN_FORCE = "in_force.txt"
+"""Marks the report of a turn whose calibration was put in force."""
+
+DATED = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:-(\d+))?")
 
 
 def new_folder(parent: Path, created: datetime) -> Path:
@@ -46,3 +54,45 @@ def new_folder(parent: Path, created: datetime) -> Path:
             "Choose a writable place, or mend its permissions."
         ) from error
     raise AssertionError("counting does not end")
+
+
+def mark_in_force(folder: Path) -> None:
+    """Keep a report for good: what it tells of is, or was, in force.
+
+    Raises
+    ------
+    OSError
+        If the mark cannot be made.
+    """
+    (folder / IN_FORCE).write_text("put in force: kept when older reports are removed\n")
+
+
+def remove_old(parent: Path, keep: int) -> None:
+    """Remove the oldest reports; those that were put in force stay, and whatever is not ours.
+
+    Parameters
+    ----------
+    parent : Path
+        Holds the folders that `new_folder` made.
+    keep : int
+        How many of those that were not put in force may stay.
+    """
+    with contextlib.suppress(OSError):
+        found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name)]
+        mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists() and not f.is_symlink()]
+        for folder in mere[: max(len(mere) - keep, 0)]:
+            remove(folder)
+
+
+def remove(folder: Path) -> None:
+    """Remove a report's own files, and its folder unless somebody put more into it."""
+    with contextlib.suppress(OSError):
+        for path in (folder / PAGE, folder / SAMPLES, *folder.glob(f".*{UNFINISHED}")):
+            path.unlink(missing_ok=True)
+        folder.rmdir()
+
+
+def _age(folder: Path) -> tuple[str, int]:
+    found = DATED.fullmatch(folder.name)
+    assert found is not None
+    return found[1], int(found[2] or 1)

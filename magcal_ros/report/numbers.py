@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.figures import common_figures
+from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.verdict import THRESHOLDS
 
 DEGREES = 180.0 / math.pi
 MICRO = 1e6
@@ -33,39 +34,42 @@ class Unit:
     unit: str = ""
 
 
-FIGURES: dict[str, Unit] = {
-    t.figure: Unit(t.words.removesuffix(" by"), t.scale, t.unit) for t in THRESHOLDS
+FIGURES: dict[Figure, Unit] = {
+    b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
 } | {
-    "heading_sigma_tilted": Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
-    "steady_pull": Unit("steady pull taken off the accelerometer", DEGREES, "°"),
-    "inlier_fraction": Unit("samples that were believed", 100.0, "%"),
-    "circle_radius": Unit("radius of the field's circle", MICRO, " µT"),
-    "radius_ratio": Unit("circle radius over the reference's"),
-    "ellipse_ratio": Unit("ellipse in the turn's plane, longer axis over shorter"),
-    "split_half": Unit("headings from the two halves of the turn differ by", DEGREES, "°"),
-    "axis_tilt": Unit("turn's axis off the vertical", DEGREES, "°"),
-    "axial_field": Unit("field along the turn's axis, positive downwards", MICRO, " µT"),
-    "axial_hard_iron": Unit("hard iron along the turn's axis, positive downwards", MICRO, " µT"),
-    "accelerometer_spread_over_noise": Unit("accelerometer's spread over six times its noise"),
-    "field_spread_over_noise": Unit("field's spread over six times its noise"),
-    "rival_roll": Unit("second solution, installation roll", DEGREES, "°"),
-    "rival_pitch": Unit("second solution, installation pitch", DEGREES, "°"),
-    "rival_angle": Unit("second solution, installation angle", DEGREES, "°"),
-    "rival_gap": Unit("heading between this and a rival solution", DEGREES, "°"),
-    "field_noise_ratio": Unit("noise of the field over its strength", 100.0, "%"),
-    "up_noise": Unit("noise of up", DEGREES, "°"),
-    "kappa": Unit("samples per independent sample"),
-    "wobble": Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
-    "soft_iron": Unit("soft iron was fitted (1 yes, 0 no)"),
-    "soft_iron_gain": Unit("fall of chi-square by soft iron"),
-    "gyro_carried": Unit("gyro carried the attitude (1 yes, 0 no)"),
-    "turns": Unit("turns that were joined"),
-    "turn_misfit": Unit("worst turn off the others, as many times as noise explains"),
-    "field_scale": Unit("field scale inside the fit", MICRO, " µT"),
+    Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
+    Figure.GYRO_GAP: Unit("heading between fits with the gyro and without", DEGREES, "°"),
+    Figure.STEADY_PULL: Unit("steady pull taken off the accelerometer", DEGREES, "°"),
+    Figure.INLIER_FRACTION: Unit("samples that were believed", 100.0, "%"),
+    Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
+    Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
+    Figure.ELLIPSE_RATIO: Unit("ellipse in the turn's plane, longer axis over shorter"),
+    Figure.SPLIT_HALF: Unit("headings from the two halves of the turn differ by", DEGREES, "°"),
+    Figure.AXIS_TILT: Unit("turn's axis off the vertical", DEGREES, "°"),
+    Figure.AXIAL_FIELD: Unit("field along the turn's axis, positive downwards", MICRO, " µT"),
+    Figure.AXIAL_HARD_IRON: Unit(
+        "hard iron along the turn's axis, positive downwards", MICRO, " µT"
+    ),
+    Figure.ACCELEROMETER_SPREAD: Unit("accelerometer's spread over six times its noise"),
+    Figure.FIELD_SPREAD: Unit("field's spread over six times its noise"),
+    Figure.RIVAL_ROLL: Unit("second solution, installation roll", DEGREES, "°"),
+    Figure.RIVAL_PITCH: Unit("second solution, installation pitch", DEGREES, "°"),
+    Figure.RIVAL_ANGLE: Unit("second solution, installation angle", DEGREES, "°"),
+    Figure.RIVAL_GAP: Unit("heading between this and a rival solution", DEGREES, "°"),
+    Figure.FIELD_NOISE_RATIO: Unit("noise of the field over its strength", 100.0, "%"),
+    Figure.UP_NOISE: Unit("noise of up", DEGREES, "°"),
+    Figure.KAPPA: Unit("samples per independent sample"),
+    Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
+    Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),
+    Figure.SOFT_IRON_GAIN: Unit("fall of chi-square by soft iron"),
+    Figure.GYRO_CARRIED: Unit("gyro carried the attitude (1 yes, 0 no)"),
+    Figure.TURNS: Unit("turns that were joined"),
+    Figure.TURN_MISFIT: Unit("worst turn off the others, as many times as noise explains"),
+    Figure.FIELD_SCALE: Unit("field scale inside the fit", MICRO, " µT"),
 }
 for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
     for _axis in "xyz":
-        FIGURES[f"{_sensor}_range_{_axis}"] = Unit(
+        FIGURES[Figure(f"{_sensor}_range_{_axis}")] = Unit(
             f"{_sensor}'s range along {_axis}, de-rotated", _scale, _unit
         )
 
@@ -75,7 +79,7 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     figures = common_figures(estimate) | dict(estimate.figures)
     sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0)) * MICRO
     iron = estimate.correction.hard_iron * MICRO
-    level, tilted = figures["heading_sigma"], figures["heading_sigma_tilted"]
+    level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
     rows = [
         Row("heading error on the level (1σ)", f"±{level * DEGREES:.2f}°"),
         Row("heading error at 10° of tilt (1σ)", f"±{tilted * DEGREES:.2f}°"),
@@ -87,8 +91,8 @@ def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
     if estimate.installation is not None:
         rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
         rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
-    if "installation_yaw_sigma" in figures and estimate.installation is not None:
-        yaw, off = estimate.installation.yaw, figures["installation_yaw_sigma"]
+    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
+        yaw, off = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
         words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
         rows.append(Row("installation yaw (±1σ)", words))
     believed = int(np.count_nonzero(estimate.inliers))
@@ -113,11 +117,11 @@ def all_numbers(estimate: Estimate) -> list[Row]:
     return rows + [figure_row(name, value) for name, value in figures.items()]
 
 
-def figure_row(name: str, value: float) -> Row:
+def figure_row(name: Figure, value: float) -> Row:
     """Name one figure; a name that is not known is shown as it is, in SI."""
     unit = FIGURES.get(name)
     if unit is None:
-        return Row(name.replace("_", " "), f"{value:.6g} (SI)")
+        return Row(str(name).replace("_", " "), f"{value:.6g} (SI)")
     return Row(unit.words, f"{value * unit.scale:.4g}{unit.unit}")
 
 

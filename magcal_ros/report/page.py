@@ -10,11 +10,12 @@ import numpy as np
 import scipy
 
 from magcal_ros import __version__
-from magcal_ros.core.verdict import Check, Grade, Verdict
+from magcal_ros.core.assessment.grading import Check, Grade, worst
+from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.figures.gallery import Picture
 from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
 from magcal_ros.report.recipe import recipe
-from magcal_ros.report.several import several_section
 from magcal_ros.report.style import CSS
 from magcal_ros.report.subject import Subject
 from magcal_ros.report.turn import Turn
@@ -45,7 +46,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     if estimate is not None:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
     if outcome.several is not None:
-        parts.append(several_section(outcome.several))
+        parts.append(_several(outcome.several))
     parts.append(_pictures(pictures))
     parts.append('<div class="tables">')
     parts.append(_not_shown(outcome.verdict, estimate is not None))
@@ -81,10 +82,10 @@ def _chip(grade: Grade, words: str = "") -> str:
 
 
 def _verdict(verdict: Verdict, by_hand: bool) -> str:
-    worst = max((verdict.quality, verdict.confidence), key=lambda grade: grade.rank)
+    grade = worst([verdict.quality, verdict.confidence])
     note = "<p>A person put it in force against this verdict.</p>" if by_hand else ""
     return (
-        f'<section class="verdict {worst.value}"><div class="grades">'
+        f'<section class="verdict {grade.value}"><div class="grades">'
         f"{_chip(verdict.quality, 'quality ')}{_chip(verdict.confidence, 'confidence ')}</div>"
         f'<p id="summary">{escape(verdict.summary)}</p>{note}</section>'
     )
@@ -95,6 +96,22 @@ def _key(rows: Iterable[Row]) -> str:
         f"<div><dt>{escape(row.words)}</dt><dd>{escape(row.value)}</dd></div>" for row in rows
     )
     return f'<dl class="key">{cells}</dl>'
+
+
+def _several(several: Several) -> str:
+    """Return what became of each turn, what is shown, and what the next should be."""
+    rows = "".join(
+        f"<tr><td>{escape(fate.name)}</td><td>{'joined' if fate.joined else 'left out'}</td>"
+        f"<td>{escape(fate.words)}</td></tr>"
+        for fate in several.fates
+    )
+    return (
+        '<section id="several"><h2>Turns put together</h2>'
+        '<table class="checks"><tr><th>turn</th><th>fate</th><th>what it shows</th></tr>'
+        f"{rows}</table>"
+        f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
+        f"<p>{escape(several.advice_in_words)}</p></section>"
+    )
 
 
 def _pictures(pictures: Sequence[Picture]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 
 

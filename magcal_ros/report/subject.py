@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,10 +24,10 @@ class Subject:
         What came of it; a refusal is reported too.
     source : str
         Where the samples came from: topics, or a recording. Any text: it is escaped.
-    created : datetime
-        When the calibration was made.
     method : str
         Name of the method.
+    created : datetime
+        When the calibration was made; this moment unless given.
     title : str
         Headline of the report.
     magnetometer_frame, imu_frame : str
@@ -38,8 +38,8 @@ class Subject:
     knowledge: Knowledge
     outcome: Outcome
     source: str
-    created: datetime
     method: str
+    created: datetime = field(default_factory=lambda: datetime.now().astimezone())
     title: str = "Compass calibration"
     magnetometer_frame: str = ""
     imu_frame: str = ""

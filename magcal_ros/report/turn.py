@@ -7,19 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import BoolArray, FloatArray, IntArray
-from magcal_ros.core.attitude import (
+from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
     unit,
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.coverage import Coverage, yaw_progress
-from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.heading import Compass
-from magcal_ros.core.window import Window
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.samples.coverage import Coverage, yaw_progress
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.up.windows import propagated_up
 from magcal_ros.report.subject import Subject
 
 MOST_POINTS = 400
@@ -95,6 +98,9 @@ class Turn:
         Which part of the turn was seen.
     corrected : Corrected or None
         None if nothing could be found.
+    swing_bound : float or None
+        Degrees rms up to which the compass's swing against the gyro is called good; None where
+        it was not judged.
     """
 
     time: FloatArray
@@ -106,6 +112,7 @@ class Turn:
     believed: BoolArray
     coverage: Coverage
     corrected: Corrected | None
+    swing_bound: float | None = None
 
     @classmethod
     def of(cls, subject: Subject) -> Turn:
@@ -113,13 +120,18 @@ class Turn:
         window, estimate = subject.window, subject.outcome.estimate
         field = window.field @ subject.knowledge.mounting.to_body.T
         up = unit(window.specific_force)
-        progress = _progress(window, field)
-        gyro = _gyro_angle(window, up)
+        # The heading is published with the up that the gyro propagates, so it is judged by that.
+        level = up if estimate is None else propagated_up(window)
+        progress = None
+        if window.field.any() and window.specific_force.any():
+            rate = window.angular_rate
+            progress = yaw_progress(window.time, field, window.specific_force, rate)
+        gyro = _gyro_angle(window, level)
         corrected = None
         believed = np.ones(len(window), dtype=np.bool_)
         if estimate is not None:
             believed = np.asarray(estimate.inliers)
-            corrected = _correct(subject, estimate, up, gyro)
+            corrected = _correct(subject, estimate, level, gyro)
         angle = gyro
         if angle is None and corrected is not None:
             angle = np.asarray(corrected.reference - corrected.reference[0])
@@ -127,12 +139,13 @@ class Turn:
             time=np.asarray(window.time - window.time[0]) if len(window) else window.time,
             field=np.asarray(field),
             up=up,
-            yaw=yaw_from_up_and_field(up, field),
+            yaw=yaw_from_up_and_field(level, field),
             angle=progress if angle is None else angle,
             has_gyro=gyro is not None,
             believed=believed,
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
+            swing_bound=_swing_bound(subject.outcome.verdict),
         )
 
     def rows(self, mask: BoolArray | None = None, most: int = MOST_POINTS) -> IntArray:
@@ -143,10 +156,10 @@ class Turn:
         return np.asarray(rows, dtype=np.int64)
 
 
-def _progress(window: Window, field: FloatArray) -> FloatArray | None:
-    if not window.field.any() or not window.specific_force.any():
-        return None
-    return yaw_progress(window.time, field, window.specific_force, window.angular_rate)
+def _swing_bound(verdict: Verdict) -> float | None:
+    compared = (Figure.GYRO_COMPASS_SWING, Figure.GYRO_COMPASS_DIFFERENCE)
+    bounds = (check.bound for check in verdict.checks if check.figure in compared)
+    return next((bound.good for bound in bounds if bound is not None), None)
 
 
 def _gyro_angle(window: Window, up: FloatArray) -> FloatArray | None:
@@ -169,7 +182,9 @@ def _correct(
     window = subject.window
     calibration = subject.outcome.calibration
     if calibration is None:
-        calibration = Calibration.from_estimate(estimate, subject.outcome.verdict)
+        calibration = Calibration.from_estimate(
+            estimate, subject.outcome.verdict.evidence(estimate)
+        )
     field = estimate.correction.apply(window.field)
     yaw = yaw_from_up_and_field(up, field)
     residual = estimate.residual @ estimate.correction.matrix.T
@@ -181,7 +196,7 @@ def _correct(
         field=field,
         circle=_ideal_circle(estimate, up, field),
         yaw=yaw,
-        sigma=_published_sigma(calibration, window, field),
+        sigma=_published_sigma(calibration, up, field),
         reference=_reference(window.time, yaw, gyro, np.asarray(estimate.inliers)),
         radial=np.einsum("ni,ni->n", residual, outward),
         axial=np.asarray(axial),
@@ -204,11 +219,11 @@ def _ideal_circle(estimate: Estimate, up: FloatArray, field: FloatArray) -> Floa
     return np.asarray(ring + along * estimate.axis)
 
 
-def _published_sigma(calibration: Calibration, window: Window, field: FloatArray) -> FloatArray:
+def _published_sigma(calibration: Calibration, up: FloatArray, field: FloatArray) -> FloatArray:
     compass = Compass(calibration)
     headings = [
-        compass.heading((m[0], m[1], m[2]), (f[0], f[1], f[2]))
-        for m, f in zip(field.tolist(), window.specific_force.tolist(), strict=True)
+        compass.heading((m[0], m[1], m[2]), (u[0], u[1], u[2]))
+        for m, u in zip(field.tolist(), up.tolist(), strict=True)
     ]
     return np.array([math.nan if h is None else math.sqrt(h.yaw_variance) for h in headings])
 

@@ -8,8 +8,9 @@ import pytest
 from browser import Browser, find_browser
 from subjects import good, refused, troubled
 
+from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.verdict import THRESHOLDS, judge
 from magcal_ros.report import write_report
 
 PROGRAM = find_browser()
@@ -22,7 +23,7 @@ def wordy():
     """As much text as a report can hold: every check falls short, and the names are long."""
     subject = troubled()
     figures = dict(subject.outcome.estimate.figures)
-    figures |= {t.figure: 3.0 * t.good / t.scale for t in THRESHOLDS}
+    figures |= {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}
     inliers = np.arange(len(subject.window)) % 20 > 0
     estimate = replace(subject.outcome.estimate, figures=figures, inliers=inliers)
     outcome = Outcome(judge(estimate, subject.knowledge), None, estimate)

@@ -25,6 +25,9 @@ SPHERE = "#B8B8B8"
 
 MICRO = 1e6
 
+SIZE = (4.9, 5.5)
+"""Width and height of every picture, inches."""
+
 STYLE: dict[str, Any] = {
     "axes.edgecolor": "#666666",
     "axes.grid": True,
@@ -46,7 +49,7 @@ STYLE: dict[str, Any] = {
 _DRAWING = threading.Lock()
 
 
-def draw_svg(draw: Draw, turn: Turn, size: tuple[float, float], name: str, words: str) -> str:
+def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
     """Draw a picture.
 
     Parameters
@@ -55,8 +58,6 @@ def draw_svg(draw: Draw, turn: Turn, size: tuple[float, float], name: str, words
         Draws the turn on a figure.
     turn : Turn
         What to draw.
-    size : tuple of float
-        Width and height, inches.
     name : str
         Distinguishes the picture's ids from those of others on the same page.
     words : str
@@ -77,7 +78,7 @@ def draw_svg(draw: Draw, turn: Turn, size: tuple[float, float], name: str, words
 
     style: Any = STYLE | {"svg.hashsalt": name}
     with _DRAWING, matplotlib.rc_context(style):
-        figure = Figure(figsize=size)
+        figure = Figure(figsize=SIZE)
         draw(figure, turn)
         target = io.StringIO()
         figure.savefig(target, format="svg", metadata=dict.fromkeys(_METADATA), transparent=True)

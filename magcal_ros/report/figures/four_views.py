@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.report.figures.canvas import (
     CORRECTED,
     IDEAL,
@@ -23,7 +23,6 @@ from magcal_ros.report.turn import Turn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE = (4.9, 5.5)
 POINTS = 200
 """Of each cloud in each of the four views."""
 

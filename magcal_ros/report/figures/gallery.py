@@ -10,8 +10,8 @@ from magcal_ros.report.figures.canvas import Draw, draw_svg
 from magcal_ros.report.turn import Turn
 
 NO_MATPLOTLIB = (
-    "No picture: matplotlib is not installed. Install it with pip install 'magcal_ros[report]' "
-    "or apt install python3-matplotlib, and make the report again from samples.csv."
+    "No picture: matplotlib is not installed. Install python3-matplotlib with apt, or matplotlib "
+    "with pip in a virtual environment, and make the report again from samples.csv."
 )
 
 
@@ -46,13 +46,12 @@ class Plan:
     title: str
     draw: Draw
     caption: Callable[[Turn], str]
-    size: tuple[float, float]
 
 
-VIEWS = Plan("views", "The turn in space", four_views.draw, four_views.caption, four_views.SIZE)
-AROUND = Plan("around", "Around the turn", residuals.draw, residuals.caption, residuals.SIZE)
-HEADING = Plan("heading", "Heading before and after", heading.draw, heading.caption, heading.SIZE)
-GYRO = Plan("gyro", "Gyro against compass", gyro.draw, gyro.caption, gyro.SIZE)
+VIEWS = Plan("views", "The turn in space", four_views.draw, four_views.caption)
+AROUND = Plan("around", "Around the turn", residuals.draw, residuals.caption)
+HEADING = Plan("heading", "Heading before and after", heading.draw, heading.caption)
+GYRO = Plan("gyro", "Gyro against compass", gyro.draw, gyro.caption)
 
 NO_GYRO = Picture(
     GYRO.name,
@@ -76,7 +75,7 @@ def pictures(turn: Turn) -> list[Picture]:
 def _picture(turn: Turn, plan: Plan) -> Picture:
     words = plan.caption(turn)
     try:
-        svg = draw_svg(plan.draw, turn, plan.size, plan.name, plan.title)
+        svg = draw_svg(plan.draw, turn, plan.name, plan.title)
         return Picture(plan.name, plan.title, words, svg)
     except ImportError:
         return Picture(plan.name, plan.title, words, missing=NO_MATPLOTLIB)

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import wrap_angle
-from magcal_ros.core.verdict import THRESHOLDS
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.report.figures.canvas import CORRECTED, IDEAL, RAW
 from magcal_ros.report.turn import Corrected, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE = (4.9, 5.5)
 BINS = 24
 POINTS_OF_COMPASS = {-180: "W", -90: "S", 0: "E", 90: "N", 180: "W"}
 
@@ -30,10 +28,13 @@ def draw(figure: Figure, turn: Turn) -> None:
     figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
     before, after = deviations(turn, corrected)
     _draw_card(upper, before, RAW, "^", "before the correction")
-    bound = next(t.good for t in THRESHOLDS if t.figure == "gyro_compass_rms")
-    title = f"after the correction (grey: good, ±{bound:g}° rms)"
+    title = "after the correction"
+    bound = turn.swing_bound
+    if bound is not None:
+        title += f" (grey: good, ±{bound:g}° rms)"
     _draw_card(lower, after, CORRECTED, "o", title)
-    _draw_bound(lower, after, bound)
+    if bound is not None:
+        _draw_bound(lower, after, bound)
     lower.set_xticks(list(POINTS_OF_COMPASS))
     lower.set_xticklabels([f"{yaw}°\n{point}" for yaw, point in POINTS_OF_COMPASS.items()])
     lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
@@ -44,28 +45,34 @@ def caption(turn: Turn) -> str:
     if turn.corrected is None:
         return ""
     worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, turn.corrected)[1]))))
+    swing = turn.corrected.estimate.swing
+    judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
     return (
         "The gyro knows nothing of magnetism, so it shows what a clean circle hides: where steel "
         "near by bends the field, the compass swings once or twice around the turn. A flat blue "
-        f"line is good; here it swings by up to {worst:.1f}°. Each mark is the mean over 15° of "
-        "heading; the gyro's own bias and scale are taken off."
+        f"line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean over "
+        "15° of heading; the gyro's own bias and scale are taken off."
     )
 
 
 def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
-    """Return the mean deviation before and after at 24 headings, radians; NaN where none was."""
-    yaw = wrap_angle(corrected.reference)
-    where = ((yaw + math.pi) * (BINS / math.tau)).astype(int) % BINS
-    return (
-        _means(wrap_angle(turn.yaw - corrected.reference), where, turn.believed),
-        _means(corrected.deviation, where, turn.believed),
-    )
+    """Return the mean deviation before and after at 24 headings, radians; NaN where none was.
+
+    Afterwards it is what the verdict is on, where it is on any.
+    """
+    reference, believed = corrected.reference, turn.believed
+    before = _means(wrap_angle(turn.yaw - reference)[believed], reference[believed])
+    swing = corrected.estimate.swing
+    if swing is not None:
+        return before, _means(swing.deviation, swing.heading)
+    return before, _means(corrected.deviation[believed], reference[believed])
 
 
-def _means(deviation: FloatArray, where: Any, believed: Any) -> FloatArray:
+def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
+    where = ((wrap_angle(heading) + math.pi) * (BINS / math.tau)).astype(int) % BINS
     found = np.full(BINS, np.nan)
     for number in range(BINS):
-        here = believed & (where == number)
+        here = where == number
         if here.any():
             found[number] = np.angle(np.mean(np.exp(1j * deviation[here])))
     return found

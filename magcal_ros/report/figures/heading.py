@@ -12,8 +12,6 @@ from magcal_ros.report.turn import Corrected, Turn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE = (4.9, 5.5)
-
 
 def draw(figure: Figure, turn: Turn) -> None:
     """Draw the headings over the turn, and how far the corrected one strays from it."""

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.coverage import BINS
-from magcal_ros.report.figures import raw_field
+from magcal_ros.core.samples.coverage import BINS
 from magcal_ros.report.figures.canvas import (
     CORRECTED,
     IDEAL,
     MICRO,
     ODD,
     RAW,
+    UP,
     dots,
     legend_below,
 )
@@ -23,7 +23,12 @@ from magcal_ros.report.turn import Corrected, Turn
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SIZE = (4.9, 5.5)
+RAW_FIELD = (
+    "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
+    "mean that the robot stood, or that the sensor does not feel the field; jumps mean that "
+    "something magnetic switched."
+)
+"""What its picture says to someone who is no expert."""
 
 
 def draw(figure: Figure, turn: Turn) -> None:
@@ -32,7 +37,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     _draw_ring(figure.add_axes((0.29, 0.625, 0.42, 0.3), projection="polar"), turn)
     axes = figure.add_axes((0.155, 0.175, 0.825, 0.345))
     if corrected is None:
-        raw_field.draw(axes, turn)
+        _draw_raw_field(axes, turn)
     else:
         _draw_residuals(axes, turn, corrected)
     legend_below(figure, axes, columns=3 if corrected is None else 2)
@@ -43,7 +48,7 @@ def caption(turn: Turn) -> str:
     hole = turn.coverage.hole_in_words or "nothing of the turn is missing"
     ring = f"The ring shows which headings were seen, counted from the start: {hole}."
     if turn.corrected is None:
-        return f"{ring} {raw_field.WORDS}"
+        return f"{ring} {RAW_FIELD}"
     return (
         f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
         "grey band is sensor noise; waves tell of iron that turns with the robot, bumps of "
@@ -76,6 +81,16 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.spines["polar"].set_visible(False)
     seen = f"{math.degrees(turn.coverage.arc):.0f}°\nseen"
     axes.text(0.0, 0.0, seen, ha="center", va="center", fontsize=9.5)
+
+
+def _draw_raw_field(axes: Any, turn: Turn) -> None:
+    """Draw the three components over time, for a turn from which nothing could be found."""
+    rows = turn.rows()
+    looks = (("x forward", RAW, "^"), ("y left", CORRECTED, "o"), ("z up", UP, "s"))
+    for number, (words, colour, marker) in enumerate(looks):
+        values = MICRO * turn.field[rows, number]
+        dots(axes, turn.time[rows], values, color=colour, marker=marker, label=words)
+    axes.set(xlabel="time since the first sample [s]", ylabel="raw field [µT]")
 
 
 def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:

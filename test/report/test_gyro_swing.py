@@ -1,0 +1,75 @@
+"""What a person sees of gyro against compass is what was judged."""
+
+import math
+
+import numpy as np
+import pytest
+from drives import ROBOT
+
+from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import measure, turn
+from magcal_ros.report.figures.gyro import caption, deviations
+from magcal_ros.report.subject import Subject
+from magcal_ros.report.turn import Turn
+
+
+def shown(window, knowledge):
+    outcome = calibrate(window, knowledge)
+    subject = Subject(window, knowledge, outcome, "here", "maximum_likelihood")
+    return outcome, Turn.of(subject)
+
+
+def drawn_rms(picture):
+    drawn = np.degrees(deviations(picture, picture.corrected)[1])
+    return float(np.sqrt(np.nanmean(drawn**2)))
+
+
+def read(folder):
+    imu, mag = (
+        np.genfromtxt(folder / f"{part}.csv", delimiter=",", skip_header=1)
+        for part in ("imu", "mag")
+    )
+    motion = np.column_stack([np.interp(mag[:, 0], imu[:, 0], imu[:, c]) for c in range(1, 7)])
+    return Window(mag[:, 0], mag[:, 1:4], motion[:, :3], motion[:, 3:])
+
+
+def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recording):
+    """Its accelerometer leans by 7 degrees, which turns the compass without it by 16."""
+    window = read(recording("car_circles_neu2025_kiran"))
+    outcome, picture = shown(window, Knowledge())
+    judged = math.degrees(outcome.estimate.figures[Figure.GYRO_COMPASS_SWING])
+    assert drawn_rms(picture) == pytest.approx(judged, rel=0.3)
+    assert f"{judged:.1f}° rms, which is judged" in caption(picture)
+
+
+@pytest.mark.parametrize("swing_deg", [6.0, 12.0])
+def test_a_distorted_room_is_drawn_as_it_is_judged(swing_deg):
+    rng = np.random.default_rng(4)
+    motion = turn()
+    clean = measure(ROBOT, motion, rng, gyro=True)
+    angle = math.radians(swing_deg) * np.sin(np.linspace(0.0, math.tau, len(clean)))
+    east, north, up = ROBOT.field_enu
+    bent = np.column_stack(
+        [
+            np.cos(angle) * east - np.sin(angle) * north,
+            np.sin(angle) * east + np.cos(angle) * north,
+            np.full(len(clean), up),
+        ]
+    )
+    field = ROBOT.raw_field(np.einsum("nij,nj->ni", motion.attitude, bent))
+    window = Window(clean.time, field, clean.specific_force, clean.angular_rate)
+    outcome, picture = shown(window, ROBOT.knowledge())
+    judged = math.degrees(outcome.estimate.figures[Figure.GYRO_COMPASS_SWING])
+    assert judged > 2.0
+    assert drawn_rms(picture) == pytest.approx(judged, rel=0.15)
+    bound = next(b for b in TURN_BOUNDS if b.figure is Figure.GYRO_COMPASS_SWING)
+    assert picture.swing_bound == bound.good
+
+
+def test_what_was_not_judged_has_no_bound():
+    window = measure(ROBOT, turn(), np.random.default_rng(4), gyro=False)
+    assert shown(window, ROBOT.knowledge())[1].swing_bound is None
