@@ -10,7 +10,8 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.calibrators import find_calibrator, node_name
+from magcal_ros.cli.common import Exit
 from magcal_ros.cli.graph import joined
 from magcal_ros.cli.live_view import View, best_view, progress_of, turns_itself
 from magcal_ros.core.errors import MagcalError
@@ -18,6 +19,12 @@ from magcal_ros.files.plain import plain
 
 LONGEST_ANSWER = 5000
 """Characters of the node's answer that are printed."""
+
+SILENT_AFTER = 6.0
+"""Seconds without status and diagnostics, which come every second, after which a node is gone."""
+
+TO_CANCEL = 1.0
+"""Seconds that the node has to answer ~/cancel."""
 
 STATUS_WITHIN = 5.0
 """Seconds within which a running node tells its status, discovery included."""
@@ -31,7 +38,11 @@ def add_to(commands: Any) -> None:
         description="Look at the sensors, call ~/calibrate of a running calibrator node and show "
         "the turn as it is seen. Ctrl-C cancels.",
     )
-    parser.add_argument("--node", default="/calibrator", help="the node (default: /calibrator)")
+    parser.add_argument(
+        "--node",
+        type=node_name,
+        help="full name of the node (default: the only calibrator that is seen)",
+    )
     parser.add_argument(
         "--skip-preflight", action="store_true", help="do not look at the sensors first"
     )
@@ -40,9 +51,10 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate; the exit status says whether the calibration is in force."""
-    calibrator = "/" + options.node.strip("/")
     with joined("magcal_calibrate", []) as node:
         from magcal_ros.ros.preflight import inspect
+
+        calibrator = find_calibrator(node, options.node)
 
         if not options.skip_preflight:
             findings = inspect(node, calibrator)
@@ -59,33 +71,47 @@ class _Turn:
 
     def __init__(self, node: Any, calibrator: str) -> None:
         import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
         from std_msgs.msg import String
         from std_srvs.srv import Trigger
 
         from magcal_ros.ros.outputs import LATCHED
 
-        self._node = node
         self._calibrator = calibrator
-        self._trigger = Trigger
         self._status: str | None = None
         self._progress: dict[str, Any] | None = None
+        self._heard: float | None = None
         self._executor = rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(node)
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._clients = {
+            name: node.create_client(Trigger, f"{calibrator}/{name}")
+            for name in ("calibrate", "cancel")
+        }
+        self._request = Trigger.Request()
 
     def run(self, view: View) -> Any:
         self._warn_if_it_moves()
-        future = self._call("calibrate")
+        if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
+            raise MagcalError(
+                f"{self._calibrator}/calibrate does not answer: is the node running? "
+                "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
+            )
+        future = self._clients["calibrate"].call_async(self._request)
         with _interrupts_noted() as interrupted:
             with view:
                 while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
                     if self._progress is not None:
                         view.show(self._progress)
+                    self._require_life()
             if future.done():
                 return future.result()
             print("\ncancelling", flush=True)
-            self._executor.spin_until_future_complete(self._call("cancel"), timeout_sec=3.0)
+            if self._clients["cancel"].service_is_ready():
+                cancelled = self._clients["cancel"].call_async(self._request)
+                self._executor.spin_until_future_complete(cancelled, timeout_sec=TO_CANCEL)
         raise KeyboardInterrupt
 
     def _warn_if_it_moves(self) -> None:
@@ -101,18 +127,23 @@ class _Turn:
         elif turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
+    def _require_life(self) -> None:
+        """End where the node does: the middleware tells of a killed one much later, or never."""
+        if self._heard is not None and time.monotonic() - self._heard > SILENT_AFTER:
+            raise MagcalError(
+                f"{self._calibrator} has been silent for {SILENT_AFTER:.0f} s: it has ended or "
+                "hangs, and the turn is lost. Start it again, and calibrate again"
+            )
+
     def _on_status(self, message: Any) -> None:
+        self._heard = time.monotonic()
         self._status = message.data
         self._progress = progress_of(message.data)
 
-    def _call(self, service: str) -> Any:
-        client = self._node.create_client(self._trigger, f"{self._calibrator}/{service}")
-        if not client.wait_for_service(timeout_sec=5.0):
-            raise MagcalError(
-                f"{self._calibrator}/{service} does not answer: is the node running? "
-                "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
-            )
-        return client.call_async(self._trigger.Request())
+    def _on_diagnostics(self, message: Any) -> None:
+        begin = f"{self._calibrator.lstrip('/')}: "
+        if any(status.name.startswith(begin) for status in message.status):
+            self._heard = time.monotonic()
 
 
 @contextlib.contextmanager

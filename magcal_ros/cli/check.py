@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.exits import Exit
-from magcal_ros.cli.folders import new_or_named
-from magcal_ros.cli.printing import bullets, document, table
+from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
 from magcal_ros.cli.reference import add_reference_options
-from magcal_ros.core.applied import applied
 from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.holds import Check, State, check, up_of
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.reference import made_elsewhere
-from magcal_ros.core.window import Window
+from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
+from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.plain import plain
 from magcal_ros.report import Subject, write_report
@@ -63,13 +59,12 @@ def run(options: argparse.Namespace) -> int:
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
         print(document(content) if options.json else words.rstrip("\n"))
         return Exit.TOO_LITTLE_DATA
-    arc = gathered.gathering.progress().coverage.arc
-    outcome = applied(window, up_of(window), arc, calibration, result)
+    outcome = Outcome(result.verdict, calibration, result.estimate)
     report = write_report(folder, _subject(window, outcome, options, gathered))
     reference = gathered.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     print(document(facts) if options.json else f"{_words(result, notes)}\n\nReport: {report}")
-    return Exit.REFUSED if result.state is State.STALE else Exit.GOOD
+    return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
 
 
 def _subject(
@@ -82,7 +77,6 @@ def _subject(
         outcome,
         source=f"{plain(str(options.recording))}, checked against "
         f"{plain(str(options.calibration))}",
-        created=datetime.now().astimezone(),
         method=outcome.estimate.method,
         title="Compass check",
         magnetometer_frame=gathered.field_frame,
@@ -100,33 +94,37 @@ def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
     return []
 
 
-def _words(result: Check, notes: list[str]) -> str:
+def _words(result: Recheck, notes: list[str]) -> str:
     rows = [("", "before", "after", "unit", "")]
     rows += [
-        (f.name, f"{f.before:.2f}", f"{f.after:.2f}", f.unit, f.state.value)
+        (f.name, _number(f.before), _number(f.value), f.unit, STATES[f.grade])
         for f in result.findings
     ]
-    text = f"{result.summary}\n\n{table(rows)}\n"
-    text += bullets("Not shown by this recording:", result.not_shown)
+    text = f"{result.verdict.summary}\n\n{table(rows)}\n"
+    text += bullets("Not shown by this recording:", result.verdict.not_shown)
     text += bullets("About the recording:", notes)
     return text.rstrip("\n")
 
 
-def _facts(result: Check, notes: list[str]) -> dict[str, Any]:
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
     return {
-        "summary": result.summary,
-        "state": result.state.value,
+        "summary": result.verdict.summary,
+        "state": result.state,
         "findings": [
             {
-                "figure": f.figure,
-                "state": f.state.value,
+                "figure": f.key,
+                "state": STATES[f.grade],
                 "before": f.before,
-                "after": f.after,
+                "after": f.value,
                 "unit": f.unit,
                 "words": f.words,
             }
             for f in result.findings
         ],
-        "not_shown": list(result.not_shown),
+        "not_shown": list(result.verdict.not_shown),
         "about": notes,
     }

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
-from magcal_ros.core.figures import common_figures
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
 
 HEADER = (
     f"{'method':20s}{'verdict':>10s}{'hard iron x, y, z (µT)':>28s}{'heading ±':>11s}"
@@ -32,6 +33,6 @@ def _row(method: str, outcome: Outcome) -> str:
         return f"{method:20s}{accepted:>10s}{'-':>28s}{'-':>11s}{'-':>10s}"
     iron = ", ".join(f"{value * 1e6:.2f}" for value in estimate.correction.hard_iron)
     figures = common_figures(estimate) | dict(estimate.figures)
-    sigma = f"{math.degrees(figures['heading_sigma']):.2f}°"
-    residual = f"{100.0 * figures['residual_ratio']:.1f}%"
+    sigma = f"{math.degrees(figures[Figure.HEADING_SIGMA]):.2f}°"
+    residual = f"{100.0 * figures[Figure.RESIDUAL_RATIO]:.1f}%"
     return f"{method:20s}{accepted:>10s}{iron:>28s}{sigma:>11s}{residual:>10s}"

@@ -14,21 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.common import Exit
 from magcal_ros.cli.graph import joined, keep_traffic_here
 from magcal_ros.cli.live_view import Lines, line
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.correction import Correction
-from magcal_ros.core.rotations import rpy_from_rotation
-from magcal_ros.core.simulator import (
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rpy_from_rotation
+from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
     Robot,
     heading_errors,
     trial_attitudes,
 )
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.calibration_file import read_calibration, require_ours
 
 ROBOT = Robot(
     strength=48e-6,
@@ -64,6 +64,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the demo; the exit status says whether the heading came out right."""
+    require_ours(options.output)
     keep_traffic_here()
     print("A simulated robot whose compass is badly mounted and magnetised, and the real node.\n")
     process = _start_node(options.output)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.exits import Exit
+from magcal_ros.cli.common import Exit
 from magcal_ros.files.atomic import write_atomically
 from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.exporters import EXPORTERS
+from magcal_ros.files.exporters import EXPORTERS, NOTES
 
 
 def add_to(commands: Any) -> None:
@@ -36,4 +37,6 @@ def run(options: argparse.Namespace) -> int:
         print(text, end="")
     else:
         write_atomically(options.output, text)
+    if options.to in NOTES:
+        print(f"magcal: {options.to}: {NOTES[options.to]}", file=sys.stderr)
     return Exit.GOOD

@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
 from magcal_ros.cli.compare import compare_methods
-from magcal_ros.cli.exits import Exit
-from magcal_ros.cli.folders import new_or_named
-from magcal_ros.cli.printing import bullets, document, table
 from magcal_ros.cli.recorded import (
     Gathered,
     add_knowledge_options,
@@ -21,14 +18,15 @@ from magcal_ros.cli.recorded import (
     mounting_from,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.figures import common_figures
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.offline import LITTLE_DATA, fit_gathered, fit_several
-from magcal_ros.core.session import Progress
-from magcal_ros.core.several.keep import names_of
-from magcal_ros.core.window import Window
+from magcal_ros.core.multi_turn.keep import names_of
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
+from magcal_ros.core.session.session import Progress
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
 from magcal_ros.files.plain import plain
@@ -165,7 +163,6 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
         fitted.outcome,
         source=f"{', '.join(plain(str(path)) for path in options.recordings)} "
         f"({gathered.field_topic} and {gathered.imu_topic})",
-        created=datetime.now().astimezone(),
         method=options.method,
         magnetometer_frame=gathered.field_frame,
         imu_frame=gathered.imu_frame,
@@ -203,7 +200,7 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "confidence": verdict.confidence.value,
         "reason": outcome.reason.value if outcome.reason else None,
         "checks": [
-            {"figure": c.figure, "aspect": c.aspect.value, "grade": c.grade.value, "words": c.words}
+            {"figure": c.key, "aspect": c.aspect.value, "grade": c.grade.value, "words": c.words}
             for c in verdict.checks
         ],
         "not_shown": list(verdict.not_shown),
@@ -246,9 +243,9 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
             angle = math.degrees(getattr(estimate.installation, axis))
             rows.append((f"installation_{axis}_deg", f"installation {axis}", f"{angle:.2f}", "°"))
     figures = common_figures(estimate) | dict(estimate.figures)
-    if "installation_yaw_sigma" in figures and estimate.installation is not None:
+    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
         yaw = math.degrees(estimate.installation.yaw)
-        sigma = math.degrees(figures["installation_yaw_sigma"])
+        sigma = math.degrees(figures[Figure.INSTALLATION_YAW_SIGMA])
         rows.append(("installation_yaw_deg", "installation yaw", f"{yaw:.2f}", "°"))
         rows.append(("installation_yaw_sigma_deg", "  its error (1σ)", f"{sigma:.2f}", "°"))
     rows += [
@@ -256,12 +253,16 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
         ("inclination_deg", "inclination", f"{math.degrees(estimate.inclination):.1f}", "°"),
     ]
     for figure, key, name in (
-        ("heading_sigma", "heading_sigma_deg", "heading error (1σ), level"),
-        ("heading_sigma_tilted", "heading_sigma_tilted_deg", "heading error (1σ), 10° of tilt"),
-        ("gyro_compass_rms", "gyro_compass_rms_deg", "gyro against compass, rms"),
+        (Figure.HEADING_SIGMA, "heading_sigma_deg", "heading error (1σ), level"),
+        (
+            Figure.HEADING_SIGMA_TILTED,
+            "heading_sigma_tilted_deg",
+            "heading error (1σ), 10° of tilt",
+        ),
+        (Figure.GYRO_COMPASS_SWING, "gyro_compass_rms_deg", "gyro against compass, rms"),
     ):
         if figure in figures:
             rows.append((key, name, f"{math.degrees(figures[figure]):.2f}", "°"))
-    ratio = 100.0 * figures["residual_ratio"]
+    ratio = 100.0 * figures[Figure.RESIDUAL_RATIO]
     rows.append(("residual_percent", "residual against the level field", f"{ratio:.1f}", "%"))
     return rows

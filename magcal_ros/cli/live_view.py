@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 from magcal_ros.files.plain import plain
 
@@ -23,20 +22,17 @@ RING_HEIGHT = 11
 RING_WIDTH = 25
 
 
-class View(Protocol):
+class View:
     """Shows the progress of a turn."""
 
     def show(self, progress: dict[str, Any]) -> None:
-        """Draw what `~/status` says of the turn."""
+        """Draw what `~/status` says of the turn; a view of nothing draws nothing."""
 
-    def __enter__(self) -> View: ...
+    def __enter__(self) -> View:
+        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        pass
 
 
 def progress_of(status: str) -> dict[str, Any] | None:
@@ -111,7 +107,7 @@ def ring(filled: str) -> list[str]:
     return ["".join(row) for row in canvas]
 
 
-class Lines:
+class Lines(View):
     """A line a second: for pipes and logs."""
 
     def __init__(self) -> None:
@@ -124,14 +120,8 @@ class Lines:
             print(line(progress), flush=True)
         self._second = second
 
-    def __enter__(self) -> Lines:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-class Panel:
+class Panel(View):
     """A panel that rich draws again and again.
 
     Raises

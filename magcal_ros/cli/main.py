@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import argparse
 import io
+import os
 import sys
+import traceback
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, metadata
 
 from magcal_ros import __version__
-from magcal_ros.cli import calibrate, check, demo, export, fit, replay
-from magcal_ros.cli.exits import Exit
+from magcal_ros.cli import calibrate, check, demo, doctor, export, fit, replay
+from magcal_ros.cli.common import Exit
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain
 
-COMMANDS = (calibrate, fit, check, export, replay, demo)
+COMMANDS = (calibrate, fit, check, doctor, export, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,18 +35,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        return int(options.run(options))
+        return int(_run(options))
+    except BrokenPipeError:
+        # `| head` has seen enough; what is still in the buffer goes nowhere, without a word.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return int(Exit.PIPE_CLOSED)
+
+
+def _run(options: argparse.Namespace) -> Exit:
+    """Run a command and flush, so that a closed pipe is met here; errors become a status."""
+    try:
+        status = Exit(options.run(options))
+        sys.stdout.flush()
     except KeyboardInterrupt:
-        return int(Exit.INTERRUPTED)
+        return Exit.INTERRUPTED
     except Misuse as error:
-        print(f"magcal: {error}", file=sys.stderr)
-        return int(Exit.USAGE)
+        return _said(error, Exit.USAGE)
     except FileTrouble as error:
-        print(f"magcal: {error}", file=sys.stderr)
-        return int(Exit.FILE_TROUBLE)
+        return _said(error, Exit.FILE_TROUBLE)
     except MagcalError as error:
-        print(f"magcal: {error}", file=sys.stderr)
-        return int(Exit.FAILED)
+        return _said(error, Exit.FAILED)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        if error.filename is None:
+            return _fault()
+        # Whatever name the user gave, the system would not have it: too long, forbidden, gone.
+        name = plain(os.fsdecode(error.filename))
+        return _said(f"cannot use {name}: {error.strerror or error}", Exit.FILE_TROUBLE)
+    except Exception:  # ours: said as such, with the traceback, never as the user's
+        return _fault()
+    return status
+
+
+def _said(what: object, status: Exit) -> Exit:
+    print(f"magcal: {' '.join(str(what).split())}", file=sys.stderr)
+    return status
+
+
+def _fault() -> Exit:
+    traceback.print_exc()
+    print(
+        f"magcal: this is a fault of magcal_ros {__version__} and not yours. Please report it with "
+        f"the lines above{_whom()}",
+        file=sys.stderr,
+    )
+    return Exit.FAULT
+
+
+def _whom() -> str:
+    try:
+        address = metadata("magcal_ros")["Maintainer-email"]
+    except PackageNotFoundError:
+        address = None
+    return f" to {address}" if address else " to the maintainer that its package.xml names"
 
 
 if __name__ == "__main__":

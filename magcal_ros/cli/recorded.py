@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from magcal_ros.cli.numbers import number
+from magcal_ros.cli.common import number
 from magcal_ros.cli.reference import add_reference_options, reference_in_use
+from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Mounting, knowledge_of
-from magcal_ros.core.offline import Gathering, Reading
-from magcal_ros.core.reference import Reference
+from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.sources import Source, open_recording
 
 LOOK_EVERY = 2000

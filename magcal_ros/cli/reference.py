@@ -8,9 +8,10 @@ import time
 from collections.abc import Callable
 from datetime import date, datetime, timezone
 
-from magcal_ros.cli.numbers import number
+from magcal_ros.cli.common import number
+from magcal_ros.core.earth_field.reference import Local, Reference, resolve
+from magcal_ros.core.earth_field.wmm import ALTITUDES, Place, decimal_year, year_of
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.geomagnetism import ALTITUDES, Place, decimal_year, year_of
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
@@ -18,7 +19,6 @@ from magcal_ros.core.knowledge import (
     ReferenceField,
     knowledge_of,
 )
-from magcal_ros.core.reference import Local, Reference, resolve
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:

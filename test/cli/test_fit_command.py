@@ -12,9 +12,9 @@ from drives import ROBOT, STORE2, drive, message, write_bag, write_csv
 
 from magcal_ros.cli.main import main
 from magcal_ros.cli.recorded import watched
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import slope_rpy
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import slope_rpy
 from magcal_ros.files.calibration_file import read_calibration
 
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
@@ -55,7 +55,9 @@ def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path
     assert err == ""
 
 
-@pytest.mark.parametrize("kind", ["sqlite3", "ros1", "csv"])
+@pytest.mark.parametrize(
+    "kind", ["ros1", *(pytest.param(k, marks=pytest.mark.nightly) for k in ("sqlite3", "csv"))]
+)
 def test_every_kind_of_recording_gives_the_same(fit, bag, tmp_path, kind):
     samples = drive(400.0)
     path = tmp_path / kind

@@ -1,0 +1,179 @@
+"""Whatever a user types or has lying about: one line, and the documented exit status."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from drives import drive, write_csv
+
+from magcal_ros.cli import check
+from magcal_ros.cli.common import Exit
+from magcal_ros.cli.main import main
+
+COMMAND = [sys.executable, "-m", "magcal_ros.cli.main"]
+LONG = "x" * 5000
+
+
+def run(*arguments, **options):
+    given = {"capture_output": True, "timeout": 120, "check": False, **options}
+    return subprocess.run([*COMMAND, *arguments], **given)
+
+
+def is_one_line(done):
+    lines = done.stderr.decode(errors="replace").splitlines()
+    return len(lines) == 1 and lines[0].startswith("magcal: ")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_csv(tmp_path / "csv", drive(60.0))
+
+
+def rewrite(path, row, column, value):
+    lines = path.read_text().splitlines()
+    cells = lines[row].split(",")
+    cells[column] = value
+    lines[row] = ",".join(cells)
+    path.write_text("\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["fit", LONG], ["check", LONG, "--calibration", "x"], ["check", "x", "--calibration", LONG],
+        ["export", LONG, "--to", "px4"], ["replay", LONG],
+    ],
+)  # fmt: skip
+def test_a_name_too_long_is_file_trouble(arguments):
+    done = run(*arguments)
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert is_one_line(done)
+    assert len(done.stderr) < 6000
+
+
+@pytest.mark.parametrize("table", ["imu.csv", "mag.csv"])
+@pytest.mark.parametrize("command", ["fit", "replay"])
+def test_an_endless_device_as_a_table_is_not_read(folder, table, command):
+    (folder / table).unlink()
+    (folder / table).symlink_to("/dev/zero")
+    done = run(command, str(folder))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert b"not a regular file" in done.stderr
+    assert is_one_line(done)
+
+
+def test_a_line_without_end_is_damage(folder):
+    (folder / "mag.csv").write_text("t,mx,my,mz\n" + "1" * 50_000)
+    done = run("fit", str(folder))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert b"a line has 10000 characters or more" in done.stderr
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may go anywhere")
+def test_a_folder_that_may_not_be_entered_is_file_trouble(folder):
+    folder.chmod(0o600)
+    done = run("fit", str(folder))
+    folder.chmod(0o700)
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert is_one_line(done)
+
+
+@pytest.mark.parametrize("stamp", ["1e300", "-1e300", "1e12"])
+@pytest.mark.parametrize("command", ["fit", "replay"])
+def test_stamps_that_are_no_times_are_damage(folder, stamp, command):
+    rewrite(folder / "mag.csv", 5, 0, stamp)
+    done = run(command, str(folder))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert b"must be seconds" in done.stderr
+    assert is_one_line(done)
+
+
+@pytest.mark.parametrize("stamp", ["nan", "inf", "4e9"])
+def test_stamps_that_no_message_holds_are_not_replayed(folder, stamp):
+    rewrite(folder / "imu.csv", 7, 0, stamp)
+    done = run("replay", str(folder))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert b"sample 7 has the stamp" in done.stderr
+    assert is_one_line(done)
+
+
+@pytest.mark.parametrize("option", ["--imu-frame", "--mag-frame"])
+def test_a_frame_that_is_no_text_is_misuse(folder, option):
+    done = run("replay", str(folder), option, b"\xff\xfe")
+    assert done.returncode == Exit.USAGE
+    assert b"is no UTF-8 text" in done.stderr
+
+
+@pytest.mark.parametrize("rate", ["nan", "inf", "0", "-1", "fast"])
+def test_a_rate_that_is_none_is_misuse(folder, rate):
+    assert run("replay", str(folder), f"--rate={rate}").returncode == Exit.USAGE
+
+
+class TestRos:
+    @pytest.fixture(autouse=True)
+    def ros(self):
+        pytest.importorskip("rclpy")
+
+    @pytest.mark.parametrize(
+        "arguments",
+        [["-r", "a b:=c"], ["--params-file", "/nowhere.yaml"], ["-r", "__ns:=no space"]],
+    )
+    def test_bad_ros_arguments_are_misuse(self, folder, arguments):
+        done = run("replay", str(folder), "--wait", "0", "--ros-args", *arguments)
+        assert done.returncode == Exit.USAGE
+        assert b"magcal: ROS does not start: " in done.stderr
+        assert b"Traceback" not in done.stderr
+
+    def test_a_domain_that_is_no_number_is_misuse(self, folder):
+        done = run("replay", str(folder), "--wait", "0", env={**os.environ, "ROS_DOMAIN_ID": "x"})
+        assert done.returncode == Exit.USAGE
+        assert b"ROS_DOMAIN_ID" in done.stderr
+        assert b"Traceback" not in done.stderr
+
+
+def test_a_reader_that_has_seen_enough_ends_it_quietly(folder, tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    done = run(
+        "fit", str(folder), "--output", str(tmp_path / "out"),
+        capture_output=False, stdout=write, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    os.close(write)
+    assert done.returncode == Exit.PIPE_CLOSED
+    assert done.stderr == b""
+
+
+def test_the_demo_replaces_no_file_of_others(tmp_path):
+    path = tmp_path / "robot_params.yaml"
+    path.write_text("mine: 1\n")
+    done = run("demo", "--output", str(path))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert b"is not a calibration of magcal_ros" in done.stderr
+    assert path.read_text() == "mine: 1\n"
+
+
+def test_a_fault_of_ours_is_told_as_ours_with_its_traceback(monkeypatch, capsys, tmp_path):
+    def fail(_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr(check, "read_calibration", fail)
+    assert main(["check", "x", "--calibration", "y"]) == Exit.FAULT
+    errors = capsys.readouterr().err
+    assert "Traceback" in errors
+    assert "ZeroDivisionError: a bug" in errors
+    assert "is a fault of magcal_ros" in errors
+    assert "Please report it" in errors
+
+
+def test_an_os_error_without_a_name_is_ours_and_with_one_the_users(monkeypatch, capsys):
+    errors = iter([OSError(12, "Cannot allocate memory"), PermissionError(13, "Denied", "/secret")])
+
+    def fail(_):
+        raise next(errors)
+
+    monkeypatch.setattr(check, "read_calibration", fail)
+    assert main(["check", "x", "--calibration", "y"]) == Exit.FAULT
+    capsys.readouterr()
+    assert main(["check", "x", "--calibration", "y"]) == Exit.FILE_TROUBLE
+    assert capsys.readouterr().err == "magcal: cannot use /secret: Denied\n"

@@ -1,0 +1,62 @@
+import json
+
+import numpy as np
+import yaml
+from axes_cases import wrong_case
+
+from magcal_ros.cli.main import main
+from magcal_ros.core.geometry.signed_axes import signed_permutations
+
+NED = np.diag([1.0, -1.0, -1.0])
+
+
+def record(folder, axes):
+    window, knowledge = wrong_case(axes, np.random.default_rng(2), "lift")
+    folder.mkdir()
+    imu = np.column_stack([window.time + 1.0, window.specific_force, window.angular_rate])
+    mag = np.column_stack([window.time + 1.0, window.field])
+    for name, rows, head in (
+        ("imu.csv", imu, "t,ax,ay,az,gx,gy,gz"),
+        ("mag.csv", mag, "t,mx,my,mz"),
+    ):
+        np.savetxt(folder / name, rows, delimiter=",", header=head, comments="", fmt="%.12g")
+    inclination = np.degrees(knowledge.reference.inclination.value)
+    return [str(folder), "--reference-inclination-deg", f"{inclination:.2f}"]
+
+
+def test_good_sensors_are_called_good(tmp_path, capsys):
+    assert main(["doctor", *record(tmp_path / "bag", np.eye(3))]) == 0
+    said = capsys.readouterr().out
+    assert "x forward, y left, z up" in said
+    assert "What to do" not in said
+
+
+def test_the_line_to_change_is_said_and_written(tmp_path, capsys):
+    file = tmp_path / "params.yaml"
+    assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 4
+    assert "mount_rpy_deg: [180.0, 0.0, 0.0]" in capsys.readouterr().out
+    content = yaml.safe_load(file.read_text())
+    assert content["/**"]["ros__parameters"] == {"mount_rpy_deg": [180.0, 0.0, 0.0]}
+
+
+def test_what_no_mounting_mends_is_not_written(tmp_path, capsys):
+    file = tmp_path / "params.yaml"
+    arguments = record(tmp_path / "bag", signed_permutations()[24])
+    assert main(["doctor", *arguments, "--json", "--write", str(file)]) == 4
+    said = json.loads(capsys.readouterr().out)
+    assert said["mount_rpy_deg"] is None
+    assert any("mirrored" in finding["remedy"] for finding in said["findings"])
+    assert not file.exists()
+
+
+def test_a_file_that_is_there_is_not_overwritten(tmp_path, capsys):
+    file = tmp_path / "params.yaml"
+    file.write_text("mine")
+    assert main(["doctor", *record(tmp_path / "bag", NED), "--write", str(file)]) == 5
+    assert file.read_text() == "mine"
+
+
+def test_too_little_is_said(tmp_path, capsys):
+    arguments = record(tmp_path / "bag", NED)
+    assert main(["doctor", *arguments, "--to", "0.5"]) == 3
+    assert "Too little data" in capsys.readouterr().out
