@@ -30,13 +30,22 @@ class Aside:
         self._lock = Lock()
         self._process: BaseProcess | None = None
         self._line: Connection | None = None
+        self._is_over = False
 
     def start(self) -> Connection:
-        """Start the process, if it is not there; returns the line to it."""
+        """Start the process, if it is not there; returns the line to it.
+
+        Raises
+        ------
+        EOFError
+            If it was ended for good: a process that is begun while this one ends finds nobody.
+        """
         import multiprocessing
 
         spawned = multiprocessing.get_context("spawn")
         with self._lock:
+            if self._is_over:
+                raise EOFError
             if self._line is None or self._process is None or not self._process.is_alive():
                 self._line, end = spawned.Pipe()
                 self._process = spawned.Process(
@@ -70,6 +79,11 @@ class Aside:
                 self._process.kill()
                 self._process = None
                 self._line = None
+
+    def end(self) -> None:
+        """End the process for good."""
+        self._is_over = True
+        self.stop()
 
 
 def _serve(line: Connection) -> None:

@@ -1,4 +1,4 @@
-"""A turn from the service call to the calibration in force.
+"""A turn in the running node: tells the state machine what happens, and does what it says.
 
 Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
 its own and the disk a thread, so the corrected field and the yaw keep flowing.
@@ -9,47 +9,60 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import Future as Job
-from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
-from enum import Enum
+from typing import Protocol, TypeVar
 
-from magcal_ros.core.calibrate import JOINS, Outcome, predicted_sigma
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.session import Progress, Session, Stage
-from magcal_ros.core.several.keep import Kept, take_turn
-from magcal_ros.core.streams import FieldSample, Pair, Pairer, Streams
-from magcal_ros.core.window import Window
+from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session import turn_events as ev
+from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
+from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.ros.aside import Aside
 from magcal_ros.ros.settings import Settings
-
-PREVIEW_ARC = math.radians(120.0)
-PREVIEW_SHARE = 0.25
-"""Share of one core that may go into predicting the heading sigma while the robot turns."""
-
 
 SAVING_PATIENCE = 1.5
 """Seconds that a disk may take to store a calibration while the node is being ended."""
 
-SET_BACK = "time was set back during the turn, and what came before was left out"
+T = TypeVar("T")
 
 
-class State(str, Enum):
-    """What the node is busy with."""
+class Runner(Protocol):
+    """Does work elsewhere; `magcal_ros.ros.errands.Errands` is one."""
 
-    IDLE = "idle"
-    COLLECTING = "collecting"
-    FITTING = "fitting"
-    SAVING = "saving"
+    def run(
+        self,
+        work: Callable[[], T],
+        then: Callable[[T], None],
+        otherwise: Callable[[Exception], None],
+    ) -> None:
+        """Do some work, then go on in the executor's thread."""
+
+    def finish_within(self, patience: float) -> bool:
+        """Wait so many seconds for the work that was asked for."""
 
 
-@dataclass(frozen=True)
-class Conclusion:
-    """How a turn ended, as a service answers it."""
+class House(Protocol):
+    """What a turn needs of the node around it."""
 
-    success: bool
-    message: str
+    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+        """Apply a calibration at once; returns the work of storing it, which says what it did."""
+
+    def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        """Begin the report on a turn; returns where it will lie, in words."""
+
+    def describe_silence(self) -> str:
+        """Say which sensor is missing, and what to look at."""
+
+    def move(self, rate: float) -> None:
+        """Tell the base to turn."""
+
+    def look_around(self) -> Around:
+        """Return what is around a robot that turns itself."""
+
+    def turn_ended(self) -> None:
+        """Tell the world how a turn ended, before those who wait for it are told."""
 
 
 class Control:
@@ -59,282 +72,182 @@ class Control:
     ----------
     streams : Streams
         The cleaned sensor streams.
-    put_in_force : callable
-        Applies a calibration at once and returns the work of storing it, which may take long and
-        returns what to add to the answer ("saved to ...").
-    describe_silence : callable
-        Says which sensor is missing, and what to look at.
-    report : callable
-        Begins the report on a window and its outcome and returns where it will lie, in words.
-    which_sensor : callable
-        Says which sensors have been heard; turns of others are not joined.
+    house : House
+        Does what a turn leads to.
+    robot : SelfTurn
+        Turns itself where the parameters ask for it.
+    fits, files : Runner
+        Compute and store elsewhere.
+    clock : callable
+        Seconds on a steady clock.
 
     Attributes
     ----------
-    on_pair : callable
-        Sees every pair that a session takes.
-    is_held : callable
-        Whether a complete turn is not over yet, because the robot is on its way back.
+    turn : TurnMachine
+        The state machine, to be looked at.
     """
 
     def __init__(
         self,
         streams: Streams,
-        put_in_force: Callable[[Calibration], Callable[[], str]],
-        describe_silence: Callable[[], str],
-        report: Callable[[Window, Settings, Outcome], str],
-        which_sensor: Callable[[], str] = str,
+        house: House,
+        robot: SelfTurn,
+        fits: Runner,
+        files: Runner,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        self._house, self._fits, self._files, self._clock = house, fits, files, clock
         self._streams = streams
-        self._put_in_force = put_in_force
-        self._describe_silence = describe_silence
-        self._report = report
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="magcal-fit")
-        self._aside = Aside()
-        self._session: Session | None = None
         self._pairer = Pairer(streams)
+        self._aside = Aside()
+        self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
-        self._job: Job[tuple[Outcome, Kept]] | None = None
-        self._kept = self._kept_before = Kept()
-        self._sensor = ""
-        self._which_sensor = which_sensor
-        self._saving: Job[str] | None = None
-        self._preview: Job[float] | None = None
-        self._preview_began = self._next_preview = 0.0
-        self._why_ended = ""
-        self._words = self._words_of_report = ""
-        self._listeners: list[Callable[[Conclusion], None]] = []
-        self.on_pair: Callable[[Pair], None] = lambda _: None
-        self.is_held: Callable[[], bool] = lambda: False
-        self.progress: Progress | None = None
-        self.last_window: Window | None = None
-        self.last_outcome: Outcome | None = None
-        self.last_conclusion: Conclusion | None = None
+        self._listeners: list[Callable[[ev.Conclusion], None]] = []
 
     @property
-    def state(self) -> State:
+    def state(self) -> TurnState:
         """What is going on."""
-        if self._job is not None:
-            return State.FITTING
-        if self._saving is not None:
-            return State.SAVING
-        return State.IDLE if self._session is None else State.COLLECTING
+        return self.turn.state
 
-    def when_done(self, listener: Callable[[Conclusion], None]) -> None:
+    def when_done(self, listener: Callable[[ev.Conclusion], None]) -> None:
         """Call back once with the conclusion of the turn that is under way."""
         self._listeners.append(listener)
 
-    @property
-    def turns_kept(self) -> int:
-        """How many turns the next one would join."""
-        return len(self._kept.windows)
-
     def forget_turns(self) -> None:
         """Let the next turn start afresh."""
-        self._kept = Kept()
+        self._tell(ev.ForgetAsked())
 
-    def start(self, settings: Settings) -> Conclusion:
+    def sensors_met(self, names: str) -> None:
+        """Note which sensors are there; turns of others are not joined."""
+        self._tell(ev.SensorsMet(names))
+
+    def start(self, settings: Settings) -> ev.Conclusion:
         """Open a session; refused while another is under way."""
-        if self.state is not State.IDLE:
-            return Conclusion(
-                False,
-                f"already {self.state.value}: wait for it to end, or call ~/cancel first",
-            )
-        if settings.accumulate and settings.method != JOINS:
-            return Conclusion(
-                False,
-                f"the method {settings.method} does not join turns: set method to {JOINS}, or "
-                "accumulate to false",
-            )
-        if not settings.accumulate:
-            self.forget_turns()
-        self._settings = settings
-        self.last_window = None
-        self._preview = None
-        self._pairer = Pairer(self._streams)
-        self._session = Session(settings.limits, settings.knowledge.mounting, time.monotonic())
-        self._worker.submit(self._aside.start)
-        self.progress = self._session.progress(time.monotonic())
-        return Conclusion(True, "collecting: turn the robot once, a full circle, 0.5 rad/s or less")
+        rotation, limits = settings.rotation, settings.limits
+        order = None
+        if rotation.enabled:
+            to_body = settings.knowledge.mounting.to_body
+            order = Order(rotation.speed, limits.timeout, to_body)
+        brief = ev.Brief(limits, settings.knowledge, settings.method, settings.accumulate, order)
+        was_idle = self.state is TurnState.IDLE
+        answer = self._tell(ev.Opened(brief))
+        assert answer is not None
+        if was_idle and answer.success:
+            self._settings, self._pairer = settings, Pairer(self._streams)
+        return answer
 
     def add(self, sample: FieldSample) -> None:
         """Take a field sample of the stream, if a session wants it."""
-        if self._session is not None:
+        if self.state is TurnState.COLLECTING:
             self._pairer.offer(sample)
-            self._collect(self._session)
+            self._collect()
 
-    def finish(self) -> Conclusion | None:
+    def hear(self, sample: ImuSample) -> None:
+        """Take an IMU sample, if the robot turns itself."""
+        if self.turn.robot.is_under_way:
+            self._tell(ev.RateHeard(sample.rate))
+
+    def finish(self) -> ev.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way."""
-        if self._session is None:
-            if self.state is State.IDLE:
-                return Conclusion(False, "no turn is being collected: call ~/start first")
-            return Conclusion(False, f"already {self.state.value}")
-        self._begin_fit(self._session, "finished by hand")
-        return None
+        self._collect()
+        return self._tell(ev.FinishAsked())
 
-    def cancel(self) -> Conclusion:
+    def cancel(self) -> ev.Conclusion:
         """Give up the turn under way; the calibration in force stays."""
-        if self.state is State.SAVING:
-            return Conclusion(False, "too late to cancel: the new calibration is in force already")
-        if self.state is State.IDLE:
-            return Conclusion(False, "nothing to cancel: no turn is being collected or fitted")
-        self._session = None
-        if self._job is not None:
-            self._job.cancel()
-            self._job = None
-        self._conclude(Conclusion(False, "cancelled; the calibration in force is unchanged"))
-        return Conclusion(True, "cancelled; the calibration in force is unchanged")
-
-    def break_off(self, reason: str) -> None:
-        """Give up the turn that is being collected; the reason is its conclusion."""
-        if self._session is not None:
-            self._session = None
-            self._conclude(Conclusion(False, f"{reason}; the calibration in force is unchanged"))
-
-    def end_turn(self, why: str) -> None:
-        """Fit what was seen of the turn that is being collected, for it will not get longer."""
-        if self._session is not None:
-            self._collect(self._session)
-            self._begin_fit(self._session, why)
+        answer = self._tell(ev.CancelAsked())
+        assert answer is not None
+        return answer
 
     def tick(self) -> bool:
-        """Move on what is ready to move; returns whether a session or a fit is under way."""
-        if self._job is not None:
-            if self._job.done():
-                job, self._job = self._job, None
-                self._use(job)
-        elif self._saving is not None:
-            if self._saving.done():
-                saving, self._saving = self._saving, None
-                self._conclude(Conclusion(True, f"{self._words} {_result_or_fault(saving)}"))
-        elif self._session is not None:
-            self._collect(self._session)
-            self.progress = self._session.progress(time.monotonic())
-            is_held = self.progress.stage is Stage.COMPLETE and self.is_held()
-            if self.progress.stage is Stage.COLLECTING or is_held:
-                self._look_ahead(self._session, self.progress)
-            else:
-                self._end_collection(self._session, self.progress)
-        return self.state is not State.IDLE
+        """Let a turn see that time has passed; returns whether one is under way."""
+        if self.state is TurnState.COLLECTING:
+            self._collect()
+            self._tell(ev.Ticked(self._house.describe_silence()))
+        return self.state is not TurnState.IDLE
+
+    def look(self) -> bool:
+        """Look at a robot that turns itself; returns whether there is still one to look at."""
+        self._collect()
+        if self.turn.progress is not None:
+            self._tell(ev.Looked(self._house.look_around()))
+        return not self.turn.robot.is_quiet
+
+    def give_up(self, reason: str) -> None:
+        """Stop a robot that turns itself and break off its turn."""
+        self._tell(ev.Faulted(reason))
 
     def shut_down(self) -> None:
         """Drop a turn under way; what is in force already is saved before this returns."""
-        self._session = None
-        if self._saving is not None:
-            wait([self._saving], SAVING_PATIENCE)
-        self._worker.shutdown(wait=False, cancel_futures=True)
-        self._aside.stop()
+        if self.state is TurnState.SAVING:
+            self._files.finish_within(SAVING_PATIENCE)
+        self._aside.end()
 
-    def _collect(self, session: Session) -> None:
-        now = time.monotonic()
-        for pair in self._pairer.take():
-            session.add(pair, now)
-            self.on_pair(pair)
+    def _collect(self) -> None:
+        if self.state is TurnState.COLLECTING:
+            for pair in self._pairer.take():
+                self._tell(ev.PairArrived(pair))
 
-    def _look_ahead(self, session: Session, progress: Progress) -> None:
-        """Let the worker predict, now and then, how certain a fit would be already."""
-        if self._preview is not None:
-            if not self._preview.done():
-                return
-            session.note_sigma(_sigma_or_none(self._preview))
-            self._preview = None
-            took = time.monotonic() - self._preview_began
-            self._next_preview = time.monotonic() + took * (1.0 / PREVIEW_SHARE - 1.0)
-        elif progress.coverage.arc > PREVIEW_ARC and time.monotonic() > self._next_preview:
-            self._preview_began = time.monotonic()
+    def _tell(self, event: ev.Event) -> ev.Conclusion | None:
+        """Tell the turn what happened and do what it says; returns its answer, if it has one."""
+        answer = None
+        for command in self.turn.handle(event, self._clock()):
+            if isinstance(command, ev.Answer):
+                answer = command.conclusion
+            else:
+                self._do(command)
+        return answer
+
+    def _do(self, command: ev.Command) -> None:
+        if isinstance(command, ev.MoveBase):
+            self._house.move(command.rate)
+        elif isinstance(command, ev.Prepare):
+            self._fits.run(self._aside.start, lambda _: None, lambda _: None)
+        elif isinstance(command, ev.Preview):
+            self._preview(command)
+        elif isinstance(command, ev.FitTurn):
+            self._fit(command)
+        elif isinstance(command, ev.Report):
             assert self._settings is not None
-            self.last_window = session.window()
-            window, settings = self.last_window, self._settings
-            self._preview = self._worker.submit(
-                self._aside.run, predicted_sigma, window, settings.knowledge, settings.method
-            )
+            report = self._house.begin_report(command.window, self._settings, command.outcome)
+            self._tell(ev.Reported(report))
+        elif isinstance(command, ev.PutInForce):
+            self._put_in_force(command)
+        elif isinstance(command, ev.Conclude):
+            self._conclude(command.conclusion)
 
-    def _end_collection(self, session: Session, progress: Progress) -> None:
-        why = {
-            Stage.COMPLETE: "",
-            Stage.TIMED_OUT: f"the time is up after {progress.elapsed:.0f} s",
-            Stage.SILENT: self._describe_silence(),
-        }[progress.stage]
-        if progress.stage is Stage.SILENT and not session.has_samples:
-            self._session, self._why_ended = None, ""
-            self._refuse(Refusal(Reason.TOO_FEW_SAMPLES, why))
-            return
-        self._begin_fit(session, why)
-
-    def _begin_fit(self, session: Session, why: str) -> None:
-        assert self._settings is not None
-        self.progress = session.progress(time.monotonic())
-        self._why_ended = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
-        self._session = None
-        try:
-            window = self.last_window = session.window()
-            self.progress.require_arc(session.limits.smallest_arc)
-        except Refusal as refusal:
-            self._refuse(refusal)
-            return
-        settings = self._settings
-        if self._which_sensor() != self._sensor:
-            self._sensor = self._which_sensor()
-            self.forget_turns()
-        self._kept_before = self._kept
-        known, method = settings.knowledge, settings.method
-        self._job = self._worker.submit(
-            self._aside.run, take_turn, self._kept, window, known, method, settings.accumulate
+    def _preview(self, asked: ev.Preview) -> None:
+        self._fits.run(
+            lambda: self._aside.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
+            lambda sigma: self._note_preview(asked.turn, sigma),
+            # A preview that failed predicts nothing; the fit will tell.
+            lambda _: self._note_preview(asked.turn, math.inf),
         )
 
-    def _use(self, job: Job[tuple[Outcome, Kept]]) -> None:
-        try:
-            outcome, kept = job.result()
-        except Exception as error:  # a fault of ours must not take the node down
-            self._conclude(Conclusion(False, f"the fit failed unexpectedly: {error!r}"))
-            return
-        # Turns that were forgotten while this one was fitted do not come back with it.
-        if self._kept is self._kept_before:
-            self._kept = kept
-        self._judge(outcome)
+    def _note_preview(self, turn: int, sigma: float) -> None:
+        self._tell(ev.PreviewFitted(turn, sigma))
 
-    def _judge(self, outcome: Outcome) -> None:
-        self.last_outcome = outcome
-        self._words = outcome.verdict.summary
-        if outcome.several is not None and outcome.calibration is not None:
-            self._words = f"{self._words} {outcome.several.in_words}"
-        if self._why_ended:
-            self._words = f"{self._why_ended}; {self._words}"
-        if self.last_window is not None and self._settings is not None:
-            self._words_of_report = self._report(self.last_window, self._settings, outcome)
-        unchanged = "The calibration in force is unchanged"
-        if outcome.calibration is None:
-            self._conclude(Conclusion(False, f"{self._words} {unchanged}."))
-        elif outcome.verdict.accepted:
-            self._saving = self._worker.submit(self._put_in_force(outcome.calibration))
-        else:
-            remedy = "~/accept applies this one anyway"
-            self._conclude(Conclusion(False, f"{self._words} {unchanged}; {remedy}."))
+    def _fit(self, asked: ev.FitTurn) -> None:
+        given = (asked.kept, asked.window, asked.knowledge, asked.method, asked.accumulate)
+        self._fits.run(
+            lambda: self._aside.run(take_turn, *given),
+            lambda found: self._note(ev.FitDone(asked.turn, *found)),
+            lambda error: self._note(ev.FitFailed(asked.turn, repr(error))),
+        )
 
-    def _refuse(self, refusal: Refusal) -> None:
-        self._judge(Outcome.refused(refusal))
+    def _put_in_force(self, command: ev.PutInForce) -> None:
+        self._files.run(
+            self._house.put_in_force(command.calibration),
+            lambda words: self._note(ev.Saved(words)),
+            # The calibration is in force; a fault in storing it is only said.
+            lambda error: self._note(ev.Saved(f"In force, but not saved: {error!r}")),
+        )
 
-    def _conclude(self, conclusion: Conclusion) -> None:
-        if self._words_of_report:
-            message = f"{conclusion.message} {self._words_of_report}"
-            conclusion = Conclusion(conclusion.success, message)
-            self._words_of_report = ""
-        self.last_conclusion = conclusion
-        if self._preview is not None:
-            self._preview.cancel()
+    def _note(self, event: ev.Event) -> None:
+        self._tell(event)
+
+    def _conclude(self, conclusion: ev.Conclusion) -> None:
         self._aside.stop()
+        self._house.turn_ended()
         listeners, self._listeners = self._listeners, []
         for listener in listeners:
             listener(conclusion)
-
-
-def _result_or_fault(saving: Job[str]) -> str:
-    try:
-        return saving.result()
-    except Exception as error:  # the calibration is in force; a fault in storing it is only said
-        return f"In force, but not saved: {error!r}"
-
-
-def _sigma_or_none(preview: Job[float]) -> float:
-    """Return the predicted sigma; a preview that failed predicts nothing, the fit will tell."""
-    return math.inf if preview.exception() is not None else preview.result()

@@ -1,4 +1,4 @@
-"""Being told to end: SIGINT, SIGTERM, and the terminal that goes away.
+"""Being told to end: by a person, by a supervisor, by the terminal that goes away.
 
 rclpy's own handlers take the context down first, and then nothing can be published any more: a
 robot that turns would turn on. Here the process is left as it is and somebody is told, in a
@@ -12,7 +12,20 @@ import signal
 import threading
 from collections.abc import Callable
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+SIGNALS = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGQUIT,
+    signal.SIGABRT,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGALRM,
+    signal.SIGVTALRM,
+    signal.SIGPROF,
+    signal.SIGXCPU,
+)
+"""Every one that would end the process and can be caught: a robot that turns must be stopped."""
 
 
 class EndSignals:
@@ -33,11 +46,6 @@ class EndSignals:
             if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, lambda *_: None)
         threading.Thread(target=self._watch, name="magcal-signals", daemon=True).start()
-
-    @property
-    def were_given(self) -> bool:
-        """Whether one came."""
-        return self._told.is_set()
 
     def when_given(self, listener: Callable[[], None]) -> None:
         """Call back once, from another thread; at once if the process was told already."""

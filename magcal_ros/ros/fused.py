@@ -1,18 +1,22 @@
-"""The gyro-aided yaw as a topic: carried at the IMU's rate, corrected at the field's."""
+"""The gyro-aided yaw as a topic: propagated at the IMU's rate, corrected at the field's."""
 
 from __future__ import annotations
 
 import math
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from magcal_ros.core.field_watch import PATIENCE, Trust
-from magcal_ros.core.fusion import FusedYaw
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.heading.disturbance import PATIENCE, Trust
+from magcal_ros.core.heading.fused_yaw import FusedYaw
+from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.up import Up, UpFollower
-from magcal_ros.ros.outputs import RELIABLE, Outputs
+from magcal_ros.core.up import UpFollower
+from magcal_ros.ros.messages import diagnostic, key_values
+from magcal_ros.ros.outputs import RELIABLE
+from magcal_ros.ros.seat import Seat
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate
 
 TOPIC = "compass/fused/enu/imu"
@@ -27,23 +31,25 @@ class FusedOutput:
         Where the publisher lives.
     follower : UpFollower
         Has taken each IMU message before it comes here.
-    outputs : Outputs
-        Has the compass in force, and what it made of the newest field message.
+    seat : Seat
+        Tells whose attitude is published.
     """
 
-    def __init__(self, node: Node, follower: UpFollower, outputs: Outputs) -> None:
+    def __init__(self, node: Node, follower: UpFollower, seat: Seat) -> None:
+        self._seat = seat
         self.patience = PATIENCE
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
-        self._follower, self._outputs = follower, outputs
+        self._follower = follower
+        self._calibration: Calibration | None = None
         self._attitude = AttitudeTemplate()
         self._fused: FusedYaw | None = None
 
-    def begin_anew(self) -> None:
+    def begin_anew(self, calibration: Calibration | None) -> None:
         """Forget the yaw: another calibration is in force, or none."""
-        self._fused = None
+        self._calibration, self._fused = calibration, None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Carry the yaw to an IMU message, and publish it there.
+        """Propagate the yaw to an IMU message, and publish it there.
 
         Parameters
         ----------
@@ -54,64 +60,64 @@ class FusedOutput:
         reference : ReferenceField
             Without a declination the yaw is to magnetic north, else to true north.
         """
-        compass = self._outputs.compass
-        if compass is None:
+        if self._calibration is None:
             return
         if not self._out.get_subscription_count():
             self._fused = None
             return
         if self._fused is None:
-            self._fused = FusedYaw(compass.calibration, self.patience)
+            self._fused = FusedYaw(self._calibration, self.patience)
         fused, up = self._fused, self._follower.at(seconds, 0.0)
-        if up is None or not self._follower.is_carried:
+        if up is None or not self._follower.is_propagated:
             fused.restart()
             return
-        fused.carry(seconds, up, self._follower.mean_rate)
-        heading = fused.heading()
-        if heading is not None:
+        follower = self._follower
+        fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
+        heading, view = fused.heading(), self._seat.view
+        if heading is not None and view is not None:
             declination = reference.declination
             sigma = 0.0 if declination is None else reference.declination_sigma
-            message = self._attitude.fill(stamp, frame, heading, declination or 0.0, sigma)
+            seen, frame = view.heading(heading), self._seat.frame(frame)
+            message = self._attitude.fill(stamp, frame, seen, declination or 0.0, sigma)
             self._out.publish(message)
 
-    def on_field(self, seconds: float, up: Up | None) -> None:
-        """Let the newest field message, stamped so many seconds, correct the yaw."""
-        if self._fused is None or up is None or not self._follower.is_carried:
+    def on_field(self, moment: Moment) -> None:
+        """Let a field message correct the yaw."""
+        if self._fused is None or not self._follower.is_propagated:
             return
-        field, heading = self._outputs.last_field, self._outputs.last_heading
-        if field is not None and heading is not None:
-            self._fused.watch.patience = self.patience
-            self._fused.correct(seconds, field, up, heading)
+        if moment.up is not None and moment.heading is not None:
+            self._fused.detector.patience = self.patience
+            self._fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
-        """Say whether the yaw is carried, and whether the field is believed."""
-        status = DiagnosticStatus(name=f"{name}: Fused", hardware_id="magnetometer")
-        status.level = DiagnosticStatus.OK
+        """Say whether the yaw is published, and whether the field is believed."""
+        status = diagnostic(name, "Fused")
         status.message = self._silence()
         if status.message:
             if self._fused is not None:
                 status.level = DiagnosticStatus.WARN
             return status
         assert self._fused is not None
-        watch, heading = self._fused.watch, self._fused.heading()
-        values = {"field": watch.trust.value, "field departure": f"{watch.departure:.1f} sigma"}
+        detector, heading = self._fused.detector, self._fused.heading()
+        departure = f"{detector.departure:.1f} sigma"
+        values = {"field": detector.trust.value, "field departure": departure}
         status.message = "the compass corrects the gyro"
-        if watch.last is not None:
-            values["last disturbance"] = watch.last.in_words
-        if watch.trust is not Trust.GOOD:
+        if detector.last is not None:
+            values["last disturbance"] = detector.last.in_words
+        if detector.trust is not Trust.GOOD:
             status.level = DiagnosticStatus.WARN
-            status.message = f"the field is not the calibrated one and {watch.trust.value}"
-            if watch.trust is Trust.IGNORED and watch.last is not None:
-                status.message += f": {watch.last.in_words}; the gyro alone carries the yaw"
+            status.message = f"the field is not the calibrated one and {detector.trust.value}"
+            if detector.trust is Trust.IGNORED and detector.last is not None:
+                status.message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
         if heading is not None:
             values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
             values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+        status.values = key_values(values)
         return status
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""
-        if self._outputs.compass is None:
+        if self._calibration is None:
             return "no fused yaw before a calibration is in force"
         if self._fused is None:
             return f"nobody listens to {TOPIC}"
@@ -120,7 +126,7 @@ class FusedOutput:
                 f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
                 "its axes or its sign are wrong in the driver"
             )
-        if not self._follower.is_carried:
+        if not self._follower.is_propagated:
             return f"nothing on {TOPIC}: the IMU has no gyro"
         if self._fused.heading() is None:
             return f"nothing on {TOPIC} yet: no field has come"

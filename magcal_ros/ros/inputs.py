@@ -9,8 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as member
 
-from magcal_ros.core.complaints import Heard, complaints
-from magcal_ros.core.streams import Streams
+from magcal_ros.core.samples.diagnosis import Heard, complaints
+from magcal_ros.core.samples.streams import Streams
+from magcal_ros.files.places import known_as
 
 SILENT_AFTER = 2.0
 """Seconds without a message after which a sensor is called silent."""
@@ -19,26 +20,54 @@ REMEMBERED = 60
 """Looks, one a second, over which dropped samples are counted for the complaints: what was wrong
 last month is no complaint any more, and what goes wrong after a good month is one."""
 
+RATE_LOOKS = 6
+"""Looks over which a rate is taken."""
+
 
 @dataclass
 class Sensor:
     """One topic, as far as it was heard: the newest frame, and when it came (steady clock)."""
 
     topic: str
+    clock: Callable[[], float] = time.monotonic
     frame: str = ""
     last_heard: float | None = None
     messages: int = 0
     publishers: int = 1
+    changes: int = 0
+    _changes_at_look: tuple[int, int] = (0, 0)
+    _frame_before: str = ""
+    _counts: deque[tuple[float, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
 
-    def heard(self, frame: str) -> None:
-        """Note that a message came."""
-        self.frame = frame
+    @property
+    def rate(self) -> float:
+        """Messages a second over the last looks, Hz."""
+        if len(self._counts) < 2:
+            return 0.0
+        (then, before), (now, after) = self._counts[0], self._counts[-1]
+        return (after - before) / max(now - then, 1e-9)
+
+    def heard(self, frame: str) -> bool:
+        """Note that a message came; returns whether another sensor is met with it."""
+        is_first = self.last_heard is None
         self.messages += 1
-        self.last_heard = time.monotonic()
+        self.last_heard = self.clock()
+        if frame == self.frame:
+            return is_first
+        if not is_first:
+            self.changes += 1
+            self._frame_before = self.frame
+        self.frame = frame
+        return True
 
-    def age(self, now: float) -> float:
+    def look(self) -> None:
+        """Note, once a second, how many messages and changes of the frame have come."""
+        self._counts.append((self.clock(), self.messages))
+        self._changes_at_look = (self._changes_at_look[1], self.changes)
+
+    def age(self) -> float:
         """Return seconds since the last message; infinite if none came."""
-        return math.inf if self.last_heard is None else now - self.last_heard
+        return math.inf if self.last_heard is None else self.clock() - self.last_heard
 
     def complaint(self) -> str:
         """Say that nothing comes, and what to look at; empty if messages flow."""
@@ -47,11 +76,16 @@ class Sensor:
                 f"nothing has arrived on {self.topic}: "
                 "is the driver running, and the topic remapped to it?"
             )
-        silent = time.monotonic() - self.last_heard
+        silent = self.age()
         if silent > SILENT_AFTER:
             return f"{self.topic} has been silent for {silent:.0f} s"
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
+        if self.changes - self._changes_at_look[0] > 1:
+            names = " and ".join(
+                repr(known_as(f)) for f in sorted((self._frame_before, self.frame))
+            )
+            return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
         return ""
 
 
@@ -69,6 +103,7 @@ class Inputs:
         self._earlier.append(self._heard())
         for sensor in (self.imu, self.field):
             sensor.publishers = count_publishers(sensor.topic)
+            sensor.look()
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with the inputs, in words."""

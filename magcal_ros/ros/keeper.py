@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
-import numpy as np
-
-from magcal_ros.core.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.places import chosen_path, default_calibration_path, known_as
+from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as
 from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import promptly
 
-LARGEST_GAIN, LARGEST_IRON, LARGEST_COVARIANCE = 1e4, 1.0, 1e8
-"""Dimensionless, tesla, and their squares: far beyond every sensor, far within the floats."""
+Key: TypeAlias = tuple[Path, int, int]
+"""Path, time of change and size of a file that was read."""
+
+TO_WRITE = 15.0
+"""Seconds that a slow but living disk may take to store a calibration for good."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """A calibration as a file has it."""
+
+    path: Path
+    calibration: Calibration
+    origin: Origin
 
 
 class Keeper:
@@ -22,33 +35,48 @@ class Keeper:
 
     Parameters
     ----------
-    namespace : str
-        The node's namespace, part of the default path.
+    namespace, node : str
+        The node's, part of the default path.
     apply : callable
         Called with the calibration (or None) and the magnetometer's frame whenever it changes.
     """
 
-    def __init__(self, namespace: str, apply: Callable[[Calibration | None, str], None]) -> None:
-        self._namespace = namespace
+    def __init__(
+        self, namespace: str, node: str, apply: Callable[[Calibration | None, str], None]
+    ) -> None:
+        self._namespace, self._node = namespace, node
         self._apply = apply
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
+        self._read: tuple[Key | None, Loaded] | None = None
         self.trouble = ""
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
 
-    def path(self, chosen: str, magnetometer_frame: str) -> Path | None:
-        """Return the file: as chosen, or by the sensor's frame; None while that is not known.
+    def path(self, chosen: str, magnetometer_frame: str) -> Path:
+        """Return the file to save to: as chosen, or by the node and the sensor's frame.
 
         Raises
         ------
         FileTrouble
             If it lies in a home that does not exist.
         """
+        return chosen_path(chosen) if chosen else self._sensor_file(magnetometer_frame).path
+
+    def path_to_load(self, chosen: str, magnetometer_frame: str) -> Path:
+        """Return the file to load from: the same, or the one of a former release.
+
+        Raises
+        ------
+        FileTrouble
+            If it lies in a home that does not exist, or may be another node's.
+        """
         if chosen:
             return chosen_path(chosen)
-        if not magnetometer_frame:
-            return None
-        return default_calibration_path(magnetometer_frame, self._namespace)
+        file = self._sensor_file(magnetometer_frame)
+        return promptly(file.find, file.path)
+
+    def _sensor_file(self, magnetometer_frame: str) -> SensorFile:
+        return SensorFile(magnetometer_frame, self._namespace, self._node)
 
     def put_in_force(self, calibration: Calibration, origin: Origin) -> None:
         """Use a calibration from now on."""
@@ -60,33 +88,45 @@ class Keeper:
         self.calibration = self.origin = None
         self._apply(None, "")
 
-    def load(self, path: Path, magnetometer_frame: str) -> str:
-        """Read a file and put its calibration in force; returns what was done.
+    def read_if_there(self, chosen: str, magnetometer_frame: str) -> Loaded | None:
+        """Read a sensor's file as `read` does; None if there surely is none."""
+        path = self.path_to_load(chosen, magnetometer_frame)
+        if promptly(lambda: is_missing(path), path):
+            return None
+        return self.read(chosen, magnetometer_frame)
+
+    def read(self, chosen: str, magnetometer_frame: str) -> Loaded:
+        """Read a file, in any thread; one that has not changed since is not read again.
 
         Parameters
         ----------
-        path : Path
-            The file.
+        chosen : str
+            The file that the user named; empty for that of node and sensor.
         magnetometer_frame : str
             Frame of the sensor that is there; empty while it is not known.
 
         Raises
         ------
         FileTrouble
-            If the file is missing, damaged, foreign, or made for another sensor; whatever was in
-            force stays so.
+            If the file is missing, damaged, foreign, or made for another sensor.
         """
-        try:
-            calibration, origin = read_calibration(path)
-            require_plausible(path, calibration)
-            require_sensor(path, origin, magnetometer_frame)
-        except FileTrouble as error:
-            self.trouble = str(error)
-            raise
+        path = self.path_to_load(chosen, magnetometer_frame)
+        key = promptly(lambda: _key_of(path), path)
+        if self._read is None or key is None or self._read[0] != key:
+            found = promptly(lambda: read_calibration(path), path)
+            self._read = key, Loaded(path, *found)
+        loaded = self._read[1]
+        require_sensor(path, loaded.origin, magnetometer_frame)
+        return loaded
+
+    def use(self, loaded: Loaded) -> str:
+        """Put what was read in force; returns what was done."""
         self.trouble = ""
-        self.put_in_force(calibration, origin)
-        made = f"{plain(origin.created)} by {plain(calibration.evidence.method)}"
-        return f"loaded {path} (made {made})"
+        self.put_in_force(loaded.calibration, loaded.origin)
+        origin, method = loaded.origin, loaded.calibration.evidence.method
+        made = f"{plain(origin.created)} by {plain(method)}"
+        where = f" in {plain(origin.node)}" if origin.node else ""
+        return f"loaded {loaded.path} (made {made}{where})"
 
     def store(self, find_path: Callable[[], Path]) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread."""
@@ -97,7 +137,7 @@ class Keeper:
         def work() -> str:
             try:
                 path = find_path()
-                write_calibration(path, calibration, origin)
+                promptly(lambda: write_calibration(path, calibration, origin), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
@@ -107,28 +147,13 @@ class Keeper:
         return work
 
 
-def require_plausible(path: Path, calibration: Calibration) -> None:
-    """Refuse numbers that would leave the floats on their way to a yaw.
-
-    Raises
-    ------
-    FileTrouble
-        If the matrix, the hard iron or the covariance is beyond every sensor.
-    """
-    correction = calibration.correction
-    for name, numbers, limit in (
-        ("correction_matrix", correction.matrix, LARGEST_GAIN),
-        ("hard_iron", correction.hard_iron, LARGEST_IRON),
-        ("covariance", calibration.covariance, LARGEST_COVARIANCE),
-        ("noise_field", calibration.noise_field, LARGEST_IRON),
-        ("noise_up", calibration.noise_up, LARGEST_GAIN),
-    ):
-        largest = float(np.abs(numbers).max())
-        if largest > limit:
-            raise FileTrouble(
-                f"{path} is not a usable calibration: {name} reads up to {largest:.0e}, which no "
-                "magnetometer needs. Calibrate again to replace it."
-            )
+def _key_of(path: Path) -> Key | None:
+    """Return what changes with a file; None if it cannot be looked at."""
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return None
+    return path, about.st_mtime_ns, about.st_size
 
 
 def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:

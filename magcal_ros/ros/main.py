@@ -17,6 +17,9 @@ SWITCH_INTERVAL = 0.0005
 """Seconds after which the thread that hands over a turn or stores a calibration gives way to a
 message that waits. With Python's own 5 ms a message that came then would be late by as much."""
 
+ENDING = 1.0
+"""Seconds that a callback of the sensors may take to return when the node is being ended."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
@@ -48,16 +51,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _spin(node: Calibrator, signals: EndSignals) -> None:
-    executor = node.executor_of_its_own()
+    spinner = node.spinner()
 
     def end() -> None:
         # From the signals' thread, so that the robot stops even if a callback hangs.
-        executor.wake()
-        node.stop_robot()
+        try:
+            spinner.end()
+        finally:
+            node.stop_robot()
 
     signals.when_given(end)
-    while not signals.were_given:
-        executor.spin_once()
+    try:
+        spinner.spin()
+    finally:
+        spinner.shutdown(timeout_sec=ENDING)
 
 
 if __name__ == "__main__":

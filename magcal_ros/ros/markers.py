@@ -10,12 +10,12 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import unit
-from magcal_ros.core.circle import Circle, fit_circle_in_space
+from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.estimate import Estimate
-from magcal_ros.core.window import Window
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.circle3d import Circle, fit_circle_in_space
+from magcal_ros.core.samples.window import Window
 
 METRES_PER_TESLA = 1.0 / 50e-6
 MOST_POINTS = 400

@@ -1,10 +1,13 @@
-"""Numbers to messages: those that are not made anew for each field message."""
+"""Numbers and words to messages: those that are not made anew for each field message."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.core.correction import Correction
+from magcal_ros.core.calibration.correction import Correction
 
 
 def bias_message(correction: Correction, frame: str) -> MagneticField:
@@ -16,3 +19,13 @@ def bias_message(correction: Correction, frame: str) -> MagneticField:
     )
     message.magnetic_field_covariance = correction.matrix.ravel().copy()
     return message
+
+
+def diagnostic(name: str, part: str) -> DiagnosticStatus:
+    """Return an empty diagnostic of a part of the node."""
+    return DiagnosticStatus(name=f"{name}: {part}", level=DiagnosticStatus.OK)
+
+
+def key_values(values: Mapping[str, str]) -> list[KeyValue]:
+    """Return a diagnostic's values."""
+    return [KeyValue(key=key, value=value) for key, value in values.items()]

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-from rclpy.executors import Executor
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
@@ -17,33 +15,46 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.streams import Drop, Streams
-from magcal_ros.core.up import Up, UpFollower
-from magcal_ros.core.watch import Watch
-from magcal_ros.core.window import Window
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.monitoring.watch import Watch
+from magcal_ros.core.samples.streams import Drop, Streams
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
+from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.up import UpFollower
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.files.places import is_missing, known_as
-from magcal_ros.ros.control import Conclusion, Control, State
+from magcal_ros.files.places import known_as
+from magcal_ros.ros.announcer import Announcer
+from magcal_ros.ros.control import Control
+from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper, require_sensor
+from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.markers import turn_markers
+from magcal_ros.ros.meetings import Meetings
+from magcal_ros.ros.mishaps import Mishaps
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
 from magcal_ros.ros.parameters import Parameters
-from magcal_ros.ros.reporter import Reporter, now
-from magcal_ros.ros.rotator import Rotator
-from magcal_ros.ros.services import Services
+from magcal_ros.ros.reporter import Reporter
+from magcal_ros.ros.rotator import PERIOD, Rotator
+from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.spinner import Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
+    diagnostic_array,
+    diagnostic_name,
     field_diagnostic,
     inputs_diagnostic,
     status_json,
     watch_diagnostic,
 )
-from magcal_ros.ros.straight import executor_for
+from magcal_ros.ros.straight import StraightGroup
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
@@ -70,47 +81,52 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
+        self._mishaps = Mishaps(self.get_logger().error)
+        self._announcer = Announcer(self.get_logger())
         self._up = UpFollower()
+        self._compass: Compass | None = None
         self._watch: Watch | None = None
         self._table = Parameters(self)
         self._whereabouts = Whereabouts(self, self._table)
-        self._outputs = Outputs(self)
-        self._fused = FusedOutput(self, self._up, self._outputs)
-        self._keeper = Keeper(self.get_namespace(), self._apply)
+        self._seat = Seat(self, lambda: self._table.settings)
+        self._outputs = Outputs(self, self._seat)
+        self._fused = FusedOutput(self, self._up, self._seat)
+        self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
+        self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
+        log = self.get_logger()
+        self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
-        self._reporter = Reporter(self.get_logger().error)
-        self._control = Control(
-            streams,
-            self._put_in_force,
-            self._describe_silence,
-            self._begin_report,
-            self._sensors,
+        self._reporter = Reporter(log.error)
+        self._rotator = Rotator(self)
+        topics = Topics(
+            self._inputs.imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
         )
-        self._rotator = Rotator(
-            self,
-            self._control,
-            (self._inputs.imu, self._inputs.field),
-            lambda: self._table.settings,
-        )
+        self._control = Control(streams, self, SelfTurn(topics), self._fits, self._files)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
-        short = {"accept": self._accept, "save": self._save, "load": self._load}
-        Services(self, self._control, self._start, {**short, "reset": self._reset})
-        self._sensor_subscriptions = (
-            self.create_subscription(Imu, "imu/data_raw", self._on_imu, SENSOR_DATA, raw=True),
+        slow = {"accept": self._accept, "save": self._save, "load": self._load}
+        Services(self, self._control, self._start, {"reset": self._reset}, slow)
+        self._sensor_group = StraightGroup()
+        self._sensor_subscriptions = [
             self.create_subscription(
-                MagneticField, "imu/mag", self._on_field, SENSOR_DATA, raw=True
-            ),
-        )
+                kind, topic, callback, SENSOR_DATA, raw=True, callback_group=self._sensor_group
+            )
+            for kind, topic, callback in (
+                (Imu, "imu/data_raw", self._on_imu),
+                (MagneticField, "imu/mag", self._on_field),
+            )
+        ]
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._tick = self.create_timer(TICK, self._on_tick, clock=steady, autostart=False)
+        self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
+        self._look = self.create_timer(PERIOD, self._on_look, clock=steady)
+        for timer in (self._tick, self._look):
+            timer.cancel()
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
-        if self._table.settings.calibration_file:
-            self._load_at_start()
+        self._meetings.begin()
         self._publish_status()
 
     def close(self) -> None:
@@ -122,9 +138,14 @@ class Calibrator(Node):
         """Stop a robot that turns itself, from any thread; it will not move again."""
         self._rotator.halt()
 
-    def executor_of_its_own(self) -> Executor:
-        """Return an executor that serves this node, its sensors before all."""
-        return executor_for(self, self._sensor_subscriptions)
+    def spinner(self) -> Spinner:
+        """Return what serves this node, its sensors with the least effort; one at a time."""
+        return Spinner(self, self._sensor_subscriptions, self._sensor_group, self._on_mishap)
+
+    def _on_mishap(self, error: Exception) -> None:
+        self._mishaps.note(error)
+        # What failed may be what watches the turn.
+        self._control.give_up("an error in a callback of the node; its log says which")
 
     def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -133,11 +154,13 @@ class Calibrator(Node):
         except Unreadable:
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
-        self._inputs.imu.heard(frame)
+        if self._inputs.imu.heard(frame):
+            self._meet()
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
             self._up.add(sample)
+            self._control.hear(sample)
             reference = self._whereabouts.reference.field
             self._fused.on_imu(sample.stamp, stamp, self._body_frame(), reference)
 
@@ -148,114 +171,118 @@ class Calibrator(Node):
         except Unreadable:
             streams.field_drops[Drop.UNREADABLE] += 1
             return
-        # A driver may leave out the frame at first: the sensor is known when it has a name.
-        before = self._inputs.field.frame if self._inputs.field.messages else None
-        self._inputs.field.heard(arrived.frame)
-        if not before and before != arrived.frame:
-            self._meet_sensor()
+        if self._inputs.field.heard(arrived.frame):
+            self._meet()
         sample = arrived.sample
         if not streams.add_field(sample):
             return
-        if self._outputs.compass is not None:
-            reference = self._whereabouts.reference.field
+        self._up.add_field(sample.stamp, sample.field)
+        if self._compass is not None:
             up = self._up.at(sample.stamp, streams.max_gap)
-            self._outputs.publish(arrived, up, self._body_frame(), reference)
-            self._fused.on_field(sample.stamp, up)
-            self._look_on(sample.stamp, up)
+            moment = Moment.of(self._compass, sample, up, streams.newest_rate)
+            reference = self._whereabouts.reference.field
+            self._outputs.publish(moment, arrived, self._body_frame(), reference)
+            self._fused.on_field(moment)
+            self._look_on(moment)
         if not streams.is_repeated:
             self._control.add(sample)
 
-    def _look_on(self, stamp: float, up: Up | None) -> None:
-        field, heading = self._outputs.last_field, self._outputs.last_heading
-        if self._watch is not None and up is not None and field is not None:
-            rate = self._inputs.streams.newest_rate
-            if heading is not None and rate is not None:
-                self._watch.add(stamp, field, up.direction, heading.yaw, rate)
+    def _look_on(self, moment: Moment) -> None:
+        stamp, field, up, heading, rate = moment
+        if self._watch is None or up is None or heading is None or rate is None:
+            return
+        self._watch.add(stamp, field, up.direction, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
-
-    def _sensors(self) -> str:
-        return f"{self._inputs.field.frame} {self._inputs.imu.frame}"
 
     def _body_frame(self) -> str:
         heard = self._inputs.imu.frame
         return heard or (self._keeper.origin.imu_frame if self._keeper.origin else "")
 
-    def _meet_sensor(self) -> None:
-        """Load the sensor's own file, or check that the loaded one is its own."""
-        frame = self._inputs.field.frame
-        if self._keeper.calibration is None:
-            self._load_at_start()
-            return
-        try:
-            assert self._keeper.origin is not None
-            path = self._keeper.path(self._table.settings.calibration_file, frame)
-            assert path is not None
-            require_sensor(path, self._keeper.origin, frame)
-        except FileTrouble as error:
-            self._keeper.reset()
-            self._keeper.trouble = str(error)
-            self.get_logger().error(str(error))
+    def _chosen(self) -> str:
+        return self._table.settings.calibration_file
 
-    def _load_at_start(self) -> None:
-        frame = self._inputs.field.frame
-        try:
-            path = self._keeper.path(self._table.settings.calibration_file, frame)
-            if path is None or is_missing(path):
-                return
-            self.get_logger().info(self._keeper.load(path, frame))
-        except FileTrouble as error:
-            self.get_logger().error(f"{error} Running uncalibrated.")
+    def _meet(self) -> None:
+        """Take note of sensors that are heard for the first time, or under another name."""
+        imu, field = self._inputs.imu, self._inputs.field
+        self._control.sensors_met(f"{field.frame} {imu.frame}")
+        self._seat.meet(imu.frame, field.frame)
+        if field.last_heard is not None:
+            self._meetings.meet(field.frame)
 
     def _start(self) -> Conclusion:
-        opened = self._rotator.begin(self._whereabouts.settings)
+        settings = self._seat.settled(self._whereabouts.settings)
+        opened = self._control.start(settings)
         if opened.success:
             self._tick.reset()
+            if settings.rotation.enabled:
+                self._rotator.prepare(settings.rotation)
+                self._look.reset()
             self._publish_status()
         return opened
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
-        self._outputs.put_in_force(calibration, magnetometer_frame)
-        self._fused.begin_anew()
+        self._compass = None if calibration is None else Compass(calibration)
+        self._outputs.put_in_force(self._compass, magnetometer_frame)
+        self._fused.begin_anew(calibration)
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
         self._publish_status()
 
-    def _put_in_force(self, calibration: Calibration) -> Callable[[], str]:
-        origin = Origin.now(self._inputs.field.frame, self._inputs.imu.frame)
+    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+        """Apply a calibration at once; returns the work of storing it, which says what it did."""
+        frames = (self._inputs.field.frame, self._inputs.imu.frame)
+        origin = Origin.now(*frames, self.get_fully_qualified_name())
         self._keeper.put_in_force(calibration, origin)
         return self._keeper.store(self._path)
 
     def _path(self) -> Path:
-        chosen = self._table.settings.calibration_file
-        path = self._keeper.path(chosen, self._inputs.field.frame or "magnetometer")
-        assert path is not None
-        return path
+        return self._keeper.path(self._chosen(), self._inputs.field.frame)
 
-    def _accept(self) -> Conclusion:
-        outcome = self._control.last_outcome
-        if self._control.state is not State.IDLE:
-            return Conclusion(False, "a turn is under way: wait for its verdict first")
-        if outcome is None or outcome.calibration is None:
-            return Conclusion(False, "there is no fitted calibration to accept")
-        return Conclusion(True, self._put_in_force(outcome.calibration.on_users_word())())
+    def _accept(self, tell: Tell) -> None:
+        outcome = self._control.turn.last_outcome
+        if self._control.state is not TurnState.IDLE:
+            tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
+        elif outcome is None or outcome.calibration is None:
+            tell(Conclusion(False, "there is no fitted calibration to accept"))
+        else:
+            self._reporter.put_in_force()
+            work = self.put_in_force(outcome.calibration.on_users_word())
+            self._files.run(
+                work,
+                lambda words: tell(Conclusion(True, words)),
+                lambda error: tell(Conclusion(True, f"In force, but not saved: {error!r}")),
+            )
 
-    def _save(self) -> Conclusion:
+    def _save(self, tell: Tell) -> None:
         try:
-            words = self._keeper.store(self._path)()
+            work = self._keeper.store(self._path)
         except FileTrouble as error:
-            return Conclusion(False, str(error))
-        return Conclusion(not self._keeper.trouble, words)
+            tell(Conclusion(False, str(error)))
+            return
+        self._files.run(
+            work,
+            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
+            lambda error: tell(Conclusion(False, f"not saved: {error!r}")),
+        )
 
-    def _load(self) -> Conclusion:
-        try:
-            return Conclusion(True, self._keeper.load(self._path(), self._inputs.field.frame))
-        except FileTrouble as error:
-            return Conclusion(False, str(error))
+    def _load(self, tell: Tell) -> None:
+        chosen, frame = self._chosen(), self._inputs.field.frame
+
+        def fail(error: Exception) -> None:
+            self._keeper.trouble = str(error)
+            tell(Conclusion(False, str(error)))
+
+        self._files.run(
+            lambda: self._keeper.read(chosen, frame),
+            lambda loaded: tell(Conclusion(True, self._keeper.use(loaded))),
+            fail,
+        )
 
     def _reset(self) -> Conclusion:
         self._control.forget_turns()
+        self._meetings.forget()
         if self._keeper.calibration is None:
             return Conclusion(True, "there was no calibration in force")
         self._keeper.reset()
@@ -263,7 +290,8 @@ class Calibrator(Node):
             True, "no calibration is in force any more; its file stays and is used at next start"
         )
 
-    def _begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+    def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
+        """Begin the report on a turn; returns where it will lie, in words."""
         # A node that never calibrates should not load what draws reports.
         from magcal_ros.report import Subject
 
@@ -273,18 +301,41 @@ class Calibrator(Node):
             settings.knowledge,
             outcome,
             source=f"{field.topic} and {imu.topic}",
-            created=now(),
             method=settings.method,
             magnetometer_frame=known_as(field.frame),
             imu_frame=known_as(imu.frame),
         )
-        return self._reporter.begin(settings.report_folder, subject)
+        return self._reporter.begin(settings.report_folder, subject, settings.reports_kept)
 
-    def _describe_silence(self) -> str:
+    def describe_silence(self) -> str:
+        """Say which sensor is missing, and what to look at."""
         complaints = self._inputs.complaints()
         return "; ".join(complaints) or "no new field sample with an acceleration has come"
 
+    def move(self, rate: float) -> None:
+        """Tell the base to turn at a rate, rad/s."""
+        self._rotator.move(rate)
+
+    def look_around(self) -> Around:
+        """Return what is around a robot that turns itself."""
+        ages = self._inputs.imu.age(), self._inputs.field.age()
+        is_allowed = self._table.settings.rotation.enabled
+        return Around(*ages, self._rotator.listeners, is_allowed, self._rotator.is_guarded)
+
+    def turn_ended(self) -> None:
+        """Tell the world how a turn ended, before those who wait for it are told."""
+        self._seat.note_outcome(self._control.turn.last_outcome)
+        self._publish_status()
+        self._draw()
+
+    def _on_look(self) -> None:
+        if not self._control.look():
+            self._rotator.rest()
+            self._look.cancel()
+
     def _on_tick(self) -> None:
+        self._fits.deliver()
+        self._files.deliver()
         if not self._control.tick():
             self._tick.cancel()
         self._publish_status()
@@ -292,42 +343,51 @@ class Calibrator(Node):
 
     def _draw(self) -> None:
         """Draw the window of the moment once; a turn under way has a new one with each preview."""
-        window = self._control.last_window
+        window = self._control.turn.last_window
         if window is None or window is self._drawn:
             return
-        idle, outcome = self._control.state is State.IDLE, self._control.last_outcome
+        idle, outcome = self._control.state is TurnState.IDLE, self._control.turn.last_outcome
         if not idle and not self._markers_out.get_subscription_count():
             return
-        if idle or self._control.state is State.COLLECTING:
+        if idle or self._control.state is TurnState.COLLECTING:
             estimate = outcome.estimate if idle and outcome is not None else None
-            to_body = self._table.settings.knowledge.mounting.to_body
+            to_body = self._seat.settled(self._table.settings).knowledge.mounting.to_body
             markers = turn_markers(window, to_body, estimate, self._body_frame())
             self._markers_out.publish(markers)
             self._drawn = window
 
     def _on_heartbeat(self) -> None:
+        self._fits.deliver()
+        self._files.deliver()
         self._inputs.streams.max_gap = self._table.settings.max_gap
         self._inputs.look(self.count_publishers)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
         self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
+        self._seat.note_up(self._up)
+        complaints = self._inputs.complaints() + self._seat.complaints
+        self._announcer.complain(complaints)
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
-        name = self.get_name()
-        report = DiagnosticArray()
-        report.header.stamp = now
-        report.status = [
+        name = diagnostic_name(self.get_fully_qualified_name())
+        statuses = [
             calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
             watch_diagnostic(name, self._watch),
-            inputs_diagnostic(name, self._inputs, self._table.complaints),
+            inputs_diagnostic(
+                name, self._inputs, complaints + self._table.complaints, self._mishaps.total
+            ),
         ]
-        self._diagnostics_out.publish(report)
+        array = diagnostic_array(statuses, self._inputs.field.frame, now)
+        self._diagnostics_out.publish(array)
         self._publish_status()
 
     def _publish_status(self) -> None:
+        answer = self._control.turn.last_conclusion
+        words = "" if answer is None else answer.message
+        self._announcer.follow_turn(self._control.state is not TurnState.IDLE, answer, words)
         reference, rotation = self._whereabouts.reference, self._table.settings.rotation
         status = status_json(
             self._control, self._keeper, self._inputs, reference, self._watch, rotation.enabled

@@ -1,16 +1,16 @@
-"""The one table of parameters: descriptors, checks and the README's table come from it."""
+"""The one table of parameters: descriptors, checks and the table of doc/node.md come from it."""
 
 from __future__ import annotations
 
 from magcal_ros.core.calibrate import METHODS
-from magcal_ros.core.field_watch import PATIENCE
-from magcal_ros.core.geomagnetism import ALTITUDES
+from magcal_ros.core.earth_field.wmm import ALTITUDES
+from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
 )
-from magcal_ros.core.streams import MAX_GAP
+from magcal_ros.core.samples.streams import MAX_GAP
 from magcal_ros.ros.spec import UNSET, Spec
 
 PARAMETERS: tuple[Spec, ...] = (
@@ -18,13 +18,21 @@ PARAMETERS: tuple[Spec, ...] = (
         "calibration_file",
         "",
         "Where the calibration is stored and loaded from. Empty: "
-        "$ROS_HOME/magcal/<namespace>/<frame of the magnetometer>.yaml",
+        "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml",
     ),
     Spec(
         "report_folder",
         "",
         "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
         "$ROS_HOME/magcal/reports; none: no reports",
+    ),
+    Spec(
+        "reports_kept",
+        50,
+        "How many reports stay beside those of turns that were put in force; older ones are "
+        "removed",
+        1,
+        100_000,
     ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
@@ -112,9 +120,16 @@ PARAMETERS: tuple[Spec, ...] = (
         10.0,
     ),
     Spec(
+        "base_frame",
+        "",
+        "Frame that the attitudes are published for, told by the fixed joints of "
+        "robot_description or the static transforms. Empty: the IMU's own",
+    ),
+    Spec(
         "mount_rpy_deg",
-        (0.0, 0.0, 0.0),
-        "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF",
+        (UNSET, UNSET, UNSET),
+        "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "
+        "what the robot's description says if base_frame is set, else zero",
         -360.0,
         360.0,
         "°",
@@ -187,7 +202,7 @@ def as_yaml() -> str:
 
 
 def as_markdown() -> str:
-    """Return the table as it stands in the README."""
+    """Return the table as it stands in doc/node.md."""
     lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
     for spec in PARAMETERS:
         row = (f"`{spec.name}`", f"`{spec.yaml_default}`", spec.constraints, spec.description)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
@@ -13,9 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 
-from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.messages import seconds
-from magcal_ros.core.units import likely_field_unit
+from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.files.plain import plain
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
@@ -118,7 +119,7 @@ def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
         node.create_subscription(
             Imu if heard.kind == IMU_TYPE else MagneticField,
             heard.topic,
-            lambda message, heard=heard: _note(heard, message),
+            partial(_note, heard),
             best_effort,
         )
         for heard in sensors

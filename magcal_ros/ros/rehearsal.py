@@ -11,22 +11,29 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.node import Node
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
-from magcal_ros.core.attitude import wrap_angle
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.heading import Compass
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import Robot
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.messages import seconds
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.ros.outputs import LATCHED
 from magcal_ros.ros.sensor_source import SensorSource
 
 TURN_RATE = 0.5
 SAMPLES_PER_HEADING = 20
-SETTLE = 0.15
-"""Seconds that messages of the heading before may still be under way."""
+
+PATIENCE = 5.0
+"""Seconds within which an answer of the node must come."""
+
+SETTLE = 0.8
+"""Seconds of the robot's time until what is published speaks of a new pose alone. The yaw comes
+without a stamp, and on a busy machine later than the attitude that has one."""
 
 
 class Rehearsal:
@@ -65,6 +72,8 @@ class Rehearsal:
         self.mangle: Callable[[ImuSample | FieldSample], list[ImuSample | FieldSample]] | None
         self.mangle = None
         self._calibrator = calibrator
+        self._answered = -math.inf
+        self._attitudes: Any = None
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
         node.create_subscription(Float64, "compass/yaw", self._on_yaw, 10)
         self._executor = rclpy.executors.SingleThreadedExecutor()
@@ -75,6 +84,9 @@ class Rehearsal:
 
     def _on_yaw(self, message: Float64) -> None:
         self.yaws.append(message.data)
+
+    def _on_attitude(self, message: Imu) -> None:
+        self._answered = seconds(message.header.stamp)
 
     def wait_for_node(self, patience: float = 20.0) -> None:
         """Wait until the node listens to the sensors and has told its state."""
@@ -156,11 +168,17 @@ class Rehearsal:
     ) -> list[float]:
         """Stand at all headings and tilts (degrees) and compare the published yaw, radians."""
         declination = float(self.robot.declination)
+        if self._attitudes is None:
+            self._attitudes = self.node.create_subscription(
+                Imu, "compass/mag/enu/imu", self._on_attitude, 10
+            )
 
         def measure() -> float:
-            self.run(SETTLE / self.speed + 0.05)
+            # By the stamps of the answers: a busy machine may be behind by any time.
+            settled = self.ride.stamp + SETTLE
+            self.run(PATIENCE, stop=lambda: self._answered >= settled)
             self.yaws.clear()
-            self.run(2.0, stop=lambda: len(self.yaws) >= SAMPLES_PER_HEADING)
+            self.run(PATIENCE, stop=lambda: len(self.yaws) >= SAMPLES_PER_HEADING)
             if not self.yaws:
                 raise MagcalError("no yaw is published")
             return _mean_angle(self.yaws) - (self.ride.magnetic_yaw - declination)

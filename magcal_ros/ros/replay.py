@@ -8,7 +8,7 @@ from collections.abc import Callable
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files.recording import Recording
 from magcal_ros.ros.sensor_source import SensorSource
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.places import chosen_path, ros_home
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
     from magcal_ros.report import Subject
 
+    Draw: TypeAlias = Callable[[Path, Subject], subprocess.Popen[bytes]]
+
 NO_REPORTS = "none"
 
 
@@ -23,18 +26,26 @@ class Reporter:
 
     Drawing takes a second or two of one core and loads a plotting library: neither belongs into
     a process that passes on messages for months. The other process has a session of its own, so
-    that a report is finished although the node was ended right after the turn.
+    that a report is finished although the node was ended right after the turn. There is one such
+    process at a time; of the reports that come meanwhile the newest waits for its end.
 
     Parameters
     ----------
     say : callable
         Told, in a thread of its own, what went wrong with a report after `begin` has returned.
+    draw : callable
+        Starts the process that draws a subject into a folder.
     """
 
-    def __init__(self, say: Callable[[str], object]) -> None:
+    def __init__(self, say: Callable[[str], object], draw: Draw | None = None) -> None:
         self._say = say
+        self._draw = draw or _draw_elsewhere
+        self._lock = threading.Lock()
+        self._drawing = False
+        self._waiting: tuple[Path, Subject] | None = None
+        self._newest: Path | None = None
 
-    def begin(self, parent: str, subject: Subject) -> str:
+    def begin(self, parent: str, subject: Subject, keep: int) -> str:
         """Start a report in a new folder and say where it will lie; empty if there is none.
 
         Parameters
@@ -43,29 +54,70 @@ class Reporter:
             As the parameter report_folder has it.
         subject : Subject
             What to report.
+        keep : int
+            How many reports stay beside those of turns that were put in force.
         """
+        self._newest = None
         if parent == NO_REPORTS:
             return ""
-        import threading
-
-        from magcal_ros.report import new_folder
+        from magcal_ros.report import new_folder, remove_old
 
         try:
             place = chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
-            folder = new_folder(place, subject.created)
-            process = _draw_elsewhere(folder, subject)
+            folder = self._newest = new_folder(place, subject.created)
+            if subject.outcome.verdict.accepted:
+                self.put_in_force()
+            remove_old(place, keep)
+            self._draw_in_turn(folder, subject)
         except MagcalError as error:
             return f"No report: {error}"
         except OSError as error:
             return f"No report: {error.strerror or error}."
-        threading.Thread(target=self._wait_for, args=(process,), daemon=True).start()
         return f"Report: {folder / 'report.html'}."
 
-    def _wait_for(self, process: subprocess.Popen[bytes]) -> None:
-        _, words = process.communicate()
-        if process.returncode:
-            last = words.decode(errors="replace").strip().rpartition("\n")[2]
-            self._say(f"no report: {last or f'its process ended with {process.returncode}'}")
+    def put_in_force(self) -> None:
+        """Keep the newest turn's report: its calibration was put in force."""
+        from magcal_ros.report import mark_in_force
+
+        if self._newest is not None:
+            with contextlib.suppress(OSError):
+                mark_in_force(self._newest)
+
+    def _draw_in_turn(self, folder: Path, subject: Subject) -> None:
+        with self._lock:
+            if self._drawing:
+                passed_over, self._waiting = self._waiting, (folder, subject)
+            else:
+                process = self._draw(folder, subject)
+                self._drawing = True
+                threading.Thread(target=self._draw_on, args=(process,), daemon=True).start()
+                return
+        if passed_over is not None:
+            from magcal_ros.report import remove
+
+            remove(passed_over[0])
+            self._say(f"no report in {passed_over[0]}: newer turns came before it was drawn")
+
+    def _draw_on(self, process: subprocess.Popen[bytes] | None) -> None:
+        """Wait for a report, and draw those that came meanwhile."""
+        while process is not None:
+            _, words = process.communicate()
+            if process.returncode:
+                last = words.decode(errors="replace").strip().rpartition("\n")[2]
+                self._say(f"no report: {last or f'its process ended with {process.returncode}'}")
+            process = self._next()
+
+    def _next(self) -> subprocess.Popen[bytes] | None:
+        while True:
+            with self._lock:
+                waiting, self._waiting = self._waiting, None
+                if waiting is None:
+                    self._drawing = False
+                    return None
+            try:
+                return self._draw(*waiting)
+            except OSError as error:
+                self._say(f"no report in {waiting[0]}: {error.strerror or error}")
 
 
 def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
@@ -85,8 +137,3 @@ def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
             stderr=subprocess.PIPE,
             start_new_session=True,
         )
-
-
-def now() -> datetime:
-    """Return the local time of this moment, with its zone."""
-    return datetime.now().astimezone()

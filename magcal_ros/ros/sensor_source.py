@@ -9,7 +9,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.messages import ABSENT
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
 class SensorSource:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -11,7 +11,11 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from magcal_ros.ros.control import Conclusion, Control, State
+from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.ros.control import Control
+
+Tell = Callable[[Conclusion], None]
 
 CALLS = QoSProfile(depth=100)
 """With the usual depth of 10, calls of a storm overwrite each other before they are read."""
@@ -28,8 +32,10 @@ class Services:
         Runs the turn.
     start : callable
         Opens a session with the parameters of the moment.
-    accept, save, load, reset : callable
-        What the short services do.
+    short : dict of callable
+        What the services that answer at once do.
+    slow : dict of callable
+        What those do that go to the disk; each is given whom to tell when it is done.
     """
 
     def __init__(
@@ -37,7 +43,8 @@ class Services:
         node: Node,
         control: Control,
         start: Callable[[], Conclusion],
-        short: dict[str, Callable[[], Conclusion]],
+        short: Mapping[str, Callable[[], Conclusion]],
+        slow: Mapping[str, Callable[[Tell], None]],
     ) -> None:
         self._node = node
         self._control = control
@@ -45,7 +52,9 @@ class Services:
         # A waiting coroutine holds its group: with one of its own nothing else starves, and
         # being reentrant it lets a second call in, to be refused with the reason.
         waiting = ReentrantCallbackGroup()
-        for name, answer in {"calibrate": self._calibrate, "finish": self._finish}.items():
+        waiting_for = {name: self._wait_for(action) for name, action in slow.items()}
+        long = {"calibrate": self._calibrate, "finish": self._finish, **waiting_for}
+        for name, answer in long.items():
             node.create_service(
                 Trigger, f"~/{name}", answer, qos_profile=CALLS, callback_group=waiting
             )
@@ -59,14 +68,29 @@ class Services:
         return _fill(response, await self._conclusion())
 
     async def _finish(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._control.state is not State.COLLECTING:
+        if self._control.state is not TurnState.COLLECTING:
             return _fill(response, self._control.finish() or Conclusion(False, ""))
         done = self._conclusion()
         self._control.finish()
         return _fill(response, await done)
 
-    def _conclusion(self) -> Future[Conclusion]:
-        future: Future[Conclusion] = Future(executor=self._node.executor)
+    def _wait_for(self, action: Callable[[Tell], None]) -> Callable[[Any, Any], Any]:
+        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            future = self._future()
+            action(future.set_result)
+            return _fill(response, await future)
+
+        return answer
+
+    def _future(self) -> Future:
+        future: Future = Future(executor=self._node.executor)
+        # An rclpy before 2026 does not wake for a future that a coroutine waits for, but for a
+        # callback of it.
+        future.add_done_callback(lambda _: None)
+        return future
+
+    def _conclusion(self) -> Future:
+        future = self._future()
         self._control.when_done(future.set_result)
         return future
 

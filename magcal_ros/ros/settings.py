@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from magcal_ros.core.geomagnetism import Place
+from magcal_ros.core.earth_field.reference import Local
+from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.reference import Local
-from magcal_ros.core.session import Limits
+from magcal_ros.core.session.session import Limits
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,13 @@ class Settings:
     """The parameters' values in SI units and in the core's own types.
 
     `knowledge` is what was given by hand; `place`, `local` and the World Magnetic Model fill in
-    what its reference field lacks. `half_place` tells that only one of two coordinates was given.
+    what its reference field lacks. `half_place` tells that only one of two coordinates was given,
+    `mount_is_given` that the magnetometer's pose was. An empty `base_frame` is the IMU's.
     """
 
     calibration_file: str
     report_folder: str
+    reports_kept: int
     method: str
     accumulate: bool
     knowledge: Knowledge
@@ -55,10 +57,14 @@ class Settings:
     half_place: bool
     local: Local
     rotation: Rotation
+    base_frame: str
+    mount_is_given: bool
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
         """Build from checked values by parameter name."""
+        mount = values["mount_rpy_deg"]
+        mount_is_given = not any(math.isnan(angle) for angle in mount)
         knowledge = knowledge_of(
             values["reference.strength_ut"],
             values["reference.strength_sigma_ut"],
@@ -66,7 +72,7 @@ class Settings:
             values["reference.inclination_sigma_deg"],
             values["reference.declination_deg"],
             values["soft_iron_gains"],
-            values["mount_rpy_deg"],
+            mount if mount_is_given else (0.0, 0.0, 0.0),
             values["reference.declination_sigma_deg"],
         )
         spot = (values["reference.latitude_deg"], values["reference.longitude_deg"])
@@ -74,6 +80,7 @@ class Settings:
         return cls(
             values["calibration_file"],
             values["report_folder"],
+            values["reports_kept"],
             values["method"],
             values["accumulate"],
             knowledge,
@@ -97,4 +104,6 @@ class Settings:
                 values["rotate.stamped"],
                 values["rotate.frame_id"],
             ),
+            values["base_frame"],
+            mount_is_given,
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-Value: TypeAlias = "bool | float | str | tuple[float, ...]"
+Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 
 UNSET = math.nan
 """Stands for a number that is not known; in YAML it is written .nan or left out."""
@@ -21,7 +21,7 @@ class Spec:
     ----------
     name : str
         Parameter name.
-    default : bool, float, str or tuple of float
+    default : bool, int, float, str or tuple of float
         Default, which also fixes the type.
     low, high : float
         Allowed range, for numbers.
@@ -44,7 +44,8 @@ class Spec:
     @property
     def may_be_unset(self) -> bool:
         """Whether .nan is allowed and means "not known"."""
-        return isinstance(self.default, float) and math.isnan(self.default)
+        default = self.default[0] if isinstance(self.default, tuple) else self.default
+        return isinstance(default, float) and math.isnan(default)
 
     def parse(self, value: Any) -> Value:
         """Return a value in the right type.
@@ -60,33 +61,51 @@ class Spec:
             return self._parse_text(value)
         if isinstance(self.default, tuple):
             return self._parse_list(value)
+        if isinstance(self.default, int):
+            return self._parse_whole(value)
         return self._parse_number(value)
 
     def _parse_switch(self, value: Any) -> bool:
         if not isinstance(value, bool):
-            raise ValueError(f"{self.name} must be true or false, not {value!r}")
+            raise ValueError(f"{self.name} must be true or false, not {_shown(value)}")
         return value
 
     def _parse_text(self, value: Any) -> str:
         if not isinstance(value, str):
-            raise ValueError(f"{self.name} must be a text, not {value!r}")
+            raise ValueError(f"{self.name} must be a text, not {_shown(value)}")
         if self.choices and value not in self.choices:
-            raise ValueError(f"{self.name} must be one of {', '.join(self.choices)}, not {value!r}")
+            allowed = ", ".join(self.choices)
+            raise ValueError(f"{self.name} must be one of {allowed}, not {_shown(value)}")
         return value
 
     def _parse_list(self, value: Any) -> tuple[float, ...]:
         assert isinstance(self.default, tuple)
-        is_list = isinstance(value, Sequence) or hasattr(value, "tolist")
-        if isinstance(value, str) or not is_list or len(value) != len(self.default):
-            raise ValueError(f"{self.name} must be {len(self.default)} numbers, not {value!r}")
-        return tuple(self._parse_number(item) for item in value)
+        items = _items(value)
+        if items is None or len(items) != len(self.default):
+            raise ValueError(
+                f"{self.name} must be {len(self.default)} numbers, as in {self.yaml_default}, "
+                f"not {_shown(value)}"
+            )
+        numbers = tuple(self._parse_number(item) for item in items)
+        if len({math.isnan(number) for number in numbers}) > 1:
+            raise ValueError(f"{self.name} must be known as a whole or not, not {_shown(value)}")
+        return numbers
+
+    def _parse_whole(self, value: Any) -> int:
+        number = _number(value)
+        if number is None or not number.is_integer():
+            raise ValueError(f"{self.name} must be a whole number, not {_shown(value)}")
+        return int(self._within(number))
 
     def _parse_number(self, value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f"{self.name} must be a number, not {value!r}")
-        number = float(value)
+        number = _number(value)
+        if number is None:
+            raise ValueError(f"{self.name} must be a number, not {_shown(value)}")
         if math.isnan(number) and self.may_be_unset:
             return UNSET
+        return self._within(number)
+
+    def _within(self, number: float) -> float:
         if not self.low <= number <= self.high:
             raise ValueError(
                 f"{self.name} must lie between {self.low:g} and {self.high:g}"
@@ -121,6 +140,49 @@ def _yaml(value: Value) -> str:
         return str(value).lower()
     if isinstance(value, tuple):
         return "[" + ", ".join(_yaml(item) for item in value) + "]"
-    if isinstance(value, float):
-        return ".nan" if math.isnan(value) else repr(value)
-    return value or '""'
+    if isinstance(value, str):
+        return value or '""'
+    return ".nan" if math.isnan(value) else repr(value)
+
+
+def _number(value: Any) -> float | None:
+    """Return a number, also one that came as text; None for anything else.
+
+    `ros2 param load` and `ros2 param set` send NaN and 1e-5 as texts: they take each value through
+    Python's notation and back through YAML 1.1, which knows neither `nan` nor `1e-05`.
+    """
+    if isinstance(value, str):
+        text = value.strip().lower()
+        try:
+            return math.nan if text == ".nan" else float(text)
+        except ValueError:
+            return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def _items(value: Any) -> list[Any] | None:
+    """Return a list's items; None if it is none.
+
+    A list of whole numbers and others comes as text from `ros2 param`.
+    """
+    if isinstance(value, str):
+        text = value.strip()
+        return text[1:-1].split(",") if text[:1] == "[" and text[-1:] == "]" else None
+    if hasattr(value, "tolist"):
+        return list(value.tolist())
+    return list(value) if isinstance(value, Sequence) else None
+
+
+def _shown(value: Any) -> str:
+    """Write a value as a person would have typed it."""
+    items = None if isinstance(value, str) else _items(value)
+    if items is not None:
+        return "[" + ", ".join(map(_shown, items)) + "]"
+    if value is None:
+        return "nothing"
+    return str(value).lower() if isinstance(value, bool) else repr(value)

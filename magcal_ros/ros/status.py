@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from magcal_ros.core.reference import Reference
-from magcal_ros.core.session import Progress
-from magcal_ros.core.verdict import Verdict
-from magcal_ros.core.watch import Watch, Watched
+from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.earth_field.reference import Reference
+from magcal_ros.core.monitoring.watch import Watch, Watched
+from magcal_ros.core.session.session import Progress
+from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.files.places import known_as
-from magcal_ros.ros.control import Control, State
+from magcal_ros.files.plain import plain
+from magcal_ros.ros.control import Control
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.outputs import Outputs
 
 
@@ -30,21 +34,21 @@ def status_json(
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
-    if control.state is State.IDLE:
+    if control.state is TurnState.IDLE:
         state = "uncalibrated" if keeper.calibration is None else "calibrated"
-    outcome, conclusion = control.last_outcome, control.last_conclusion
+    outcome, conclusion = control.turn.last_outcome, control.turn.last_conclusion
     return json.dumps(
         {
             "state": state,
             "north": reference.north,
             "reference": reference.facts,
             "turns_itself": turns_itself,
-            "progress": _progress(control.progress),
+            "progress": _progress(control.turn.progress),
             "answer": None
             if conclusion is None
             else {"success": conclusion.success, "message": conclusion.message},
             "verdict": None if outcome is None else _verdict(outcome.verdict),
-            "turns_kept": control.turns_kept,
+            "turns_kept": control.turn.turns_kept,
             "several": None
             if outcome is None or outcome.several is None
             else outcome.several.facts(),
@@ -96,7 +100,7 @@ def _watch(watched: Watched) -> Mapping[str, Any]:
     return {
         "stale": watched.is_stale,
         "summary": watched.summary,
-        "findings": {f.figure: round(f.after, 2) for f in watched.findings},
+        "findings": {f.key: round(f.value or 0.0, 2) for f in watched.findings},
     }
 
 
@@ -123,11 +127,11 @@ def calibration_diagnostic(
     name: str, control: Control, keeper: Keeper, field_frame: str
 ) -> DiagnosticStatus:
     """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
-    status = _named(name, "Calibration")
+    status = diagnostic(name, "Calibration")
     calibration, origin = keeper.calibration, keeper.origin
     values = {"state": control.state.value}
-    if control.last_conclusion is not None:
-        values["last answer"] = control.last_conclusion.message
+    if control.turn.last_conclusion is not None:
+        values["last answer"] = control.turn.last_conclusion.message
     if calibration is None or origin is None:
         status.level = DiagnosticStatus.WARN
         status.message = "not calibrated: call ~/calibrate and turn the robot once"
@@ -151,7 +155,7 @@ def calibration_diagnostic(
     if keeper.trouble:
         status.level = DiagnosticStatus.ERROR
         status.message = keeper.trouble
-    status.values = _key_values(values)
+    status.values = key_values(values)
     return status
 
 
@@ -160,7 +164,7 @@ def field_diagnostic(
 ) -> DiagnosticStatus:
     """Say whether the field looks like the calibrated one, and what it is compared with."""
     status = _corrected_field(name, outputs, keeper)
-    status.values = [*status.values, KeyValue(key="reference", value=reference.words)]
+    status.values = [*status.values, *key_values({"reference": reference.words})]
     if reference.complaints:
         status.level = max(status.level, DiagnosticStatus.WARN)
         status.message = "; ".join([status.message, *reference.complaints])
@@ -168,15 +172,15 @@ def field_diagnostic(
 
 
 def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticStatus:
-    status = _named(name, "Field")
-    calibration, heading = keeper.calibration, outputs.last_heading
+    status = diagnostic(name, "Field")
+    calibration, moment = keeper.calibration, outputs.moment
     if calibration is None:
         status.message = "no corrected field before a calibration is in force"
         return status
-    if outputs.last_field is None:
+    if moment is None:
         status.message = "no field has come since the calibration is in force"
         return status
-    strength = math.hypot(*outputs.last_field)
+    strength, heading = math.hypot(*moment.field), moment.heading
     values = {
         "corrected strength": f"{strength * 1e6:.1f} µT",
         "calibrated strength": f"{calibration.strength * 1e6:.1f} µT",
@@ -188,13 +192,13 @@ def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticS
     if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
         status.level = DiagnosticStatus.WARN
         status.message += ": something magnetic is near, or the calibration is another sensor's"
-    status.values = _key_values(values)
+    status.values = key_values(values)
     return status
 
 
 def watch_diagnostic(name: str, watch: Watch | None) -> DiagnosticStatus:
     """Say whether the calibration has held over the last minutes of driving."""
-    status = _named(name, "Watch")
+    status = diagnostic(name, "Watch")
     if watch is None:
         status.message = "nothing to watch before a calibration is in force"
         return status
@@ -202,35 +206,42 @@ def watch_diagnostic(name: str, watch: Watch | None) -> DiagnosticStatus:
     status.message = watched.summary
     if watched.is_stale:
         status.level = DiagnosticStatus.WARN
-    status.values = _key_values({f.name: f"{f.after:.1f}{f.unit}" for f in watched.findings})
+    status.values = key_values({f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings})
     return status
 
 
 def inputs_diagnostic(
-    name: str, inputs: Inputs, parameter_complaints: list[str]
+    name: str, inputs: Inputs, complaints: list[str], callback_errors: int
 ) -> DiagnosticStatus:
-    """Say whether both sensors arrive, and what is wrong with their messages."""
-    status = _named(name, "Inputs")
-    complaints = inputs.complaints() + parameter_complaints
+    """Say whether both sensors arrive, what is wrong with their messages, and what went wrong."""
+    status = diagnostic(name, "Inputs")
     status.message = "; ".join(complaints) or "both sensors arrive"
     status.level = DiagnosticStatus.ERROR if complaints else DiagnosticStatus.OK
     values = {
         f"{sensor.topic} messages": str(sensor.messages) for sensor in (inputs.imu, inputs.field)
     }
+    values |= {f"{s.topic} rate": f"{s.rate:.1f} Hz" for s in (inputs.imu, inputs.field)}
     for sensor, drops in (
         (inputs.imu, inputs.streams.imu_drops),
         (inputs.field, inputs.streams.field_drops),
     ):
         values |= {f"{sensor.topic} {drop.value}": str(n) for drop, n in drops.items()}
-    status.values = _key_values(values)
+    values["callback errors"] = str(callback_errors)
+    status.values = key_values(values)
     return status
 
 
-def _named(name: str, part: str) -> DiagnosticStatus:
-    status = DiagnosticStatus(name=f"{name}: {part}", hardware_id="magnetometer")
-    status.level = DiagnosticStatus.OK
-    return status
+def diagnostic_name(full_name: str) -> str:
+    """Return what the names of a node's diagnostics begin with: its full name, no slash first."""
+    return full_name.lstrip("/")
 
 
-def _key_values(values: Mapping[str, str]) -> list[KeyValue]:
-    return [KeyValue(key=key, value=value) for key, value in values.items()]
+def diagnostic_array(
+    statuses: Iterable[DiagnosticStatus], frame: str, stamp: Time
+) -> DiagnosticArray:
+    """Return statuses that say which sensor they are about: the frame names it among several."""
+    array = DiagnosticArray(status=list(statuses))
+    array.header.stamp = stamp
+    for status in array.status:
+        status.hardware_id = plain(frame) or "magnetometer"
+    return array

@@ -1,206 +1,167 @@
-"""An executor that hands the sensors' messages on straight away.
+"""The sensors' messages, handed on straight away.
 
-For each message rclpy gathers everything the node owns, builds a wait set of it and makes a task
-of the callback, twice over: most of what a rclpy node costs. Here the wait set is kept, and filled
-again by as many calls as it has entries; messages of the chosen subscriptions are taken from it
-without a task. Whatever else is ready is served by rclpy's own executor.
+For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
+makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
+wait set of their own that is kept, and a thread that waits for nothing else. It makes the calls
+that rclpy's public `wait_for_message` makes, and no others of rclpy's inside; when one of them
+fails, the sensors go back to rclpy's executor with all that lies in their queues.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack, suppress
-from threading import RLock
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack
 from typing import Any
 
-from rclpy.exceptions import InvalidHandle
-from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.callback_groups import CallbackGroup
+from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
 from rclpy.subscription import Subscription
-from rclpy.utilities import timeout_sec_to_nsec
 
 MOST_AT_ONCE = 16
 """Messages of one subscription that are taken before anything else has its turn."""
 
-IMPLEMENTATION: Any = rclpy_implementation
-"""rclpy's inside: its types promise less than there is."""
+FOR_EVER = -1
 
 
-def executor_for(node: Node, straight: Sequence[Subscription[Any]]) -> Executor:
-    """Return the executor that serves a node cheapest, with the node in it.
+class StraightGroup(CallbackGroup):
+    """Keeps subscriptions from rclpy's executor for as long as somebody else serves them.
+
+    Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
+    they are woken by each message.
+
+    Attributes
+    ----------
+    is_open : bool
+        Whether rclpy's executor serves them, as it does until a `StraightLoop` takes over.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.is_open = True
+
+    def can_execute(self, _: Any) -> bool:
+        """Whether rclpy's executor may wait for an entity."""
+        return self.is_open
+
+    def beginning_execution(self, _: Any) -> bool:
+        """Whether rclpy's executor may call an entity's callback."""
+        return self.is_open
+
+    def ending_execution(self, _: Any) -> None:
+        """Nothing has to be noted: one thread calls back at a time."""
+
+
+class StraightLoop:
+    """A thread that takes the messages of chosen subscriptions and calls back.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        The node to serve.
-    straight : sequence of Subscription
-        Those of its subscriptions that bring nearly all messages; their callbacks are plain
-        functions.
-
-    Returns
-    -------
-    Executor
-        A `StraightExecutor`, or rclpy's own where rclpy is another inside than it is known here.
-    """
-    try:
-        executor: Executor = StraightExecutor(straight, context=node.context)
-    except (AttributeError, TypeError):
-        executor = SingleThreadedExecutor(context=node.context)
-    executor.add_node(node)
-    return executor
-
-
-class StraightExecutor(SingleThreadedExecutor):
-    """Serves chosen subscriptions without detours, and everything else as rclpy does.
-
-    Events of the middleware (a QoS that does not match) are looked at with the next timer or
-    service, not at once.
-
-    Parameters
-    ----------
-    straight : sequence of Subscription
-        Subscriptions whose callbacks are plain functions.
-    **kwargs
-        Passed on to `rclpy.executors.SingleThreadedExecutor`.
-
-    Raises
-    ------
-    AttributeError, TypeError
-        If rclpy is another inside than it is known here.
+        The node that owns the subscriptions.
+    subscriptions : sequence of Subscription
+        Made in the group; their callbacks are plain functions.
+    group : StraightGroup
+        Closed while the thread serves them.
+    lock : context manager
+        Held while callbacks run.
+    note : callable
+        Told what a callback raised; the loop goes on.
+    give_up : callable
+        Told, in the loop's thread and with the group open again, what of rclpy has failed.
     """
 
-    def __init__(self, straight: Sequence[Subscription[Any]], **kwargs: Any) -> None:
-        self._straight: tuple[Any, ...] = tuple(straight)
-        self._is_stale = True
-        self._in_use = ExitStack()
-        self._spinning = RLock()
-        self._entries: list[tuple[Callable[..., Any], Any]] = []
-        self._others = range(0)
-        self._wait_set: Any = None
-        super().__init__(**kwargs)
-        self._gather()
+    def __init__(
+        self,
+        node: Node,
+        subscriptions: Sequence[Subscription],
+        group: StraightGroup,
+        lock: AbstractContextManager[None],
+        note: Callable[[Exception], None],
+        give_up: Callable[[Exception], None],
+    ) -> None:
+        self._node = node
+        self._subscriptions = tuple(subscriptions)
+        self._group = group
+        self._lock = lock
+        self._note = note
+        self._give_up = give_up
+        self._is_over = False
+        self._guard: GuardCondition | None = None
+        self._thread = threading.Thread(target=self._run, name="magcal-sensors", daemon=True)
 
-    def wake(self) -> None:
-        """Wake up, and look again at what the nodes own."""
-        self._is_stale = True
-        super().wake()
+    def start(self) -> None:
+        """Take the subscriptions over."""
+        try:
+            # One of the node would be gone with it, and nothing left to end the thread with.
+            self._guard = GuardCondition(None, None, context=self._node.context)
+            self._group.is_open = False
+            self._thread.start()
+        except Exception as error:
+            self._hand_back(error)
 
-    def add_node(self, node: Node) -> bool:
-        """Serve a node from now on; returns whether it is new here."""
-        added = super().add_node(node)
-        self.wake()
-        return added
+    def end(self) -> None:
+        """Serve nothing any more once the callback that runs has returned; from any thread."""
+        self._is_over = True
+        if self._thread.is_alive() and self._guard is not None:
+            self._guard.trigger()
 
-    def remove_node(self, node: Node) -> None:
-        """Serve a node no longer."""
-        super().remove_node(node)
-        self.wake()
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait until the thread has ended; returns whether it has."""
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(timeout)
+        return not self._thread.is_alive()
 
-    def shutdown(self, timeout_sec: float | None = None) -> bool:
-        """Stop; returns whether what was being served has ended in time."""
-        stopped = super().shutdown(timeout_sec)
-        if not self._spinning.acquire(timeout=-1 if timeout_sec is None else timeout_sec):
-            return False
-        self._in_use.close()
-        self._spinning.release()
-        return stopped
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except Exception as error:
+            # When the context is gone its parts fail, and there is nothing left to serve.
+            if self._node.context.ok() and not self._is_over:
+                self._hand_back(error)
 
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Wait until something is ready, at most so many seconds, and serve it.
+    def _hand_back(self, error: Exception) -> None:
+        self._group.is_open = True
+        self._give_up(error)
 
-        Raises
-        ------
-        ExternalShutdownException
-            If the context has ended.
-        """
-        with self._spinning:
-            if not self._wait(timeout_sec):
+    def _serve(self) -> None:
+        # Imported where its absence can be survived.
+        from rclpy.impl.implementation_singleton import rclpy_implementation
+
+        assert self._guard is not None
+        # Their types promise less than there is.
+        context: Any = self._node.context
+        new_wait_set: Any = rclpy_implementation.WaitSet
+        guard = self._guard.handle
+        handles: list[Any] = [subscription.handle for subscription in self._subscriptions]
+        with ExitStack() as in_use:
+            for handle in (context.handle, guard, *handles):
+                # Nothing of it is destroyed while it is waited for.
+                in_use.enter_context(handle)
+            wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)
+            while not self._is_over and context.ok():
+                wait_set.clear_entities()
+                for handle in handles:
+                    wait_set.add_subscription(handle)
+                wait_set.add_guard_condition(guard)
+                wait_set.wait(FOR_EVER)
+                with self._lock:
+                    self._hand_on_all()
+
+    def _hand_on_all(self) -> None:
+        for subscription in self._subscriptions:
+            if not self._is_over:
+                self._hand_on(subscription)
+
+    def _hand_on(self, subscription: Any) -> None:
+        take, kind, raw = subscription.handle.take_message, subscription.msg_type, subscription.raw
+        for _ in range(MOST_AT_ONCE):
+            taken = take(kind, raw)
+            if taken is None:
                 return
-            if not self._context.ok():
-                raise ExternalShutdownException
-            if not self._serve_straight() or self._is_more_ready():
-                # rclpy looks at one thing a call, and a coroutine that waits is one of them.
-                for _ in range(1 + len(self._tasks)):
-                    super().spin_once(0.0)
-                self._is_stale = True
-
-    def _wait(self, timeout_sec: float | None) -> bool:
-        """Wait until something is ready or the time is up; False once the executor is shut down."""
-        if self._is_stale:
-            self._gather()
-        if self._is_shutdown:
-            return False
-        wait_set = self._wait_set
-        wait_set.clear_entities()
-        for add, handle in self._entries:
-            add(handle)
-        wait_set.wait(timeout_sec_to_nsec(timeout_sec))
-        return not self._is_shutdown
-
-    def _serve_straight(self) -> bool:
-        served = False
-        for subscription in self._straight:
-            take, kind, raw = (
-                subscription.handle.take_message,
-                subscription.msg_type,
-                subscription.raw,
-            )
-            for _ in range(MOST_AT_ONCE):
-                taken = take(kind, raw)
-                if taken is None:
-                    break
-                served = True
-                subscription.callback(taken[0])
-        return served
-
-    def _is_more_ready(self) -> bool:
-        if self._is_shutdown:
-            return False
-        ready, is_ready = self._wait_set.get_ready_entities, self._wait_set.is_ready
-        if any(ready(kind) for kind in ("guard_condition", "timer", "service", "client")):
-            return True
-        return any(is_ready("subscription", index) for index in self._others)
-
-    def _gather(self) -> None:
-        """Make the wait set anew of what may run now; nothing in it is destroyed meanwhile."""
-        self._is_stale = False
-        self._in_use.close()
-        nodes = self.get_nodes()
-        others = [each for node in nodes for each in node.subscriptions]
-        others = [each for each in others if each not in self._straight]
-        alarms = [self._guard, self._sigint_gc]
-        straight = self._handles(self._straight)
-        kinds = (
-            straight + self._handles(filter(self.can_execute, others)),
-            self._handles(filter(None, alarms)) + self._of(nodes, "guards"),
-            self._of(nodes, "timers"),
-            self._of(nodes, "clients"),
-            self._of(nodes, "services"),
-        )
-        wait_set = IMPLEMENTATION.WaitSet(*map(len, kinds), 0, self.context.handle)
-        adders = (
-            wait_set.add_subscription,
-            wait_set.add_guard_condition,
-            wait_set.add_timer,
-            wait_set.add_client,
-            wait_set.add_service,
-        )
-        self._wait_set = wait_set
-        self._others = range(len(straight), len(kinds[0]))
-        self._entries = [
-            (add, handle) for add, handles in zip(adders, kinds, strict=True) for handle in handles
-        ]
-
-    def _of(self, nodes: Iterable[Node], kind: str) -> list[Any]:
-        entities = [each for node in nodes for each in getattr(node, kind)]
-        return self._handles(filter(self.can_execute, entities))
-
-    def _handles(self, entities: Iterable[Any]) -> list[Any]:
-        """Return the handles of what is alive, held so that they stay it."""
-        handles = []
-        for entity in entities:
-            with suppress(InvalidHandle):
-                self._in_use.enter_context(entity.handle)
-                handles.append(entity.handle)
-        return handles
+            message = taken[0]
+            try:
+                subscription.callback(message)
+            except Exception as error:
+                self._note(error)

@@ -9,12 +9,13 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import NavSatFix
 
-from magcal_ros.core.calibration import Calibration
-from magcal_ros.core.fixes import Fixes
-from magcal_ros.core.geomagnetism import year_of
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.earth_field.position import Fixes
+from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, resolve
+from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.messages import fix_of
-from magcal_ros.core.reference import Reference, made_elsewhere, resolve
+from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.settings import Settings
 
@@ -22,6 +23,9 @@ HALF_A_PLACE = (
     "only one of reference.latitude_deg and reference.longitude_deg is given: give both, or leave "
     "both out"
 )
+
+FIX_PAUSE = 0.2
+"""Seconds after a look within which another fix brings no new one."""
 
 
 class Whereabouts:
@@ -40,7 +44,8 @@ class Whereabouts:
         self._fixes = Fixes()
         self._calibration: Calibration | None = None
         self._settings: Settings | None = None
-        self._said: tuple[str, ...] = ()
+        self._announcer = Announcer(node.get_logger(), lasting=0.0)
+        self._looked = -FIX_PAUSE
         self._reference = Reference(ReferenceField(), "unknown")
         self.refresh()
         node.create_subscription(NavSatFix, "gps/fix", self._on_fix, qos_profile_sensor_data)
@@ -66,17 +71,17 @@ class Whereabouts:
 
     def refresh(self) -> None:
         """Look at parameters, place and date again, and say what is new."""
+        self._looked = time.monotonic()
         before, self._reference = self._reference, self._resolve()
-        log = self._node.get_logger()
-        for complaint in self._reference.complaints:
-            if complaint not in self._said:
-                log.warning(complaint)
-        self._said = self._reference.complaints
+        say = self._announcer
+        say.complain(self._reference.complaints)
         north, was = self._reference.north, before.north
         if self._calibration is not None and north != was:
-            log.warning(f"compass/yaw counts from {north} north from now on, not from {was} north")
+            words = f"compass/yaw counts from {north} north from now on, not from {was} north"
+            say.tell("north", words, wrong=True)
         if before.source != self._reference.source:
-            log.info(f"reference field: {self._reference.words}")
+            say.tell("reference", f"reference field: {self._reference.words}")
+        say.catch_up()
 
     def _resolve(self) -> Reference:
         settings = self._settings = self._table.settings
@@ -98,5 +103,7 @@ class Whereabouts:
         return round(year_of((self._fixes.stamp, clock), time.time()), 1)
 
     def _on_fix(self, message: NavSatFix) -> None:
-        if self._fixes.add(fix_of(message)):
+        news = self._fixes.add(fix_of(message))
+        # The heartbeat looks again: a receiver gone mad costs no model a message.
+        if news and time.monotonic() - self._looked >= FIX_PAUSE:
             self.refresh()

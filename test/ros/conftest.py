@@ -1,6 +1,7 @@
 """The real node in a thread of its own, and a simulated robot that talks to it over DDS."""
 
 import contextlib
+import shutil
 import sys
 import threading
 
@@ -8,7 +9,7 @@ import pytest
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
-from support import REFERENCE, ROBOT, SPEED
+from support import REFERENCE, ROBOT, SPEED, store_calibration
 
 from magcal_ros.ros.main import SWITCH_INTERVAL
 from magcal_ros.ros.node import Calibrator
@@ -52,20 +53,20 @@ def start_node(graph):
         given = {"report_folder": "none", **parameters}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         node = Calibrator(parameter_overrides=overrides, cli_args=list(arguments) or None)
-        executor = node.executor_of_its_own()
+        spinner = node.spinner()
 
         def spin():
             with contextlib.suppress(ExternalShutdownException):
-                executor.spin()
+                spinner.spin()
 
         thread = threading.Thread(target=spin, daemon=True)
         thread.start()
-        running.append((node, executor, thread))
+        running.append((node, spinner, thread))
         return node
 
     yield start
-    for node, executor, thread in running:
-        executor.shutdown(timeout_sec=5.0)
+    for node, spinner, thread in running:
+        spinner.shutdown(timeout_sec=5.0)
         thread.join(timeout=5.0)
         node.close()
         node.destroy_node()
@@ -86,6 +87,27 @@ def actor(graph):
     yield enter
     for node in nodes:
         node.destroy_node()
+
+
+@pytest.fixture(scope="session")
+def calibration_of_the_robot(tmp_path_factory):
+    """Return a file with a calibration of the robot, for copies to be loaded from."""
+    return store_calibration(tmp_path_factory.mktemp("stored") / "calibration.yaml")
+
+
+@pytest.fixture
+def loaded(stage, calibration_of_the_robot, tmp_path):
+    """Return a function that brings a robot whose node has a calibration in force already."""
+
+    def set_up(robot=ROBOT, parameters=REFERENCE, **options):
+        path = shutil.copy(calibration_of_the_robot, tmp_path / "calibration.yaml")
+        stored = {**parameters, "calibration_file": str(path)}
+        rehearsal = stage(robot, stored, **options)
+        rehearsal.run(5.0, stop=lambda: rehearsal.status["state"] == "calibrated")
+        assert rehearsal.status["state"] == "calibrated"
+        return rehearsal
+
+    return set_up
 
 
 @pytest.fixture

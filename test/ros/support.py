@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.simulator import Robot, measure, turn
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.files.calibration_file import Origin, write_calibration
 
 DEGREE = math.pi / 180.0
@@ -28,6 +28,14 @@ REFERENCE = {"reference.strength_ut": 48.0, "reference.inclination_deg": 65.0}
 def rms_deg(errors):
     """Return the root mean square of radians in degrees."""
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
+
+
+def calibrate_quickly(actor):
+    """Start, turn by what is enough for a verdict, and finish; returns the answer."""
+    started = actor.answer(actor.call("start"))
+    assert started.success, started.message
+    actor.run(30.0, 0.5, stop=lambda: (actor.status["progress"] or {}).get("arc_deg", 0.0) > 240.0)
+    return actor.answer(actor.call("finish"))
 
 
 def store_calibration(path, pull=0.0, frame="mag_link"):

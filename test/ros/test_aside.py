@@ -52,6 +52,14 @@ def test_a_fault_comes_back_as_it_was_raised(aside):
     assert aside.run(divmod, 17, 5) == (3, 2)
 
 
+def test_ended_for_good_it_is_not_started_again(aside):
+    pid = aside.run(os.getpid)
+    aside.end()
+    assert is_gone(pid)
+    with pytest.raises(EOFError):
+        aside.run(os.getpid)
+
+
 def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(aside):
     pid = aside.run(os.getpid)
     ends = []

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import yaml
 
-from magcal_ros.ros.generated import readme_with_parameters
+from magcal_ros.ros.generated import with_parameters
 from magcal_ros.ros.parameter_table import as_yaml
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
 
-def test_the_readme_has_the_parameters_of_the_code():
-    readme = (CHECKOUT / "README.md").read_text()
-    assert readme_with_parameters(readme) == readme, "run `make docs`"
+def test_the_reference_has_the_parameters_of_the_code():
+    page = (CHECKOUT / "doc" / "node.md").read_text()
+    assert with_parameters(page) == page, "run `make docs`"
 
 
 def test_the_shipped_parameter_file_has_the_defaults_of_the_code():

@@ -15,7 +15,7 @@ import yaml
 from rcl_interfaces.srv import GetParameters
 from std_srvs.srv import Trigger
 
-from magcal_ros.core.simulator import Robot
+from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -103,7 +103,7 @@ def test_the_installed_node_calibrates_under_remaps_and_a_namespace(graph, run_i
     actor.wait_for_node()
     answer = actor.calibrate()
     assert answer.success, answer.message
-    assert "/magcal/robot1/mag_link.yaml" in answer.message
+    assert "/magcal/robot1/calibrator.mag_link.yaml" in answer.message
     actor.run(0.5)
     assert actor.yaws
     node.destroy_node()
@@ -126,8 +126,15 @@ def test_the_parameter_file_is_taken(graph, run_installed, installed, tmp_path):
     assert "error" not in errors.lower()
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("busy", [False, True])
+@pytest.mark.parametrize(
+    ("how", "busy"),
+    [
+        (signal.SIGINT, True),
+        (signal.SIGTERM, False),
+        pytest.param(signal.SIGINT, False, marks=pytest.mark.nightly),
+        pytest.param(signal.SIGTERM, True, marks=pytest.mark.nightly),
+    ],
+)
 def test_a_signal_ends_the_node_within_two_seconds_and_quietly(graph, run_installed, how, busy):
     process = run_installed()
     node = rclpy.create_node("caller")

@@ -6,25 +6,24 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
-from support import REFERENCE, store_calibration
 from visualization_msgs.msg import MarkerArray
 
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.ros.outputs import LATCHED
 
 pytestmark = pytest.mark.faults
 
 
 @pytest.fixture
-def calibrated(stage, tmp_path):
+def calibrated(loaded):
     """Return a robot whose node has loaded a calibration."""
-    path = store_calibration(tmp_path / "calibration.yaml")
-    actor = stage(parameters={**REFERENCE, "calibration_file": str(path)})
-    actor.run(3.0, stop=lambda: not actor.status["complaints"])
+    actor = loaded()
+    actor.run(5.0, stop=lambda: actor.yaws and not actor.status["complaints"])
     assert actor.yaws
     return actor
 
 
+@pytest.mark.nightly
 def test_reliable_publishers_are_heard_like_best_effort_ones(calibrated):
     actor = calibrated
     actor.source._imu_out = actor.node.create_publisher(Imu, "imu/data_raw", 10)
@@ -46,7 +45,13 @@ def test_two_publishers_on_one_topic_are_said_until_one_leaves(calibrated):
     assert actor.status["complaints"] == []
 
 
-@pytest.mark.parametrize(("kind", "topic"), [(ImuSample, "imu/data_raw"), (FieldSample, "imu/mag")])
+@pytest.mark.parametrize(
+    ("kind", "topic"),
+    [
+        (ImuSample, "imu/data_raw"),
+        pytest.param(FieldSample, "imu/mag", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, topic):
     actor = calibrated
     actor.mangle = lambda sample: [] if isinstance(sample, kind) else [sample]
@@ -61,6 +66,7 @@ def test_a_sensor_that_dies_stops_the_yaw_and_returns_with_it(calibrated, kind, 
     assert actor.status["complaints"] == []
 
 
+@pytest.mark.nightly
 def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
     actor = stage(speed=8.0)
     assert actor.calibrate().success
@@ -74,6 +80,7 @@ def test_who_joins_after_a_turn_still_gets_status_and_markers(stage):
     assert "circle" in {marker.ns for marker in heard[MarkerArray][0].markers}
 
 
+@pytest.mark.nightly
 def test_a_field_at_a_tenth_of_the_imus_rate_calibrates(stage):
     actor = stage(steps_per_field=10, speed=8.0)
     answer = actor.calibrate()

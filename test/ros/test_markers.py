@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from support import REFERENCE
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -17,6 +18,7 @@ def as_array(points):
     return np.array([[p.x, p.y, p.z] for p in points])
 
 
+@pytest.mark.nightly
 def test_a_finished_turn_is_drawn_in_the_imus_frame_at_a_readable_scale(stage):
     actor = stage()
     assert actor.calibrate().success
@@ -35,6 +37,7 @@ def test_a_finished_turn_is_drawn_in_the_imus_frame_at_a_readable_scale(stage):
     assert np.allclose(as_array(parts["axis"].points)[1], [0.0, 0.0, 1.0], atol=0.02)
 
 
+@pytest.mark.nightly
 def test_a_turn_under_way_shows_the_missing_arc(stage):
     actor = stage(parameters={**REFERENCE, "window.timeout_s": 30.0})
     heard = []

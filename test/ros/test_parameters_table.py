@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from magcal_ros.core.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.spec import Spec
@@ -13,6 +13,7 @@ from magcal_ros.ros.spec import Spec
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]
 LISTS = [s for s in PARAMETERS if isinstance(s.default, tuple)]
 TEXTS = [s for s in PARAMETERS if isinstance(s.default, str)]
+WHOLE = [s for s in PARAMETERS if type(s.default) is int]
 SWITCHES = [s for s in PARAMETERS if isinstance(s.default, bool)]
 DEFAULTS = {spec.name: spec.default for spec in PARAMETERS}
 
@@ -40,7 +41,7 @@ def test_every_row_accepts_its_own_default(spec):
 
 
 def test_names_are_unique_and_every_row_is_of_a_known_kind():
-    kinds = (NUMBERS, LISTS, TEXTS, SWITCHES)
+    kinds = (NUMBERS, WHOLE, LISTS, TEXTS, SWITCHES)
     assert len(DEFAULTS) == len(PARAMETERS) == sum(len(kind) for kind in kinds)
 
 
@@ -82,10 +83,58 @@ class TestNumbers:
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse(math.nan)
 
-    @pytest.mark.parametrize("wrong", ["1.0", True, None, [1.0], (1.0,), b"1"])
+    @pytest.mark.parametrize("wrong", ["one", "", True, None, [1.0], (1.0,), b"1"])
     def test_another_type_is_refused(self, spec, wrong):
         with pytest.raises(ValueError, match=f"{spec.name} must be a number"):
             spec.parse(wrong)
+
+    def test_a_number_that_came_as_text_is_one(self, spec):
+        """YAML 1.1 leaves 1e-05 a text, and `ros2 param load` sends NaN as one."""
+        middle = (spec.low + spec.high) / 2.0
+        assert spec.parse(f"{middle:.17e}") == middle
+        for text in ("nan", ".nan", "NaN", ".NaN"):
+            if spec.may_be_unset:
+                assert math.isnan(spec.parse(text))
+            else:
+                with pytest.raises(ValueError, match="must lie between"):
+                    spec.parse(text)
+
+    def test_an_integer_beyond_all_floats_is_out_of_range(self, spec):
+        with pytest.raises(ValueError, match="must lie between"):
+            spec.parse(10**400)
+
+
+@rows(WHOLE)
+class TestWholeNumbers:
+    def test_both_ends_belong_to_the_range_and_stay_whole(self, spec):
+        for end in (spec.low, spec.high):
+            assert (spec.parse(end), type(spec.parse(float(end)))) == (end, int)
+
+    @pytest.mark.parametrize("wrong", [1.5, "x", True, None, math.nan, math.inf, [1]])
+    def test_what_is_not_whole_is_refused(self, spec, wrong):
+        with pytest.raises(ValueError, match=f"{spec.name} must be a whole number"):
+            spec.parse(wrong)
+
+    def test_what_lies_outside_is_refused(self, spec):
+        for value in (spec.low - 1, spec.high + 1):
+            with pytest.raises(ValueError, match="must lie between"):
+                spec.parse(value)
+
+
+def test_a_list_is_shown_as_it_is_typed():
+    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0), "")
+    for wrong in (array.array("q", [1, 1]), [1, 1], (1, 1)):
+        with pytest.raises(ValueError, match=r"must be 3 numbers, .* not \[1, 1\]$"):
+            spec.parse(wrong)
+    with pytest.raises(ValueError, match=r"not \[true, 'a'\]$"):
+        spec.parse([True, "a"])
+    with pytest.raises(ValueError, match=r"not nothing$"):
+        spec.parse(None)
+
+
+def test_a_list_of_mixed_numbers_comes_as_text_and_is_one():
+    spec = Spec("mount_rpy_deg", (0.0, 0.0, 0.0), "")
+    assert spec.parse("[0, 0.5, -1e-3]") == (0.0, 0.5, -0.001)
 
 
 @rows(LISTS)
@@ -107,7 +156,7 @@ class TestLists:
     @pytest.mark.parametrize("bad", ["x", True, None, math.nan, math.inf])
     @pytest.mark.parametrize("place", range(3))
     def test_one_bad_number_is_enough_to_refuse_it(self, spec, bad, place):
-        values = list(spec.default)
+        values = [1.0] * len(spec.default)
         values[place] = bad
         with pytest.raises(ValueError, match=spec.name):
             spec.parse(values)

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 from support import rms_deg
 
-from magcal_ros.core.attitude import wrap_angle
+from magcal_ros.core.geometry.attitude import wrap_angle
 
 BOSTON = {"reference.strength_ut": 51.3, "reference.inclination_deg": 66.3}
 
@@ -71,6 +71,7 @@ def heading_rms_against_course(headings, truth):
     return min(found)
 
 
+@pytest.mark.nightly
 def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audience, recording):
     folder = recording("car_circles_neu2025_kiran")
     truth = np.genfromtxt(
@@ -92,7 +93,11 @@ def test_the_yaw_of_a_calibrated_car_agrees_with_its_gps_course(start_node, audi
 
 @pytest.mark.parametrize(
     ("name", "rate"),
-    [("broad05", 30.0), ("sailboat_lsm303_level", 10.0), ("sailboat_lsm303_roll", 10.0)],
+    [
+        pytest.param("broad05", 30.0, marks=pytest.mark.nightly),
+        pytest.param("sailboat_lsm303_level", 10.0, marks=pytest.mark.nightly),
+        ("sailboat_lsm303_roll", 20.0),
+    ],
 )
 def test_other_drives_run_through_with_a_sensible_word(start_node, audience, recording, name, rate):
     start_node({"window.silence_s": 1.5})

@@ -26,7 +26,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
     for client in clients.values():
         assert client.wait_for_service(10.0)
     futures = []
-    for _ in range(rounds(8, 200)):
+    for _ in range(rounds(4, 200)):
         futures += [clients[str(name)].call_async(Trigger.Request())
                     for name in rng.choice(SERVICES, 30)]  # fmt: skip
         actor.run(0.2, 0.5)
@@ -38,6 +38,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
     assert answer.success, answer.message
 
 
+@pytest.mark.nightly
 def test_a_caller_that_leaves_takes_nothing_along(stage):
     actor = stage(speed=8.0)
     caller = rclpy.create_node("caller")
@@ -51,6 +52,7 @@ def test_a_caller_that_leaves_takes_nothing_along(stage):
     assert actor.status["answer"]["success"], actor.status["answer"]
 
 
+@pytest.mark.nightly
 def test_parameters_changed_during_a_turn_wait_for_the_next(stage, tmp_path):
     actor = stage()
     setting = actor.node.create_client(SetParameters, "/calibrator/set_parameters")

@@ -1,7 +1,7 @@
 """Every service in every state that a user can bring it into."""
 
 import pytest
-from support import REFERENCE
+from support import REFERENCE, calibrate_quickly, store_calibration
 
 pytestmark = pytest.mark.faults
 
@@ -23,6 +23,7 @@ def test_a_second_call_is_refused_while_the_first_collects(stage):
     assert not actor.answer(first).success
 
 
+@pytest.mark.nightly
 def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(stage):
     actor = stage()
     assert actor.calibrate().success
@@ -53,9 +54,8 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
     assert actor.status["state"] == "calibrated"
 
 
-def test_reset_stops_the_yaw_and_load_brings_it_back(stage):
-    actor = stage()
-    assert actor.calibrate().success
+def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
+    actor = loaded()
     assert actor.answer(actor.call("reset")).success
     actor.run(0.3)
     actor.yaws.clear()
@@ -68,19 +68,14 @@ def test_reset_stops_the_yaw_and_load_brings_it_back(stage):
     assert loaded.success, loaded.message
     actor.run(0.3)
     assert actor.yaws
-
-
-def test_accept_wants_a_fit_first(stage):
-    actor = stage()
-    answer = actor.answer(actor.call("accept"))
-    assert not answer.success
-    assert "no fitted calibration" in answer.message
+    assert actor.answer(actor.call("save")).success
 
 
 def test_accept_applies_what_the_verdict_refused(stage):
     # A reference a third too strong: the circle's radius contradicts it.
     actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0})
-    refused = actor.calibrate()
+    assert "no fitted calibration" in actor.answer(actor.call("accept")).message
+    refused = calibrate_quickly(actor)
     assert not refused.success
     assert "~/accept" in refused.message
     assert actor.status["state"] == "uncalibrated"
@@ -92,13 +87,8 @@ def test_accept_applies_what_the_verdict_refused(stage):
     assert actor.yaws
 
 
-def test_a_saved_calibration_is_used_at_the_next_start(start_node, actor, ros_home):
-    start_node()
-    first = actor()
-    assert first.calibrate().success
-    stored = list((ros_home / "magcal").glob("*.yaml"))
-    assert [path.name for path in stored] == ["mag_link.yaml"]
-    start_node(arguments=["--ros-args", "-r", "__node:=second"])
-    second = actor(calibrator="/second")
-    second.run(0.5)
-    assert second.status["state"] == "calibrated"
+def test_a_calibration_of_the_sensor_that_is_met_is_used(stage, ros_home):
+    store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
+    actor = stage()
+    actor.run(5.0, stop=lambda: actor.status["state"] == "calibrated")
+    assert actor.status["calibration"]["magnetometer_frame"] == "mag_link"

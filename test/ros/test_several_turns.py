@@ -7,7 +7,7 @@ import pytest
 from rclpy.parameter import Parameter
 from support import REFERENCE, ROBOT, rms_deg
 
-from magcal_ros.core.simulator import slope_rpy
+from magcal_ros.core.simulation.simulator import slope_rpy
 
 ACCUMULATE = {**REFERENCE, "accumulate": True, "report_folder": "none"}
 TURNED = replace(ROBOT, yaw=0.1)
@@ -22,6 +22,7 @@ def calibrate(actor):
     return actor.calibrate(yaw_rate=1.0)
 
 
+@pytest.mark.nightly
 def test_turns_on_tilts_join_show_the_yaw_and_a_foreign_one_does_not(start_node, actor):
     node = start_node(ACCUMULATE)
     robot = actor(TURNED)
@@ -61,6 +62,7 @@ def test_turns_on_tilts_join_show_the_yaw_and_a_foreign_one_does_not(start_node,
     assert robot.status["turns_kept"] == 0
 
 
+@pytest.mark.nightly
 def test_reset_forgets_the_turns(stage):
     robot = stage(parameters=ACCUMULATE)
     assert calibrate(robot).success
@@ -68,10 +70,3 @@ def test_reset_forgets_the_turns(stage):
     robot.reset()
     robot.run(3.0, stop=lambda: robot.status["turns_kept"] == 0)
     assert robot.status["turns_kept"] == 0
-
-
-def test_a_method_that_joins_nothing_is_refused_before_the_turn(stage):
-    robot = stage(parameters={**ACCUMULATE, "method": "min_max"})
-    answer = robot.answer(robot.call("calibrate"))
-    assert not answer.success
-    assert "the method min_max does not join turns" in answer.message

@@ -1,198 +1,175 @@
-"""The sensors' executor: nothing lost, nothing starved, and rclpy's own where it must."""
+"""The sensors' loop: nothing lost, and rclpy's own executor where it must."""
 
-import contextlib
+import itertools
 import threading
 import time
 
+import other_rclpy
 import pytest
 import rclpy
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.task import Future
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 from magcal_ros.ros import straight
-from magcal_ros.ros.straight import StraightExecutor, executor_for
+from magcal_ros.ros.spinner import Spinner
+from magcal_ros.ros.straight import MOST_AT_ONCE, StraightGroup
+
+
+class Served:
+    """A node that hears numbers, spun in a thread as the executable spins."""
+
+    def __init__(self):
+        self.node = rclpy.create_node("served")
+        self.group, self.heard, self.errors = StraightGroup(), [], []
+        self.subscription = self.node.create_subscription(
+            Float64, "number", self.hear, 100, callback_group=self.group
+        )
+        self.spinner = Spinner(self.node, [self.subscription], self.group, self.errors.append)
+        self.thread = threading.Thread(target=self.spinner.spin, daemon=True)
+        self.on_number = self.heard.append
+
+    def hear(self, message):
+        self.on_number(message.data)
+
+    def close(self):
+        assert self.spinner.shutdown(timeout_sec=5.0)
+        if self.thread.ident:
+            self.thread.join(5.0)
+        assert not self.thread.is_alive()
+        self.node.destroy_node()
 
 
 @pytest.fixture
 def served(graph):
-    """Return a node that is served, what it heard, and its executor."""
-    node = rclpy.create_node("served")
-    heard = []
-    subscription = node.create_subscription(Float64, "number", heard.append, 50)
-    executor = executor_for(node, [subscription])
-    assert isinstance(executor, StraightExecutor)
-    yield node, heard, executor
-    executor.shutdown()
-    node.destroy_node()
+    """Return a node that is not spun yet."""
+    served = Served()
+    yield served
+    served.close()
 
 
 @pytest.fixture
-def outside(graph):
-    """Return another node in the graph."""
+def number(served):
+    """Return a publisher of numbers that is heard."""
     node = rclpy.create_node("outside")
-    yield node
+    publisher = node.create_publisher(Float64, "number", 100)
+    wait_until(publisher.get_subscription_count)
+    yield lambda value: publisher.publish(Float64(data=float(value)))
     node.destroy_node()
 
 
-def spin_until(executor, condition, patience=5.0):
+def wait_until(condition, patience=5.0):
     deadline = time.monotonic() + patience
     while not condition():
         assert time.monotonic() < deadline, "it did not happen in time"
-        executor.spin_once(timeout_sec=0.05)
+        time.sleep(0.01)
 
 
-def connected(publisher):
-    return lambda: publisher.get_subscription_count() > 0
+@pytest.fixture
+def warnings(served, monkeypatch):
+    """Return what the node has warned of."""
+    lines = []
+    logger = served.node.get_logger()
+    monkeypatch.setattr(logger, "warning", lines.append)
+    monkeypatch.setattr(served.node, "get_logger", lambda: logger)
+    return lines
 
 
-def test_every_message_comes_once_and_in_order(served, outside):
-    _, heard, executor = served
-    publisher = outside.create_publisher(Float64, "number", 50)
-    spin_until(executor, connected(publisher))
+def test_every_message_comes_once_and_in_order(served, number):
+    served.thread.start()
+    for k in range(80):
+        number(k)
+    wait_until(lambda: len(served.heard) >= 80)
+    time.sleep(0.05)
+    assert served.heard == list(range(80))
+    assert not served.group.is_open
+
+
+@pytest.mark.parametrize("uses", [0, 7])
+@pytest.mark.parametrize(("owner", "name"), other_rclpy.CALLS)
+def test_a_call_that_vanishes_leaves_the_rest_to_rclpy(served, number, warnings, owner, name, uses):
+    """At once or in mid-spin: each message once, in order, and one line about it."""
+    bring_back = other_rclpy.vanish(owner, name, uses)
+    try:
+        served.thread.start()
+        for k in range(80):
+            number(k)
+            time.sleep(0.002)
+        wait_until(lambda: len(served.heard) >= 80)
+        time.sleep(0.05)
+    finally:
+        bring_back()
+    assert served.heard == list(range(80))
+    assert served.group.is_open
+    assert not served.errors
+    assert len(warnings) == 1
+    assert name in warnings[0]
+    assert "rclpy's own executor serves the sensors from now on" in warnings[0]
+
+
+def test_an_rclpy_without_a_wait_set_serves_itself(served, number, warnings, monkeypatch):
+    from rclpy.impl import implementation_singleton
+
+    with monkeypatch.context() as patched:
+        patched.delattr(implementation_singleton, "rclpy_implementation")
+        served.thread.start()
+        wait_until(lambda: warnings)
+    number(1)
+    wait_until(lambda: served.heard == [1.0])
+
+
+def test_an_error_in_the_callback_is_noted_and_no_fault_of_rclpys(served, number, warnings):
+    def fail_at_odd_numbers(value):
+        if value % 2.0:
+            # As rclpy's inside would fail.
+            raise AttributeError("of the callback's own")
+        served.heard.append(value)
+
+    served.on_number = fail_at_odd_numbers
+    served.thread.start()
     for k in range(40):
-        publisher.publish(Float64(data=float(k)))
-    spin_until(executor, lambda: len(heard) >= 40)
-    executor.spin_once(timeout_sec=0.05)
-    assert [message.data for message in heard] == [float(k) for k in range(40)]
+        number(k)
+    wait_until(lambda: len(served.heard) == 20)
+    assert len(served.errors) == 20
+    assert not warnings
+    assert not served.group.is_open
 
 
-def test_timers_and_services_have_their_turn_under_a_flood(served, outside):
-    node, heard, executor = served
-    ticks = []
-    node.create_timer(0.02, lambda: ticks.append(0))
-    node.create_service(Trigger, "ask", lambda _, response: response)
-    publisher = node.create_publisher(Float64, "number", 50)
-    spin_until(executor, connected(publisher))
-    subscription = next(each for each in node.subscriptions if each.topic_name == "/number")
+def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
+    """Between any two pieces somebody else may have the lock."""
+    turns = []
 
-    def flood(message):
-        heard.append(message)
-        publisher.publish(message)
+    class Lock:
+        def __enter__(self):
+            turns.append(len(served.heard))
 
-    subscription.callback = flood
-    client = outside.create_client(Trigger, "ask")
-    publisher.publish(Float64())
-    assert client.wait_for_service(5.0)
-    answer = client.call_async(Trigger.Request())
-    others = SingleThreadedExecutor()
-    others.add_node(outside)
+        def __exit__(self, *_):
+            pass
 
-    def is_done():
-        others.spin_once(timeout_sec=0.0)
-        return answer.done() and len(ticks) > 5 and len(heard) > 100
-
-    spin_until(executor, is_done)
+    loop = straight.StraightLoop(
+        served.node, [served.subscription], served.group, Lock(), served.errors.append, print
+    )
+    for k in range(90):
+        number(k)
+    time.sleep(0.3)
+    loop.start()
+    wait_until(lambda: len(served.heard) == 90)
+    loop.end()
+    assert loop.join(5.0)
+    assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
 
 
-def test_a_coroutine_that_waits_is_resumed(served, outside):
-    node, _, executor = served
-    done = Future(executor=executor)
-
-    async def wait(_, response):
-        response.success = await done
-        return response
-
-    node.create_service(Trigger, "wait", wait, callback_group=ReentrantCallbackGroup())
-    clock = node.create_timer(0.3, lambda: done.set_result(True))
-    client = outside.create_client(Trigger, "wait")
-    others = SingleThreadedExecutor()
-    others.add_node(outside)
-    assert client.wait_for_service(5.0)
-    answer = client.call_async(Trigger.Request())
-
-    def is_answered():
-        if done.done():
-            clock.cancel()
-        others.spin_once(timeout_sec=0.0)
-        return answer.done()
-
-    spin_until(executor, is_answered)
-    assert answer.result().success
-
-
-def test_what_is_created_and_destroyed_while_it_waits_is_noticed(served, outside):
-    node, _, executor = served
-    thread = threading.Thread(target=executor.spin, daemon=True)
-    thread.start()
-    heard = []
-    publisher = outside.create_publisher(Float64, "late", 10)
-    for _ in range(5):
-        heard.clear()
-        subscription = node.create_subscription(Float64, "late", heard.append, 10)
-        deadline = time.monotonic() + 5.0
-        while not heard and time.monotonic() < deadline:
-            publisher.publish(Float64())
-            time.sleep(0.02)
-        assert heard
-        node.destroy_subscription(subscription)
+def test_a_node_that_nobody_took_over_is_served_by_any_executor(served, number):
+    executor = rclpy.executors.SingleThreadedExecutor()
+    executor.add_node(served.node)
+    number(5)
+    wait_until(lambda: executor.spin_once(timeout_sec=0.05) or served.heard == [5.0])
     executor.shutdown()
-    thread.join(5.0)
-    assert not thread.is_alive()
 
 
-def test_a_fault_in_a_callback_comes_out_of_spin(served, outside):
-    node, _, executor = served
-    publisher = outside.create_publisher(Float64, "number", 10)
-    spin_until(executor, connected(publisher))
-
-    def fail(_):
-        raise ZeroDivisionError
-
-    next(iter(node.subscriptions)).callback = fail
-    publisher.publish(Float64())
-    with pytest.raises(ZeroDivisionError):
-        spin_until(executor, lambda: False)
-
-
-def test_the_end_of_the_context_ends_the_spin(served):
-    _, _, executor = served
-    ended = []
-
-    def spin():
-        with contextlib.suppress(ExternalShutdownException):
-            executor.spin()
-        ended.append(True)
-
-    thread = threading.Thread(target=spin, daemon=True)
-    thread.start()
-    time.sleep(0.2)
-    rclpy.shutdown()
-    thread.join(5.0)
-    assert ended
-
-
-def test_an_rclpy_that_is_another_inside_serves_itself(graph, monkeypatch):
-    monkeypatch.setattr(straight, "IMPLEMENTATION", object())
-    node = rclpy.create_node("served")
-    executor = executor_for(node, [])
-    assert type(executor) is SingleThreadedExecutor
-    assert executor.get_nodes() == [node]
-    executor.shutdown()
-    node.destroy_node()
-
-
-def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, outside):
-    node, _, executor = served
-    never = Future(executor=executor)
-
-    async def hold(_, response):
-        await never
-        return response
-
-    node.create_service(Trigger, "hold", hold)
-    ticks = []
-    node.create_timer(0.01, lambda: ticks.append(0))
-    client = outside.create_client(Trigger, "hold")
-    assert client.wait_for_service(5.0)
-    client.call_async(Trigger.Request())
-    for _ in range(50):
-        executor.spin_once(timeout_sec=0.01)
-    ticks.clear()
-    used = time.thread_time()
-    executor.spin_once(timeout_sec=0.5)
-    executor.spin_once(timeout_sec=0.5)
-    assert time.thread_time() - used < 0.25
-    assert not ticks
+def test_what_ends_before_it_begins_ends(served, number):
+    served.spinner.end()
+    served.thread.start()
+    served.thread.join(2.0)
+    assert not served.thread.is_alive()
+    number(1)
+    time.sleep(0.1)
+    assert not served.heard

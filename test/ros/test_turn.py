@@ -5,11 +5,12 @@ import math
 import time
 
 import numpy as np
+import pytest
 from support import REFERENCE, ROBOT, rms_deg
 
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.rotations import rotation_from_rpy
-from magcal_ros.core.simulator import UP_ENU
+from magcal_ros.core.simulation.simulator import UP_ENU
 
 LEVEL = [(0.0, 0.0)]
 SLOPES = [(8.0, 0.0), (0.0, -8.0)]
@@ -26,9 +27,10 @@ def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
     assert actor.yaws == []
     answer = actor.calibrate()
     assert answer.success, answer.message
-    assert_heading_is_right(actor, headings=24)
+    assert_heading_is_right(actor, headings=6)
 
 
+@pytest.mark.nightly
 def test_a_rolled_imu_board_does_no_harm(stage):
     actor = stage()
     actor.ride.stand(math.radians(10.0), 0.0, 0.0)
@@ -37,6 +39,7 @@ def test_a_rolled_imu_board_does_no_harm(stage):
     assert_heading_is_right(actor)
 
 
+@pytest.mark.nightly
 def test_a_turn_on_a_slope_gives_a_right_heading(stage):
     actor = stage()
     actor.ride.stand(math.radians(6.0), math.radians(-5.0), 1.0)
@@ -44,12 +47,14 @@ def test_a_turn_on_a_slope_gives_a_right_heading(stage):
     assert_heading_is_right(actor)
 
 
+@pytest.mark.nightly
 def test_a_turn_to_the_right_without_a_gyro_gives_a_right_heading(stage):
     actor = stage(gyro=False)
     assert actor.calibrate(yaw_rate=-0.5).success
     assert_heading_is_right(actor)
 
 
+@pytest.mark.nightly
 def test_known_gains_and_a_nominal_mounting_are_taken_into_account(stage):
     mounting = Mounting([0.8, 1.1, 1.0], rotation_from_rpy(math.pi, 0.0, math.radians(90.0)))
     robot = dataclasses.replace(ROBOT, mounting=mounting)
@@ -63,6 +68,7 @@ def test_known_gains_and_a_nominal_mounting_are_taken_into_account(stage):
     assert_heading_is_right(actor)
 
 
+@pytest.mark.nightly
 def test_the_answer_comes_within_a_second_of_the_complete_turn(stage):
     actor = stage()
     completed = []
@@ -77,26 +83,7 @@ def test_the_answer_comes_within_a_second_of_the_complete_turn(stage):
     assert answered - completed[0] + 0.1 <= 1.0
 
 
-def test_half_a_turn_is_used_when_the_time_is_up(stage):
-    actor = stage(parameters={**REFERENCE, "window.timeout_s": 4.0})
-    future = actor.call("calibrate")
-    half_turn = math.pi * 1.1 / 0.5 / actor.speed
-    actor.run(half_turn, 0.5)
-    answer = actor.answer(future)
-    assert answer.success, answer.message
-    assert "the time is up" in answer.message
-
-
-def test_a_short_arc_is_refused_with_the_arc_that_was_seen(stage):
-    actor = stage(parameters={**REFERENCE, "window.timeout_s": 3.0})
-    future = actor.call("calibrate")
-    actor.run(math.radians(30.0) / 0.5 / actor.speed, 0.5)
-    answer = actor.answer(future)
-    assert not answer.success
-    seen = int(answer.message.split("° of the turn seen")[0].split()[-1])
-    assert abs(seen - 30) <= 6
-
-
+@pytest.mark.nightly
 def test_yaw_keeps_flowing_while_the_next_turn_is_collected_and_fitted(stage):
     actor = stage()
     assert actor.calibrate().success

@@ -4,13 +4,14 @@ import struct
 import tracemalloc
 
 import numpy as np
+import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.heading import Compass
-from magcal_ros.core.simulator import Robot, measure, turn
-from magcal_ros.core.streams import HISTORY, MAX_GAP, Pairer, Streams
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.samples.streams import HISTORY, MAX_GAP, Pairer, Streams
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire.incoming import read_field, read_imu
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
@@ -63,6 +64,7 @@ class Walk:
         number.fill(heading.yaw)
 
 
+@pytest.mark.nightly
 def test_the_walk_of_messages_leaves_no_memory_behind():
     walk = Walk()
     walk.go(WARM)

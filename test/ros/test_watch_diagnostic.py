@@ -4,9 +4,9 @@ import dataclasses
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from support import REFERENCE, ROBOT
+from support import REFERENCE, ROBOT, store_calibration
 
-from magcal_ros.core.watch import Watched
+from magcal_ros.core.monitoring.watch import Watched
 
 
 @pytest.fixture
@@ -22,12 +22,13 @@ def scene(start_node, actor):
     return node, robot, lambda: heard["calibrator: Watch"]
 
 
-def test_it_is_told_and_cleared_by_a_new_calibration(scene):
+def test_it_is_told_and_cleared_by_a_new_calibration(scene, ros_home):
     node, robot, said = scene
     robot.run(1.3)
     assert "before a calibration is in force" in said().message
     assert robot.status["watch"] is None
-    assert robot.calibrate().success
+    store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
+    assert robot.answer(robot.call("load")).success
     robot.run(1.3, 0.5)
     assert said().level == DiagnosticStatus.OK
     assert said().message.startswith("Not judged yet")
@@ -37,7 +38,7 @@ def test_it_is_told_and_cleared_by_a_new_calibration(scene):
     assert said().level == DiagnosticStatus.WARN
     assert "has not held for about 4 min" in said().message
     assert robot.status["watch"]["stale"]
-    assert robot.calibrate().success
+    assert robot.answer(robot.call("load")).success
     robot.run(1.3)
     assert said().level == DiagnosticStatus.OK
     assert not robot.status["watch"]["stale"]

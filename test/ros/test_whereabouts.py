@@ -12,10 +12,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, NavSatFix
 from support import REFERENCE
 
-pytest.importorskip("pygeomag")
-
-from magcal_ros.core.attitude import wrap_angle
-from magcal_ros.core.geomagnetism import Place, decimal_year, model_field
+from magcal_ros.core.earth_field.wmm import Place, decimal_year, model_field
+from magcal_ros.core.geometry.attitude import wrap_angle
 
 HOME = Place(48.14, 11.58, 520.0)
 AT_HOME = {"reference.latitude_deg": 48.14, "reference.longitude_deg": 11.58}
@@ -68,6 +66,7 @@ def is_from(words):
     return lambda reference: words in reference["source"]
 
 
+@pytest.mark.nightly
 def test_a_fix_gives_the_reference_and_true_north_with_an_honest_variance(receive):
     _, receiver = receive({})
     actor = receiver.actor
@@ -187,6 +186,7 @@ def test_half_a_place_is_said(receive):
     assert reference["source"] == "unknown"
 
 
+@pytest.mark.nightly
 def test_a_changed_place_reaches_the_next_turn_and_outdates_the_last(receive):
     node, receiver = receive({})
     move(node, HOME)

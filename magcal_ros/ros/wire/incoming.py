@@ -12,7 +12,7 @@ from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.messages import field_sample, imu_sample
-from magcal_ros.core.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
 
 STAMP = struct.Struct("<iI")

@@ -9,9 +9,9 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Float64
 
-from magcal_ros.core.heading import Heading
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.compass import Heading
 from magcal_ros.core.messages import ABSENT
-from magcal_ros.core.triples import Triple
 from magcal_ros.files.wire import CDR_START, is_plain_cdr
 from magcal_ros.ros.wire.incoming import STAMP
 

@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Float64
 
-from magcal_ros.core.heading import Heading
+from magcal_ros.core.heading.compass import Heading
 from magcal_ros.ros.wire import outgoing
 from magcal_ros.ros.wire.incoming import STAMP
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate

@@ -1,0 +1,129 @@
+"""What the node says in its log: what is new, and nothing over and over."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+PAUSE = 10.0
+"""Seconds between two lines on one subject."""
+
+LASTING = 3.0
+"""Seconds that something must be wrong before it is said: drivers start one after another."""
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+class Log(Protocol):
+    """What the announcer needs of a logger."""
+
+    def info(self, message: str) -> object:
+        """Say what happens."""
+
+    def warning(self, message: str) -> object:
+        """Say what is wrong."""
+
+
+@dataclass
+class _Line:
+    """What is to be said on a subject, what was said last, and when."""
+
+    text: str = ""
+    wrong: bool = False
+    said: str = ""
+    at: float = -PAUSE
+
+
+@dataclass
+class _Complaint:
+    """Something that is wrong at the moment."""
+
+    since: float
+    said: bool = False
+
+
+class Announcer:
+    """Writes to the log what changed, at most once in ten seconds on each subject.
+
+    Parameters
+    ----------
+    log : Log
+        Takes the lines.
+    clock : callable
+        Returns seconds, steady.
+    lasting : float
+        Seconds that something must be wrong before it is a complaint.
+    """
+
+    def __init__(
+        self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
+    ) -> None:
+        self._log, self._clock, self._lasting = log, clock, lasting
+        self._lines: dict[str, _Line] = {}
+        self._wrong: dict[str, _Complaint] = {}
+        self._complained_at: dict[str, float] = {}
+        self._turning = False
+        self._answer: object = None
+
+    def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
+        """Say something on a subject, if it differs from what was said last.
+
+        What comes sooner than ten seconds after the last line waits for `catch_up`, and only the
+        newest of it is said.
+        """
+        line = self._lines.setdefault(subject, _Line())
+        line.text, line.wrong = text, wrong
+        self._say_if_due(line)
+
+    def catch_up(self) -> None:
+        """Say what had to wait; to be called about once a second."""
+        for line in self._lines.values():
+            self._say_if_due(line)
+
+    def complain(self, complaints: Iterable[str]) -> None:
+        """Say what is wrong: once it has lasted, and again when it comes back.
+
+        Numbers that go on do not make a complaint a new one.
+
+        Parameters
+        ----------
+        complaints : iterable of str
+            Everything that is wrong at the moment.
+        """
+        now = self._clock()
+        found = {_NUMBER.sub("#", text): text for text in complaints}
+        self._wrong = {kind: self._wrong.get(kind, _Complaint(now)) for kind in found}
+        self._complained_at = {k: at for k, at in self._complained_at.items() if now - at < PAUSE}
+        for kind, complaint in self._wrong.items():
+            lasts = now - complaint.since >= self._lasting
+            if lasts and not complaint.said and kind not in self._complained_at:
+                complaint.said, self._complained_at[kind] = True, now
+                self._log.warning(found[kind])
+
+    def follow_turn(self, turning: bool, answer: object, words: str) -> None:
+        """Say that a turn begins, and what came of it.
+
+        Parameters
+        ----------
+        turning : bool
+            Whether a turn is under way.
+        answer : object
+            The last turn's answer; None before the first. A new one is a new object.
+        words : str
+            What it says.
+        """
+        if answer is not self._answer:
+            self._answer, self._turning = answer, False
+            self._log.info(f"the turn is over: {words}")
+        elif turning and not self._turning:
+            self._turning = True
+            self._log.info("a turn begins")
+
+    def _say_if_due(self, line: _Line) -> None:
+        now = self._clock()
+        if line.text != line.said and now - line.at >= PAUSE:
+            line.said, line.at = line.text, now
+            (self._log.warning if line.wrong else self._log.info)(line.text)

@@ -1,0 +1,49 @@
+"""Errors that come out of callbacks: said once, counted, survived."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from types import TracebackType
+
+LONGEST = 300
+"""Characters of an error's own words that go into the log; some quote a whole message."""
+
+
+class Mishaps:
+    """Counts the errors of all callbacks and logs each kind of them once.
+
+    A kind is a type of error at a line of code.
+
+    Parameters
+    ----------
+    log : callable
+        Takes a line for the log.
+    """
+
+    def __init__(self, log: Callable[[str], object]) -> None:
+        self._log = log
+        self._known: set[tuple[type[BaseException], str]] = set()
+        self.total = 0
+
+    def note(self, error: BaseException) -> None:
+        """Count an error that a callback raised, and log it if its kind is new."""
+        self.total += 1
+        kind = type(error), _place(error.__traceback__)
+        if kind in self._known:
+            return
+        self._known.add(kind)
+        words = " ".join(str(error).split())[:LONGEST]
+        self._log(
+            f"error in a callback, {kind[0].__name__} in {kind[1]}: {words}. The node goes on; "
+            "from now on this kind is only counted, in Inputs of /diagnostics"
+        )
+
+
+def _place(trace: TracebackType | None) -> str:
+    """Return file and line of the innermost call."""
+    if trace is None:
+        return "an unknown place"
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{os.path.basename(trace.tb_frame.f_code.co_filename)}, line {trace.tb_lineno}"

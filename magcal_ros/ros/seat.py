@@ -1,0 +1,115 @@
+"""How the sensors sit on the robot: the parameters' word, else the robot's description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from rclpy.node import Node
+
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.estimate import Installation
+from magcal_ros.core.geometry.sensor_poses import (
+    Frames,
+    SensorPoses,
+    pose_in_words,
+    sensor_poses,
+)
+from magcal_ros.core.heading.base_view import BaseView
+from magcal_ros.core.up import UpFollower
+from magcal_ros.ros.description import Description
+from magcal_ros.ros.settings import Settings
+
+FAR_OFF = 0.26
+"""Radians between a described and a found pose from which the description is doubted (15°)."""
+
+
+class Seat:
+    """Knows how magnetometer and IMU sit, and in whose frame attitudes are published.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the robot's description is heard.
+    settings : callable
+        The parameters of the moment.
+    """
+
+    def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
+        self._settings = settings
+        self._description = Description(node, self._look)
+        self._imu_frame = self._magnetometer_frame = ""
+        self._used: Settings | None = None
+        self._poses = SensorPoses(np.eye(3), False, np.eye(3))
+        self._view: BaseView | None = BaseView(np.eye(3))
+        self._contradiction = ""
+        self._found: Installation | None = None
+
+    def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
+        """Take the frames that the sensors name."""
+        self._imu_frame, self._magnetometer_frame = imu_frame, magnetometer_frame
+        self._look()
+
+    @property
+    def poses(self) -> SensorPoses:
+        """How the sensors sit, by the parameters of this moment."""
+        if self._settings() is not self._used:
+            self._look()
+        return self._poses
+
+    @property
+    def view(self) -> BaseView | None:
+        """Turns the IMU's attitude into the base's; None while its pose is not known."""
+        if self._settings() is not self._used:
+            self._look()
+        return self._view
+
+    def frame(self, imu_frame: str) -> str:
+        """Return the frame that attitudes are published in."""
+        return self._settings().base_frame or imu_frame
+
+    def settled(self, settings: Settings) -> Settings:
+        """Return parameters in which the magnetometer's pose is the described one, if any."""
+        mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
+        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+
+    def note_up(self, follower: UpFollower) -> None:
+        """Hold the description against gravity while the robot stands."""
+        up = follower.newest
+        if follower.is_at_rest and up is not None:
+            self._contradiction = self._poses.contradiction(np.array(up), self._frames)
+
+    def note_outcome(self, outcome: Outcome | None) -> None:
+        """Hold it against what the last turn has found."""
+        estimate = None if outcome is None else outcome.estimate
+        self._found = None if estimate is None else estimate.installation
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is missing or contradicts the samples, in words."""
+        poses = self.poses
+        words = [*poses.complaints, self._contradiction]
+        if self._frames.base:
+            words.append(self._description.trouble)
+        if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
+            words.append(
+                f"the robot's description has {self._magnetometer_frame} in {self._imu_frame} at "
+                f"{pose_in_words(poses.magnetometer)}, and the last turn found it "
+                f"{np.degrees(self._found.angle):.0f}° away from that: mend its joint, or give "
+                "mount_rpy_deg"
+            )
+        return [each for each in words if each]
+
+    @property
+    def _frames(self) -> Frames:
+        return Frames(self._settings().base_frame, self._imu_frame, self._magnetometer_frame)
+
+    def _look(self) -> None:
+        settings = self._used = self._settings()
+        given = settings.knowledge.mounting.pose if settings.mount_is_given else None
+        self._poses = sensor_poses(self._frames, self._description.tree, given)
+        self._contradiction = ""
+        view = None if self._poses.imu is None else BaseView(self._poses.imu)
+        if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
+            self._view = view

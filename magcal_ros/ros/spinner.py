@@ -1,0 +1,147 @@
+"""What calls the node back: rclpy's executor, and beside it the sensors' own loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from threading import Lock
+from typing import Any
+
+from rclpy.executors import (
+    ConditionReachedException,
+    ShutdownException,
+    SingleThreadedExecutor,
+    TimeoutException,
+)
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.task import Future
+
+from magcal_ros.ros.fair import FairLock
+from magcal_ros.ros.straight import StraightGroup, StraightLoop
+
+
+class Spinner:
+    """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
+
+    rclpy's executor finds what is ready and the handlers it returns are called here, under a lock
+    that is shared with the loop of the subscriptions. An error in a callback is noted and does not
+    end anything.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node to serve.
+    subscriptions : sequence of Subscription
+        Those of its subscriptions that bring nearly all messages; their callbacks are plain
+        functions.
+    group : StraightGroup
+        The callback group that they were made with.
+    note : callable
+        Told each error that a callback raises, before another callback runs.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        subscriptions: Sequence[Subscription],
+        group: StraightGroup,
+        note: Callable[[Exception], None],
+    ) -> None:
+        self._node = node
+        self._note_error = note
+        self._is_over = self._is_started = False
+        self._lock, self._waking = FairLock(), Lock()
+        self._waiting: set[Future] = set()
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(node)
+        self._loop = StraightLoop(
+            node, subscriptions, group, self._lock, self._note, self._say_and_go_on
+        )
+
+    def spin(self) -> None:
+        """Serve the node until `end` is called or the context ends.
+
+        Raises
+        ------
+        rclpy.executors.ExternalShutdownException
+            If the context has ended.
+        """
+        while self._node.context.ok() and not self._is_over:
+            self.spin_once()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Wait until something is ready, at most so many seconds, and serve it.
+
+        From the first call on the chosen subscriptions are served too, until the shutdown.
+
+        Raises
+        ------
+        rclpy.executors.ExternalShutdownException
+            If the context has ended.
+        """
+        if not self._is_started:
+            self._is_started = True
+            self._loop.start()
+        try:
+            ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
+        except (TimeoutException, ConditionReachedException, ShutdownException):
+            return
+        handler, entity, _ = ready
+        with self._lock:
+            handler()
+            if handler in self._waiting:
+                return
+            if handler.done():
+                self._look_at(handler)
+                if handler.exception() is not None:
+                    _release(entity)
+            else:
+                # Who resumes a coroutine, and by which handler, is rclpy's own affair.
+                self._waiting.add(handler)
+                handler.add_done_callback(self._look_at)
+
+    def end(self) -> None:
+        """Let `spin` and `spin_once` return, for good; from any thread."""
+        self._is_over = True
+        self._loop.end()
+        self._wake()
+
+    def shutdown(self, timeout_sec: float | None = None) -> bool:
+        """Stop; returns whether the callbacks of the subscriptions have ended in time."""
+        self.end()
+        has_ended = self._loop.join(timeout_sec)
+        with self._waking:
+            return self._executor.shutdown(timeout_sec) and has_ended
+
+    def _wake(self) -> None:
+        # Not while the shutdown destroys what it is woken by.
+        with self._waking:
+            self._executor.wake()
+
+    def _has_ended(self) -> bool:
+        return self._is_over
+
+    def _look_at(self, handler: Future) -> None:
+        self._waiting.discard(handler)
+        error = handler.exception()
+        if error is not None:
+            self._note(error)
+
+    def _note(self, error: Exception) -> None:
+        # The context may go away in the middle of a callback: that is an end, no fault.
+        if self._node.context.ok():
+            self._note_error(error)
+
+    def _say_and_go_on(self, error: Exception) -> None:
+        self._node.get_logger().warning(
+            f"this rclpy is unlike those known ({type(error).__name__}: {error}): rclpy's own "
+            "executor serves the sensors from now on, at more CPU"
+        )
+        self._wake()
+
+
+def _release(entity: Any) -> None:
+    """Free the callback group of what failed before its callback: rclpy leaves it taken."""
+    group = None if entity is None else entity.callback_group
+    if group is not None and not group.can_execute(entity):
+        group.ending_execution(entity)

@@ -1,0 +1,114 @@
+"""The log tells what is new and never floods."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from magcal_ros.ros.announcer import LASTING, PAUSE, Announcer
+
+
+class Log:
+    def __init__(self):
+        self.lines = []
+
+    def info(self, message):
+        self.lines.append(("info", message))
+
+    def warning(self, message):
+        self.lines.append(("warning", message))
+
+
+class Stage:
+    def __init__(self):
+        self.log, self.now = Log(), 100.0
+        self.announcer = Announcer(self.log, lambda: self.now)
+
+    def complain_for(self, seconds, *complaints):
+        for _ in range(round(seconds)):
+            self.announcer.complain([text.format(self.now) for text in complaints])
+            self.now += 1.0
+
+    def take(self):
+        lines, self.log.lines = self.log.lines, []
+        return lines
+
+
+@pytest.fixture
+def stage():
+    return Stage()
+
+
+def test_what_is_wrong_is_said_once_however_its_numbers_go_on(stage):
+    stage.complain_for(3600, "/imu/mag has been silent for {:.0f} s")
+    ((level, words),) = stage.take()
+    assert level == "warning"
+    assert words == f"/imu/mag has been silent for {100 + LASTING:.0f} s"
+
+
+def test_what_passes_at_the_start_is_not_said(stage):
+    stage.complain_for(2, "nothing has arrived on /imu/mag")
+    stage.complain_for(60)
+    assert stage.take() == []
+
+
+def test_what_comes_beside_it_and_what_comes_back_is_said(stage):
+    stage.complain_for(20, "a is silent")
+    stage.complain_for(20, "a is silent", "b is in microtesla")
+    stage.complain_for(20, "b is in microtesla")
+    stage.complain_for(20, "a is silent")
+    assert [words for _, words in stage.take()] == [
+        "a is silent", "b is in microtesla", "a is silent",
+    ]  # fmt: skip
+
+
+def test_one_that_comes_and_goes_is_said_every_ten_seconds_at_most(stage):
+    for _ in range(100):
+        stage.complain_for(LASTING + 1, "a is silent")
+        stage.complain_for(1)
+    seconds = 100 * (LASTING + 2)
+    assert 1 < len(stage.take()) <= seconds / PAUSE + 1
+
+
+def test_changes_by_the_thousand_become_one_line_in_ten_seconds(stage):
+    for k in range(120_000):
+        stage.now += 1e-4
+        stage.announcer.tell("reference", f"place {k}")
+    lines = stage.take()
+    assert lines[0] == ("info", "place 0")
+    assert len(lines) == 2
+    stage.now += PAUSE
+    stage.announcer.catch_up()
+    stage.announcer.catch_up()
+    assert stage.take() == [("info", "place 119999")]
+
+
+def test_subjects_do_not_wait_for_each_other_and_nothing_is_repeated(stage):
+    for _ in range(50):
+        stage.now += PAUSE
+        stage.announcer.tell("a", "one")
+        stage.announcer.tell("b", "two", wrong=True)
+    assert stage.take() == [("info", "one"), ("warning", "two")]
+
+
+def test_a_turn_is_told_from_its_begin_to_its_verdict(stage):
+    first, second = object(), object()
+    follow = stage.announcer.follow_turn
+    follow(False, None, "")
+    for turning, answer, words in (
+        (True, None, ""), (True, None, ""), (False, first, "good"), (False, first, "good"),
+        (True, first, "good"), (False, second, "refused"),
+    ):  # fmt: skip
+        follow(turning, answer, words)
+    assert stage.take() == [
+        ("info", "a turn begins"),
+        ("info", "the turn is over: good"),
+        ("info", "a turn begins"),
+        ("info", "the turn is over: refused"),
+    ]
+
+
+def test_a_year_of_complaints_takes_no_memory(stage):
+    for k in range(10_000):
+        stage.complain_for(LASTING + 2, f"{chr(0x4E00 + k)} is wrong")
+    assert len(stage.announcer._wrong) <= 1
+    assert len(stage.announcer._complained_at) <= PAUSE

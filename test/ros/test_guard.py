@@ -1,0 +1,122 @@
+"""The guard beside a robot that turns itself: real processes, killed and stopped for real."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from uuid import uuid4
+
+import pytest
+import rclpy
+from geometry_msgs.msg import Twist, TwistStamped
+
+from magcal_ros.ros.guard import SILENCE, Guard, is_needed
+
+NODE = """
+import sys, time
+from magcal_ros.ros.guard import Guard
+guard = Guard(sys.argv[1], False, "")
+while not guard.is_ready:
+    time.sleep(0.01)
+print("ready", flush=True)
+while True:
+    guard.tell_alive()
+    time.sleep(0.05)
+"""
+
+
+@pytest.fixture
+def topic():
+    """Return a topic of the test's own: the guard of the one before may still be speaking."""
+    return f"/cmd_vel_{uuid4().hex}"
+
+
+@pytest.fixture
+def base(graph, topic):
+    """Return what a base has heard, and a function that listens for a while."""
+    node = rclpy.create_node("base")
+    heard = []
+    node.create_subscription(Twist, topic, lambda m: heard.append(m.angular.z), 50)
+
+    def listen(seconds, until=lambda: False):
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and not until():
+            rclpy.spin_once(node, timeout_sec=0.02)
+        return heard
+
+    yield listen
+    node.destroy_node()
+
+
+@pytest.fixture
+def doomed(topic):
+    """Return a process that keeps a guard quiet until something happens to it."""
+    command = [sys.executable, "-c", NODE, topic]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
+def test_what_cannot_be_caught_is_followed_by_zeros(base, doomed, number):
+    assert base(0.5) == []
+    os.kill(doomed.pid, number)
+    began = time.monotonic()
+    heard = base(5.0, lambda: len(base(0.0)) >= 5)
+    assert heard[:5] == [0.0] * 5
+    assert time.monotonic() - began < SILENCE + 1.0
+
+
+def test_a_guard_that_is_dismissed_says_nothing_and_goes(base, topic):
+    guard = Guard(topic, False, "")
+    base(8.0, lambda: guard.is_ready)
+    assert guard.is_ready
+    for _ in range(5):
+        guard.tell_alive()
+        base(0.1)
+    guard.dismiss()
+    assert base(1.0) == []
+    assert guard.has_ended
+
+
+def test_a_guard_that_stopped_the_base_is_gone(base, topic):
+    guard = Guard(topic, False, "")
+    base(8.0, lambda: guard.is_ready)
+    assert not guard.has_ended
+    guard.tell_alive()
+    base(5.0, lambda: guard.has_ended)
+    assert guard.has_ended
+    assert not guard.is_ready
+    assert set(base(1.5)) == {0.0}
+    guard.tell_alive()
+    guard.dismiss()
+
+
+def test_zeros_are_stamped_where_the_base_wants_it(graph, topic):
+    node, heard = rclpy.create_node("base"), []
+    node.create_subscription(TwistStamped, topic, heard.append, 50)
+    guard = Guard(topic, True, "chassis")
+    deadline = time.monotonic() + 10.0
+    while not heard and time.monotonic() < deadline:
+        rclpy.spin_once(node, timeout_sec=0.02)
+        if guard.is_ready and not heard:
+            guard.tell_alive()
+            time.sleep(2.0 * SILENCE)
+    assert heard[0].header.frame_id == "chassis"
+    assert heard[0].twist.angular.z == 0.0
+    guard.dismiss()
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("words", "needed"), [(b"", False), (b"q", False), (b".", True), (b"..q", False)]
+)
+def test_only_a_node_that_went_while_the_robot_may_move_needs_the_guard(words, needed):
+    line, node = os.pipe()
+    os.write(node, words)
+    os.close(node)
+    assert is_needed(line) is needed
+    os.close(line)

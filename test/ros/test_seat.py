@@ -1,0 +1,94 @@
+"""A robot whose IMU sits sideways and whose magnetometer is upside down, as its URDF says."""
+
+import math
+from dataclasses import replace
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Imu
+from std_msgs.msg import String
+from support import REFERENCE, ROBOT, rms_deg
+
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.ros.description import LATCHED
+
+DESCRIBED = {**REFERENCE, "base_frame": "base_link"}
+UPSIDE_DOWN = replace(ROBOT, mounting=Mounting(pose=rotation_from_rpy(math.pi, 0.0, 0.0)))
+QUARTER = math.pi / 2.0
+ORIGIN = "3.141592653589793 0 0"
+
+
+def describe(actor, magnetometer=ORIGIN, imu="0 0 1.5707963267948966"):
+    """Publish a description as robot_state_publisher does."""
+    text = f"""<robot name="mule">
+    <joint name="imu" type="fixed"><parent link="base_link"/><child link="imu_link"/>
+    <origin rpy="{imu}"/></joint>
+    <joint name="mag" type="fixed"><parent link="imu_link"/><child link="mag_link"/>
+    <origin rpy="{magnetometer}"/></joint></robot>"""
+    out = actor.node.create_publisher(String, "robot_description", LATCHED)
+    out.publish(String(data=text))
+    actor.run(5.0, stop=out.get_subscription_count)
+    actor.run(0.5)
+    return out
+
+
+def complaints(actor, words):
+    """Wait until the node's diagnostics say something; returns what `Inputs` says last."""
+    said = [""]
+
+    def hear(message):
+        said.extend(status.message for status in message.status if "Inputs" in status.name)
+
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
+    actor.run(10.0, stop=lambda: words in said[-1])
+    return said[-1]
+
+
+def test_the_description_tells_the_mounting_and_whose_attitude_it_is(stage):
+    actor = stage(UPSIDE_DOWN, DESCRIBED)
+    describe(actor)
+    attitudes = []
+    actor.node.create_subscription(Imu, "compass/mag/enu/imu", attitudes.append, 10)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert "warn" not in answer.message
+    errors = actor.published_errors([(0.0, 0.0)], 6)
+    assert rms_deg([float(wrap_angle(error + QUARTER)) for error in errors]) < 1.0
+    assert {message.header.frame_id for message in attitudes} == {"base_link"}
+
+
+def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(stage, tmp_path):
+    actor = stage(ROBOT, DESCRIBED)
+    assert actor.calibrate().success
+    actor.yaws.clear()
+    assert "how 'imu_link' sits in 'base_link'" in complaints(actor, "sits in")
+    assert not actor.yaws
+    out = describe(actor, "0 0 0", "0 0 0")
+    actor.run(5.0, stop=lambda: actor.yaws)
+    assert actor.yaws
+    assert out.get_subscription_count()
+
+
+@pytest.mark.nightly
+def test_what_is_given_by_hand_wins_and_a_wrong_description_is_said(start_node, actor):
+    node = start_node(DESCRIBED)
+    robot = actor()
+    describe(robot, "0.5 0 0", "3.141592653589793 0 0")
+    assert "base_link leans by 180°" in complaints(robot, "leans by")
+    robot.calibrate()
+    assert "away from that" in complaints(robot, "away from that")
+    node.set_parameters([Parameter("mount_rpy_deg", value=[0.0, 0.0, 0.0])])
+    answer = robot.calibrate()
+    assert answer.success, answer.message
+    assert "warn" not in answer.message
+
+
+@pytest.mark.parametrize("text", ["[.nan, 0, 0]", "[180, 0]"])
+def test_half_a_pose_is_refused(start_node, text):
+    node = start_node()
+    (result,) = node.set_parameters([Parameter("mount_rpy_deg", value=text)])
+    assert not result.successful
+    assert "mount_rpy_deg must be" in result.reason

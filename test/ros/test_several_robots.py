@@ -1,0 +1,138 @@
+"""Two robots in one graph: diagnostics apart, and a command that knows which is meant."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+
+COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-preflight"]
+NODE = [sys.executable, "-m", "magcal_ros.ros.main"]
+
+
+def in_namespace(name):
+    return ["--ros-args", "-r", f"__ns:=/{name}"]
+
+
+def run(*arguments):
+    return subprocess.run(
+        [*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_their_diagnostics_have_names_and_hardware_of_their_own(start_node, actor):
+    start_node(arguments=in_namespace("one"))
+    start_node(arguments=in_namespace("two"))
+    start_node()
+    robot = actor()
+    heard = {}
+
+    def hear(message):
+        heard.update({status.name: status for status in message.status})
+
+    robot.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
+    wanted = {f"{name}: Inputs" for name in ("one/calibrator", "two/calibrator", "calibrator")}
+    robot.run(20.0, stop=lambda: wanted <= set(heard))
+    robot.run(3.0)
+    assert wanted <= set(heard)
+    inputs = heard["calibrator: Inputs"]
+    assert {status.hardware_id for name, status in heard.items() if name[0] == "c"} == {"mag_link"}
+    values = {pair.key: pair.value for pair in inputs.values}
+    for topic in ("/imu/data_raw", "/imu/mag"):
+        number, unit = values[f"{topic} rate"].split()
+        assert unit == "Hz"
+        assert float(number) > 10.0
+    silent = {pair.key: pair.value for pair in heard["one/calibrator: Inputs"].values}
+    assert silent["/one/imu/mag rate"] == "0.0 Hz"
+
+
+@pytest.mark.nightly
+def test_of_several_calibrators_none_is_guessed(start_node):
+    start_node(arguments=in_namespace("one"))
+    start_node(arguments=in_namespace("two"))
+    done = run()
+    assert done.returncode == 2
+    assert "2 calibrators are seen: /one/calibrator, /two/calibrator" in done.stderr
+    done = run("--node", "/calibrator")
+    assert done.returncode == 1
+    assert "calibrators that are seen: /one/calibrator, /two/calibrator" in done.stderr
+
+
+@pytest.mark.nightly
+def test_where_there_is_none_it_says_what_to_do():
+    done = run()
+    assert done.returncode == 1
+    assert "no calibrator is seen" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["", "/", "/x//y", "x\x1b[2J", "a b", "/x/", "1a", "x" * 5000])
+def test_a_name_that_is_none_is_said(name):
+    done = run("--node", name)
+    assert done.returncode == 2
+    assert "is no name of a node" in done.stderr
+    assert "\x1b" not in done.stderr
+
+
+@pytest.fixture
+def node_process():
+    process = subprocess.Popen([*NODE, "--ros-args", "-p", "report_folder:=none"])
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.fixture
+def command(node_process):
+    process = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def wait_for_turn(graph_node):
+    from std_msgs.msg import String
+
+    from magcal_ros.ros.outputs import LATCHED
+
+    heard = []
+    graph_node.create_subscription(
+        String, "/calibrator/status", lambda m: heard.append(m.data), LATCHED
+    )
+    until = time.monotonic() + 40.0
+    while not (heard and '"collecting"' in heard[-1]) and time.monotonic() < until:
+        rclpy.spin_once(graph_node, timeout_sec=0.1)
+    assert '"collecting"' in heard[-1]
+
+
+@pytest.fixture
+def graph_node(graph):
+    node = rclpy.create_node("looks_on")
+    yield node
+    node.destroy_node()
+
+
+@pytest.mark.nightly
+def test_a_node_that_is_killed_ends_the_command_in_a_few_seconds(node_process, command, graph_node):
+    wait_for_turn(graph_node)
+    time.sleep(1.5)
+    node_process.kill()
+    began = time.monotonic()
+    _, errors = command.communicate(timeout=30)
+    assert time.monotonic() - began < 10.0
+    assert command.returncode == 1
+    assert "/calibrator has been silent for 6 s: it has ended or hangs" in errors
+
+
+def test_ctrl_c_ends_it_at_once_even_if_the_node_is_gone(node_process, command, graph_node):
+    wait_for_turn(graph_node)
+    node_process.kill()
+    time.sleep(0.5)
+    began = time.monotonic()
+    command.send_signal(signal.SIGINT)
+    command.communicate(timeout=30)
+    assert time.monotonic() - began < 3.0
+    assert command.returncode == 130

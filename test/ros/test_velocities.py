@@ -1,0 +1,170 @@
+"""What a base hears, publisher by publisher."""
+
+from types import SimpleNamespace
+
+import pytest
+from geometry_msgs.msg import Twist, TwistStamped
+
+from magcal_ros.ros.rotator import LAST_ZEROS, Rotator
+from magcal_ros.ros.settings import Rotation
+
+PLAIN, STAMPED = Rotation(True, 0.5, False, ""), Rotation(True, 0.5, True, "base")
+
+
+class Wire:
+    """A node that writes down what is published, and by which publisher."""
+
+    def __init__(self):
+        self.heard = []
+
+    def create_publisher(self, kind, topic, _):
+        self.heard.append(("made", kind))
+        return Line(self.heard, kind)
+
+    def destroy_publisher(self, line):
+        self.heard.append(("gone", line.kind))
+
+    def get_clock(self):
+        import rclpy.clock
+
+        return rclpy.clock.Clock()
+
+
+class Line:
+    topic_name = "/cmd_vel"
+
+    def __init__(self, heard, kind):
+        self.heard, self.kind = heard, kind
+
+    def publish(self, message):
+        assert type(message) is self.kind
+        twist = message.twist if self.kind is TwistStamped else message
+        self.heard.append((self.kind, twist.angular.z))
+
+    def get_subscription_count(self):
+        return 3
+
+    def wait_for_all_acked(self, _):
+        self.heard.append("acknowledged")
+
+
+class Guard:
+    """Writes down what it is told, beside what the base hears."""
+
+    is_ready = True
+
+    def __init__(self, heard):
+        self.heard = heard
+
+    def tell_alive(self):
+        self.heard.append("alive")
+
+    def dismiss(self):
+        self.heard.append("dismissed")
+
+
+@pytest.fixture
+def wire():
+    return Wire()
+
+
+@pytest.fixture
+def rotator(wire):
+    """Return a rotator whose guards are not there to be heard."""
+    return Rotator(wire, lambda *_: Guard([]))
+
+
+def test_a_change_of_type_in_motion_sends_zero_in_the_old_type_first(wire, rotator):
+    assert rotator.listeners == 0
+    rotator.prepare(PLAIN)
+    rotator.move(0.4)
+    rotator.prepare(STAMPED)
+    rotator.move(0.1)
+    assert wire.heard == [
+        ("made", Twist),
+        (Twist, 0.4),
+        (Twist, 0.0),
+        ("gone", Twist),
+        ("made", TwistStamped),
+        (TwistStamped, 0.1),
+    ]
+    assert rotator.listeners == 3
+
+
+def test_a_robot_at_rest_is_told_nothing_at_a_change_of_type(wire, rotator):
+    rotator.prepare(PLAIN)
+    rotator.prepare(STAMPED)
+    assert wire.heard == [("made", Twist), ("gone", Twist), ("made", TwistStamped)]
+
+
+def test_halted_it_says_its_zeros_once_and_nothing_more(wire, rotator):
+    rotator.prepare(PLAIN)
+    rotator.move(0.4)
+    rotator.halt()
+    rotator.halt()
+    rotator.move(0.4)
+    assert wire.heard[2:] == [(Twist, 0.0)] * LAST_ZEROS + ["acknowledged"]
+
+
+@pytest.mark.parametrize("has_rested", [False, True])
+def test_a_robot_that_stands_hears_nothing_at_the_end(wire, rotator, has_rested):
+    rotator.prepare(PLAIN)
+    if has_rested:
+        rotator.move(0.0)
+        rotator.rest()
+    heard = list(wire.heard)
+    rotator.halt()
+    assert wire.heard == heard
+
+
+def test_the_guard_hears_of_each_command_and_is_dismissed_after_the_closing_zeros(wire):
+    asked = []
+
+    def start(*what):
+        asked.append(what)
+        return Guard(wire.heard)
+
+    rotator = Rotator(wire, start)
+    assert not rotator.is_guarded
+    rotator.prepare(Rotation(True, 0.5, True, "base"))
+    assert asked == [("/cmd_vel", True, "base")]
+    assert rotator.is_guarded
+    rotator.move(0.4)
+    rotator.move(0.0)
+    rotator.rest()
+    told = ["alive", (TwistStamped, 0.4), "alive", (TwistStamped, 0.0), "dismissed"]
+    assert wire.heard[1:] == told
+    assert not rotator.is_guarded
+
+
+def test_halted_in_motion_the_guard_goes_after_the_zeros_have_arrived(wire):
+    rotator = Rotator(wire, lambda *_: Guard(wire.heard))
+    rotator.prepare(PLAIN)
+    rotator.move(0.4)
+    rotator.halt()
+    assert wire.heard[-3:] == [(Twist, 0.0), "acknowledged", "dismissed"]
+
+
+def test_where_the_zeros_cannot_be_sent_the_guard_stays(wire):
+    rotator = Rotator(wire, lambda *_: Guard(wire.heard))
+    rotator.prepare(PLAIN)
+    rotator.move(0.4)
+    Line.publish, publish = None, Line.publish
+    try:
+        rotator.halt()
+    finally:
+        Line.publish = publish
+    assert "dismissed" not in wire.heard
+
+
+def test_a_guard_that_cannot_be_started_is_said_and_nothing_is_guarded(wire):
+    def fail(*_):
+        raise OSError(12, "Cannot allocate memory")
+
+    said = []
+    wire.get_logger = lambda: SimpleNamespace(error=said.append)
+    rotator = Rotator(wire, fail)
+    rotator.prepare(PLAIN)
+    assert not rotator.is_guarded
+    assert "guard" in said[0]
+    assert "Cannot allocate memory" in said[0]
