@@ -16,11 +16,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from limit import Scene, covariance_limit, heading_rms
 
+from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.simulator import (
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
     UP_ENU,
@@ -32,7 +33,6 @@ from magcal_ros.core.simulator import (
     trial_attitudes,
     turn,
 )
-from magcal_ros.core.window import Window
 
 UPRIGHT = (0.0, 0.0, 1.0)
 TILTED = (0.0, 0.9, 0.9)

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from honesty_cases import KINDS, Case, draw_case
 
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
-from magcal_ros.core.figures import predicted_heading_sigma
-from magcal_ros.core.simulator import DEGREE, LEVEL_TILT, trial_attitudes
-from magcal_ros.core.simulator import yaw_from_up_and_field as yaw_of
-from magcal_ros.core.verdict import Grade
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, trial_attitudes
+from magcal_ros.core.simulation.simulator import yaw_from_up_and_field as yaw_of
 
 SIGMAS = 5.0
 FLOOR = 0.1 * DEGREE

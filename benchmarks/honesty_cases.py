@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.rotations import rotation_about
-from magcal_ros.core.simulator import (
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
     DEGREE,
     Motion,
     Robot,
@@ -20,7 +21,6 @@ from magcal_ros.core.simulator import (
     smooth_wobble,
     turn,
 )
-from magcal_ros.core.window import Window
 
 MIRRORS = {
     "swap x and y": np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1]]),

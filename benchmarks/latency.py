@@ -21,7 +21,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, MagneticField
 from std_srvs.srv import Trigger
 
-from magcal_ros.ros.straight import executor_for
+from magcal_ros.ros.spinner import Spinner
+from magcal_ros.ros.straight import StraightGroup
 
 RATES = ((100, 50), (400, 200))
 ROUNDS = 4
@@ -36,18 +37,23 @@ class Probe:
         self.relay = stage.Load(node, imu_rate, field_rate, (APART,))
         self.calibrator = stage.Load(node, imu_rate, field_rate)
         self._both = stage.Load(node, imu_rate, field_rate, (APART, ""))
+        self._faults: list[Exception] = []
         self._sent: dict[tuple[str, bytes], int] = {}
         self._took: dict[str, list[float]] = {APART: [], "": []}
         for load in (self.relay, self.calibrator, self._both):
             load.on_field = self._note_sent
         of_relay, of_calibrator = partial(self._note, APART), partial(self._note, "")
+        group = StraightGroup()
         answers = [
-            node.create_subscription(MagneticField, "relayed/imu/mag", of_relay, 10, raw=True),
-            node.create_subscription(Imu, "compass/mag/enu/imu", of_calibrator, 10, raw=True),
+            node.create_subscription(kind, topic, note, 10, raw=True, callback_group=group)
+            for kind, topic, note in (
+                (MagneticField, "relayed/imu/mag", of_relay),
+                (Imu, "compass/mag/enu/imu", of_calibrator),
+            )
         ]
         self._client = node.create_client(Trigger, "calibrator/calibrate")
-        self._executor = executor_for(node, answers)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._spinner = Spinner(node, answers, group, self._faults.append)
+        self._thread = threading.Thread(target=self._spinner.spin, daemon=True)
         self._thread.start()
 
     def _note_sent(self, prefix: str, stamp: bytes) -> None:
@@ -78,8 +84,9 @@ class Probe:
         return took
 
     def close(self) -> None:
-        self._executor.shutdown()
+        self._spinner.shutdown()
         self._thread.join()
+        assert not self._faults, self._faults
 
 
 def measure(imu_rate: int, field_rate: int, seconds: float) -> None:

@@ -11,26 +11,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.arrays import FloatArray
-from magcal_ros.core.attitude import STANDARD_GRAVITY
-from magcal_ros.core.estimate import yaw_jacobian
+from magcal_ros.core.calibration.estimate import yaw_jacobian
+from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.free_equations import SchurSystem
+from magcal_ros.core.estimation.information import inverse_information, without_own
+from magcal_ros.core.estimation.model import Evaluation, Samples, State, predict
+from magcal_ros.core.estimation.parameters import Globals
+from magcal_ros.core.estimation.prior import Prior, prior_from
+from magcal_ros.core.estimation.uncertainty import correction_jacobian
+from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood.covariance import (
-    correction_jacobian,
-    inverse_information,
-)
-from magcal_ros.core.methods.maximum_likelihood.linearise import (
-    Linearisation,
-    Noise,
-    Problem,
-    Weights,
-    linearise,
-)
-from magcal_ros.core.methods.maximum_likelihood.model import Samples, State, predict
-from magcal_ros.core.methods.maximum_likelihood.parameters import Globals
-from magcal_ros.core.methods.maximum_likelihood.prior import Prior, prior_from
-from magcal_ros.core.rotations import minimal_rotation, rotation_from_rpy
-from magcal_ros.core.simulator import LEVEL_TILT, UP_ENU, Motion, Robot, trial_attitudes
+from magcal_ros.core.simulation.simulator import LEVEL_TILT, UP_ENU, Motion, Robot, trial_attitudes
 
 GYRO_SCALE_SIGMA = 0.02
 SOFT_IRON_ROWS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -66,9 +60,12 @@ def covariance_limit(
         robot.noise_field / robot.strength,
         max(scene.wobble, 1e-5),
     )
-    problem = Problem(samples, prior, noise, Weights.ones(len(samples)), rigid=scene.wobble == 0.0)
-    lin = linearise(state, problem)
-    information = _with_gyro(lin, scene) if gyro else lin.reduced_information
+    weighting = Weighting(noise, Weights.ones(len(samples)))
+    block = FreeBlock(Evaluation(state, samples), weighting, leans=scene.wobble > 0.0)
+    system = block.equations(np.concatenate([block.own, prior.free])).system
+    information = _with_gyro(system, scene) if gyro else system.reduced(0.0).information
+    information = without_own(information, len(block.own))
+    information += np.diag(prior.information[prior.free])
     return _twelve(information, state, prior, scene)
 
 
@@ -90,17 +87,18 @@ def true_state(scene: Scene) -> State:
     return State(shared, body_axis.T @ scene.motion.attitude @ world_axis)
 
 
-def _with_gyro(lin: Linearisation, scene: Scene) -> FloatArray:
+def _with_gyro(system: SchurSystem, scene: Scene) -> FloatArray:
     """Eliminate a start angle and a scale error instead of one attitude a sample."""
     n = len(scene.motion.time)
-    angle = np.unwrap(np.arctan2(lin.state.attitude[:, 1, 0], lin.state.attitude[:, 0, 0]))
+    attitude = system.place.state.attitude
+    angle = np.unwrap(np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0]))
     basis = np.column_stack([np.ones(n), angle - angle.mean()])
     column = -1
-    information = lin.local_information[:, column, column]
-    coupling = lin.coupling[:, column]
+    information = system.local.information[:, column, column]
+    coupling = system.coupling[:, column]
     small = basis.T @ (basis * information[:, None]) + np.diag([0.0, GYRO_SCALE_SIGMA**-2])
     cross = basis.T @ coupling
-    return np.asarray(lin.information - cross.T @ np.linalg.solve(small, cross))
+    return np.asarray(system.information - cross.T @ np.linalg.solve(small, cross))
 
 
 def _twelve(information: FloatArray, state: State, prior: Prior, scene: Scene) -> FloatArray:

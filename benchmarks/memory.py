@@ -18,8 +18,8 @@ import stage
 from diagnostic_msgs.msg import DiagnosticArray
 
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.session import Limits, Session
-from magcal_ros.core.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.session.session import Limits, Session
 
 RATE = 2000
 HOUR = 3600

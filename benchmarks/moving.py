@@ -13,22 +13,31 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+from street import Street, city_drive
 
-from magcal_ros.core.attitude import wrap_angle
-from magcal_ros.core.calibration import Calibration, Evidence
-from magcal_ros.core.correction import Correction
-from magcal_ros.core.field_watch import PATIENCE
-from magcal_ros.core.fusion import FusedYaw
-from magcal_ros.core.heading import Compass
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.disturbance import PATIENCE
+from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.offline import Gathering, fit_gathered
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import DEGREE, Robot
-from magcal_ros.core.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import DEGREE, Robot
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 SEEDS = 5
+CARS = {
+    "car_circles_neu2025_kiran": "car_circles_neu2025_kiran",
+    "car_drive_neu2022_rahul": "car_neu2022_rahul",
+    "car_neu2024_jackg": "car_neu2024_jackg",
+    "car_neu2024_gautham": "car_neu2024_gautham",
+}
+"""Recordings of cars, and what each is calibrated by."""
 FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 ROBOT = Robot(inclination=65.0 * DEGREE, noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
 Samples = Iterable[ImuSample | FieldSample]
@@ -64,21 +73,27 @@ class Walk:
                 sample = sample._replace(rate=(math.nan,) * 3)
             self._follower.add(sample)
             up = self._follower.at(sample.stamp, 0.0)
-            if self.way == "carried" and up is not None:
-                self._fusion.carry(sample.stamp, up, self._follower.mean_rate)
+            if self.way == "propagated" and up is not None:
+                follower = self._follower
+                self._fusion.propagate(
+                    sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
+                )
                 heading = self._fusion.heading()
                 if heading is not None:
                     self.fused.append((sample.stamp, heading.yaw, heading.yaw_variance))
 
     def _take_field(self, sample: FieldSample) -> None:
-        up = self._up(sample.stamp) if self._streams.add_field(sample) else None
+        if not self._streams.add_field(sample):
+            return
+        self._follower.add_field(sample.stamp, sample.field)
+        up = self._up(sample.stamp)
         if up is None:
             return
         field = self._compass.correct(sample.field)
         heading = self._compass.heading(field, up.direction, up.variance)
         if heading is not None:
             self.raw.append((sample.stamp, heading.yaw, heading.yaw_variance))
-            if self.way == "carried":
+            if self.way == "propagated":
                 self._fusion.correct(sample.stamp, field, up, heading)
 
     def _up(self, stamp: float) -> Up | None:
@@ -118,6 +133,13 @@ def ramps(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
         yield from moved(ride, 1.0, yaw_rate=1.0)
 
 
+def streets(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
+    """Stand, then drive for four minutes through streets that bend the field by 3 µT an axis."""
+    yield from moved(ride, 3.0)
+    rng = np.random.default_rng(int(1e6 * abs(ride.magnetic_yaw)))
+    yield from city_drive(ride, Street(rng), 240.0, rng)
+
+
 def moved(ride: Ride, seconds: float, **motion: object) -> Iterator[list[ImuSample | FieldSample]]:
     """Yield what the sensors say while the robot moves."""
     for _ in range(int(seconds / ride.period)):
@@ -130,7 +152,7 @@ def simulated(drive: Callable[[Ride], Iterator[list[ImuSample | FieldSample]]]) 
     errors: dict[str, list[tuple[float, float]]] = {}
     for seed in range(SEEDS):
         rng = np.random.default_rng(seed)
-        ways = [Walk(calibration, way) for way in ("accelerometer", "low-pass", "carried")]
+        ways = [Walk(calibration, way) for way in ("accelerometer", "low-pass", "propagated")]
         ride = Ride(ROBOT, rng, start=10.0)
         ride.stand(0.0, 0.0, float(rng.uniform(-3.0, 3.0)))
         stamps, truth = [], []
@@ -179,41 +201,49 @@ def broad(folder: Path) -> None:
     calibration = exact(Correction(np.eye(3), bias), 0.8e-6, 44.3e-6, math.radians(69.6))
 
     def score(rows: Rows) -> str:
-        stamps = np.array([row[0] for row in rows]) - 1.0
-        yaws = np.array([row[1] for row in rows])
-        gap = wrap_angle(yaws - np.interp(stamps, truth[:, 0], np.unwrap(truth[:, 1])))
+        found = np.array(rows)
+        stamps = found[:, 0] - 1.0
+        gap = wrap_angle(found[:, 1] - np.interp(stamps, truth[:, 0], np.unwrap(truth[:, 1])))
         level = np.interp(stamps, truth[:, 0], lean) > math.cos(math.radians(45.0))
-        return f"{math.degrees(math.sqrt(np.mean(gap[level] ** 2))):.2f}"
+        return recorded_figures(gap[level], found[level, 2])
 
     recorded("broad05, tilt < 45°", recording, calibration, score)
 
 
-def car(folder: Path) -> None:
-    """Print the yaw errors of a car in circles against its GPS course."""
+def car(folder: Path, turned: Path) -> None:
+    """Print the yaw errors of a car against its GPS course, calibrated by what it turned before."""
     recording = read_csv_folder(folder)
     truth = np.genfromtxt(folder / "truth.csv", delimiter=",", skip_header=1)
     truth = truth[truth[:, 2] > 2.0]
     gathering = Gathering(Mounting())
-    gathering.take(recording.samples())
+    gathering.take(read_csv_folder(turned).samples())
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
     outcome, _ = fit_gathered(gathering, Knowledge(reference))
-    assert outcome.calibration is not None
+    if outcome.calibration is None:
+        show((folder.name, f"no calibration: {outcome.verdict.summary}"))
+        return
 
     def score(rows: Rows) -> str:
-        stamps = np.array([row[0] for row in rows])
-        yaws = np.unwrap([row[1] for row in rows])
-        best = math.inf
+        found = np.array(rows)
+        yaws = np.unwrap(found[:, 1])
+        gaps = []
         for lag in np.arange(-2.0, 2.01, 0.05):
             moments = truth[:, 0] + lag
-            inside = (moments > stamps[0]) & (moments < stamps[-1])
-            gap = np.interp(moments[inside], stamps, yaws) - truth[inside, 1]
+            inside = (moments > found[0, 0]) & (moments < found[-1, 0])
+            gap = np.interp(moments[inside], found[:, 0], yaws) - truth[inside, 1]
             gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
-            best = min(best, math.sqrt(float(np.mean(gap**2))))
-        return f"{math.degrees(best):.2f}"
+            gaps.append((gap, np.interp(moments[inside], found[:, 0], found[:, 2])))
+        return recorded_figures(*min(gaps, key=lambda pair: float(np.mean(pair[0] ** 2))))
 
-    recorded("car in circles", recording, outcome.calibration, score)
+    recorded(folder.name, recording, outcome.calibration, score)
+
+
+def recorded_figures(error: FloatArray, variance: FloatArray) -> str:
+    """Return RMS in degrees, and NEES where there is a variance."""
+    rms = f"{math.degrees(math.sqrt(np.mean(error**2))):.2f}"
+    return f"{rms} ({np.mean(error**2 / variance):.2f})" if variance.all() else rms
 
 
 def recorded(
@@ -221,12 +251,13 @@ def recorded(
 ) -> None:
     """Print one row: each way to find up, the fused yaw, and vqf where it is installed."""
     cells = []
-    for way in ("accelerometer", "low-pass", "carried"):
+    for way in ("accelerometer", "low-pass", "propagated"):
         walk = Walk(calibration, way)
         for sample in recording.samples():
             walk.take(sample)
         cells.append(score(walk.raw))
-    show((name, *cells, score(walk.fused), vqf_score(recording, calibration, score)))
+    fused = score(walk.fused) if walk.fused else "-"
+    show((name, *cells, fused, vqf_score(recording, calibration, score)))
 
 
 def vqf_score(recording: Recording, calibration: Calibration, score: Callable[[Rows], str]) -> str:
@@ -251,18 +282,20 @@ def vqf_score(recording: Recording, calibration: Calibration, score: Callable[[R
 def main() -> None:
     """Print both tables."""
     print("Simulated: yaw RMS in degrees (NEES)")
-    show(("drive", "accelerometer", "low-pass, no gyro", "carried", "fused"))
+    show(("drive", "accelerometer", "low-pass, no gyro", "propagated", "fused"))
     show(("---",) * 5)
-    for drive in (starts_and_stops, circle, circle_from_the_start, ramps):
+    for drive in (starts_and_stops, circle, circle_from_the_start, ramps, streets):
         simulated(drive)
     beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else beside
-    print("\nRecorded: yaw RMS in degrees")
-    show(("drive", "accelerometer", "low-pass, no gyro", "carried", "fused", "vqf"))
+    print("\nRecorded: yaw RMS in degrees (NEES)")
+    show(("drive", "accelerometer", "low-pass, no gyro", "propagated", "fused", "vqf"))
     show(("---",) * 6)
-    for name, each in (("broad05", broad), ("car_circles_neu2025_kiran", car)):
-        if (folder / name).is_dir():
-            each(folder / name)
+    if (folder / "broad05").is_dir():
+        broad(folder / "broad05")
+    for name, turned in CARS.items():
+        if (folder / name).is_dir() and (folder / turned).is_dir():
+            car(folder / name, folder / turned)
 
 
 if __name__ == "__main__":

@@ -18,9 +18,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from magcal_ros.cli.main import main as magcal
-from magcal_ros.core.offline import Gathering
-from magcal_ros.core.simulator import Robot, measure, turn
-from magcal_ros.core.window import Window
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.recorded import Gathering
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.files.sources import open_recording
 
 ROBOT = Robot()

@@ -14,16 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from limit import Scene, heading_rms, true_state
 
-from magcal_ros.core.attitude import STANDARD_GRAVITY
+from magcal_ros.core.calibrate import calibrate_turns
+from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.model import Evaluation, Samples, predict
+from magcal_ros.core.estimation.prior import prior_from
+from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.estimation.uncertainty import correction_jacobian
+from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA, Knowledge
-from magcal_ros.core.methods.maximum_likelihood.covariance import correction_jacobian
-from magcal_ros.core.methods.maximum_likelihood.linearise import Noise, Problem, Weights
-from magcal_ros.core.methods.maximum_likelihood.model import Samples, predict
-from magcal_ros.core.methods.maximum_likelihood.prior import prior_from
-from magcal_ros.core.several.blocks import AXES, SampledBlock, no_belief
-from magcal_ros.core.several.calibrate import calibrate_turns
-from magcal_ros.core.several.joint import Joint
-from magcal_ros.core.simulator import (
+from magcal_ros.core.simulation.simulator import (
     LEVEL_TILT,
     UP_ENU,
     Robot,
@@ -82,12 +82,12 @@ def limit(made: Sequence[Scene], knowledge: Knowledge) -> tuple[float, float]:
     """Return the smallest heading error, degrees: level poses, all tilts."""
     robot = made[0].robot
     prior = prior_from(knowledge, robot.strength, soft_iron=True, yaw=True)
-    joint = Joint(tuple(_true_block(scene) for scene in made), prior)
+    joint = Fit(tuple(_true_block(scene) for scene in made), prior)
     jacobian = correction_jacobian(joint.shared, joint.mounting, robot.strength)
     return heading_rms(jacobian @ joint.covariance @ jacobian.T, robot)
 
 
-def _true_block(scene: Scene) -> SampledBlock:
+def _true_block(scene: Scene) -> FreeBlock:
     robot, state = scene.robot, true_state(scene)
     iron = robot.soft_iron[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     state = replace(state, shared=replace(state.shared, yaw=robot.yaw, soft_iron=iron))
@@ -97,8 +97,7 @@ def _true_block(scene: Scene) -> SampledBlock:
     noise = Noise(
         robot.noise_force / STANDARD_GRAVITY, robot.noise_field / robot.strength, wobble=1.0
     )
-    blank = no_belief(AXES)
-    return SampledBlock(state, Problem(samples, blank, noise, Weights.ones(n), rigid=True))
+    return FreeBlock(Evaluation(state, samples), Weighting(noise, Weights.ones(n)), leans=False)
 
 
 def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) -> Run:

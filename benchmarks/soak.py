@@ -18,17 +18,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-
 import rclpy
 from sensor_msgs.msg import MagneticField
 
-from magcal_ros.core.attitude import wrap_angle
-from magcal_ros.core.simulator import Robot
+from magcal_ros.cli.graph import keep_traffic_here
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
-IMU_RATE, FIELD_RATE = 100, 50
+keep_traffic_here()
+
+IMU_RATE = 100.0
+"""Hertz of stamps; a field sample comes with every second one."""
+
 STEPS_AT_ONCE = 4
 """IMU samples between two looks at what came back: fewer than a sensor's queue holds."""
 
@@ -36,6 +38,9 @@ PATIENCE = 0.05
 """Seconds after which what has not come back is lost."""
 
 MOST_GROWTH_MB = 10.0
+MOST_MORE = 3
+"""Open files or threads: a report or a fit may be under way at either mark."""
+
 WORST_YAW = math.radians(5.0)
 
 
@@ -48,6 +53,8 @@ class Mark:
     lost: int
     calibrations: int
     resident_mb: float
+    handles: int
+    threads: int
     yaw_error: float
 
 
@@ -94,7 +101,18 @@ def resident_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def soak(hours: float, marks: int, tell: Callable[[Mark], None] = lambda _: None) -> list[Mark]:
+def handles_and_threads(pid: int) -> tuple[int, int]:
+    """How many open files and how many threads a process has."""
+    place = Path(f"/proc/{pid}")
+    return len(list((place / "fd").iterdir())), len(list((place / "task").iterdir()))
+
+
+def soak(
+    hours: float,
+    marks: int,
+    tell: Callable[[Mark], None] = lambda _: None,
+    imu_rate: float = IMU_RATE,
+) -> list[Mark]:
     """Feed a node; one calibration and one mark after each of equal parts of the time.
 
     The first mark is made after the first calibration, when everything is loaded.
@@ -107,7 +125,7 @@ def soak(hours: float, marks: int, tell: Callable[[Mark], None] = lambda _: None
         process = subprocess.Popen(command, env={**os.environ, "ROS_HOME": folder})
         node = rclpy.create_node("soak")
         try:
-            actor = Rehearsal(node, robot, imu_rate=float(IMU_RATE), speed=4.0)
+            actor = Rehearsal(node, robot, imu_rate=imu_rate, speed=400.0 / imu_rate)
             actor.wait_for_node()
             assert actor.calibrate().success
             return _live(actor, process.pid, hours, marks, tell)
@@ -134,7 +152,8 @@ def _live(
         error = float(wrap_angle(seen - actor.ride.magnetic_yaw))
         done = (found[-1].calibrations if found else 0) + calibrated
         lived = (actor.ride.stamp - begun) / 3600.0
-        mark = Mark(lived, feeder.sent, feeder.lost, done, resident_mb(pid), error)
+        held = handles_and_threads(pid)
+        mark = Mark(lived, feeder.sent, feeder.lost, done, resident_mb(pid), *held, error)
         found.append(mark)
         tell(mark)
     return found
@@ -146,6 +165,15 @@ def faults(marks: list[Mark], most_growth_mb: float = MOST_GROWTH_MB) -> list[st
     growth = marks[-1].resident_mb - marks[min(1, len(marks) - 1)].resident_mb
     if growth > most_growth_mb:
         found.append(f"resident memory grew by {growth:.1f} MB")
+    first = marks[min(1, len(marks) - 1)]
+    if (
+        marks[-1].handles > first.handles + MOST_MORE
+        or marks[-1].threads > first.threads + MOST_MORE
+    ):
+        found.append(
+            f"open files went from {first.handles} to {marks[-1].handles}, threads from "
+            f"{first.threads} to {marks[-1].threads}"
+        )
     if marks[-1].calibrations < len(marks):
         found.append(f"{len(marks) - marks[-1].calibrations} calibrations failed")
     worst = max(abs(mark.yaw_error) for mark in marks)
@@ -157,7 +185,7 @@ def faults(marks: list[Mark], most_growth_mb: float = MOST_GROWTH_MB) -> list[st
 def print_mark(mark: Mark) -> None:
     print(
         f"{mark.hours:8.2f}{mark.messages:12d}{mark.lost:8d}{mark.calibrations:14d}"
-        f"{mark.resident_mb:14.1f}{math.degrees(mark.yaw_error):+12.2f}",
+        f"{mark.resident_mb:14.1f}{mark.handles:9d}{mark.threads:9d}{math.degrees(mark.yaw_error):+12.2f}",
         flush=True,
     )
 
@@ -165,11 +193,14 @@ def print_mark(mark: Mark) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=24.0, help="of stamps")
+    parser.add_argument(
+        "--rate", type=float, default=IMU_RATE, help="Hz of the IMU; of the field half"
+    )
     arguments = parser.parse_args()
     rclpy.init()
-    print("   hours    messages    lost  calibrations  resident MB  yaw error°")
+    print("   hours    messages    lost  calibrations  resident MB  handles  threads  yaw error°")
     begun = time.monotonic()
-    marks = soak(arguments.hours, max(1, round(arguments.hours)), print_mark)
+    marks = soak(arguments.hours, max(2, round(arguments.hours)), print_mark, arguments.rate)
     took = time.monotonic() - begun
     print(f"{marks[-1].messages / took:.0f} messages a second")
     for words in (wrong := faults(marks)):

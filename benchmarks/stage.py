@@ -12,20 +12,21 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-
 import numpy as np
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
+from magcal_ros.cli.graph import keep_traffic_here
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.ride import Ride
-from magcal_ros.core.simulator import Robot, measure, turn
-from magcal_ros.core.streams import ImuSample
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.files.calibration_file import Origin, write_calibration
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+keep_traffic_here()
 
 HERE = Path(__file__).parent
 TURN_RATE = 0.5

@@ -1,0 +1,239 @@
+"""What real sensors do to a turn: `python benchmarks/realistic.py [--runs N] [--only X]`.
+
+One effect at a time, on full turns of a small robot with a reference field, with the gyro and
+without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
+median promised sigma, NEES of the heading, and the share beyond three sigmas. Sensors are judged as
+they are used: an accelerometer that is off is off afterwards, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.verdict import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Motion,
+    Robot,
+    measure,
+    slope_rpy,
+    smooth_wobble,
+    trial_attitudes,
+    turn,
+)
+
+SAMPLES, SECONDS = 600, 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A turn as it is measured, and what of the sensors stays wrong when they are used."""
+
+    robot: Robot
+    motion: Motion
+    window: Window
+    distortion: FloatArray = field(default_factory=lambda: np.eye(3))
+    force: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+
+Spoil = Callable[[np.random.Generator, Scene], Scene]
+
+
+def drawn(rng: np.random.Generator) -> tuple[Scene, Knowledge]:
+    """Draw a robot, its turn, and what is known of the field."""
+    robot = Robot(
+        inclination=rng.uniform(50.0, 70.0) * DEGREE,
+        roll=rng.normal(0.0, 3.0) * DEGREE,
+        pitch=rng.normal(0.0, 3.0) * DEGREE,
+        hard_iron=rng.normal(0.0, 20e-6, 3),
+        noise_field=0.3e-6,
+        noise_force=0.05,
+        noise_rate=2e-3,
+        gyro_bias=rng.normal(0.0, 0.002, 3),
+    )
+    slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
+    sway = smooth_wobble(rng, SAMPLES, SECONDS, 1.0 * DEGREE, (0.2, 2.0))
+    arc = rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.15) * math.tau
+    motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
+    strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
+    dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
+    scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
+    return scene, Knowledge(ReferenceField(strength, dip))
+
+
+def direction(rng: np.random.Generator) -> FloatArray:
+    vector = rng.standard_normal(3)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def with_field(scene: Scene, added: FloatArray) -> Scene:
+    return replace(scene, window=replace(scene.window, field=scene.window.field + added))
+
+
+def with_force(scene: Scene, added: FloatArray) -> Scene:
+    force = scene.window.specific_force + added
+    return replace(scene, window=replace(scene.window, specific_force=force))
+
+
+def with_rate(scene: Scene, added: FloatArray) -> Scene:
+    rate = scene.window.angular_rate + added
+    return replace(scene, window=replace(scene.window, angular_rate=rate))
+
+
+def axes(size: float, *, iron: bool = False) -> Spoil:
+    """Axes out of square, or soft iron, which is symmetric."""
+
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        error = size * rng.standard_normal((3, 3))
+        error = 0.5 * (error + error.T) if iron else error
+        turned = scene.window.field - scene.robot.hard_iron
+        return replace(with_field(scene, turned @ error.T), distortion=np.eye(3) + error)
+
+    return spoil
+
+
+def over_time(shape: Callable[[np.random.Generator, FloatArray], FloatArray], size: float) -> Spoil:
+    """Add a field (tesla) in one direction of the body that follows a shape over time."""
+
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        return with_field(scene, size * np.outer(shape(rng, scene.window.time), direction(rng)))
+
+    return spoil
+
+
+def coloured(size: float, seconds: float) -> Spoil:
+    """Add noise of three axes that lasts for seconds; endless seconds: a random walk."""
+
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        step = SECONDS / SAMPLES
+        keeps = math.exp(-step / seconds)
+        grows = math.sqrt(step if math.isinf(seconds) else 1.0 - keeps**2)
+        noise = np.zeros((SAMPLES, 3))
+        for k in range(1, SAMPLES):
+            noise[k] = keeps * noise[k - 1] + grows * rng.standard_normal(3)
+        return with_field(scene, size * (noise - noise.mean(axis=0)))
+
+    return spoil
+
+
+def late(seconds: float) -> Spoil:
+    def spoil(_: np.random.Generator, scene: Scene) -> Scene:
+        time, raw = scene.window.time, scene.window.field
+        moved = np.column_stack([np.interp(time - seconds, time, raw[:, k]) for k in range(3)])
+        return with_field(scene, moved - raw)
+
+    return spoil
+
+
+def lever_arm(metres: float) -> Spoil:
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        arm = metres * np.append(direction(rng)[:2], 0.0)
+        rate = scene.motion.angular_rate
+        swing = np.gradient(rate, scene.motion.time, axis=0)
+        return with_force(scene, np.cross(rate, np.cross(rate, arm)) + np.cross(swing, arm))
+
+    return spoil
+
+
+def off(size: float) -> Spoil:
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        added = size * direction(rng)
+        return replace(with_force(scene, added), force=added)
+
+    return spoil
+
+
+def biased(degrees: float) -> Spoil:
+    return lambda rng, scene: with_rate(scene, degrees * DEGREE * direction(rng))
+
+
+def crossed(size: float) -> Spoil:
+    return lambda rng, scene: with_rate(
+        scene, scene.window.angular_rate @ (size * rng.standard_normal((3, 3)))
+    )
+
+
+EFFECTS: dict[str, Spoil] = {
+    "none": lambda _, scene: scene,
+    "axes 1 %": axes(0.01),
+    "axes 3 %": axes(0.03),
+    "soft iron 10 %": axes(0.1, iron=True),
+    "drift 1 µT": over_time(lambda _, t: t / t[-1] - 0.5, 1e-6),
+    "drift 3 µT": over_time(lambda _, t: t / t[-1] - 0.5, 3e-6),
+    "motor 1 µT": over_time(lambda _, t: (t % 4.0 < 2.5).astype(float), 1e-6),
+    "motor 3 µT": over_time(lambda _, t: (t % 4.0 < 2.5).astype(float), 3e-6),
+    "aliased hum 1 µT": over_time(
+        lambda rng, t: np.sin(math.tau * rng.uniform(0.05, 0.3) * t + rng.uniform(0.0, 6.0)), 1e-6
+    ),
+    "noise 1 µT, 3 s": coloured(1e-6, 3.0),
+    "walk .3 µT/√s": coloured(0.3e-6, math.inf),
+    "latency 50 ms": late(0.05),
+    "lever arm .2 m": lever_arm(0.2),
+    "lever arm .5 m": lever_arm(0.5),
+    "acceleration .2 m/s²": off(0.2),
+    "acceleration .5 m/s²": off(0.5),
+    "gyro bias .5 °/s": biased(0.5),
+    "gyro bias 2 °/s": biased(2.0),
+    "gyro cross-axis 2 %": crossed(0.02),
+}
+
+
+def heading_error(scene: Scene, correction: Correction) -> float:
+    """Return the RMS heading error on the level with the sensors as they are, radians."""
+    poses = trial_attitudes()[:, LEVEL_TILT]
+    robot, up, truth = scene.robot, poses[:, :, 2], poses @ scene.robot.field_enu
+    raw = (robot.raw_field(truth) - robot.hard_iron) @ scene.distortion.T + robot.hard_iron
+    seen = STANDARD_GRAVITY * up + scene.force
+    gap = yaw_from_up_and_field(seen, correction.apply(raw)) - yaw_from_up_and_field(up, truth)
+    return math.sqrt(float(np.mean(wrap_angle(gap) ** 2)))
+
+
+def row(name: str, runs: int, *, gyro: bool) -> str:
+    errors, sigmas, refused, warned = [], [], 0, 0
+    for number in range(runs):
+        scene, knowledge = drawn(np.random.default_rng([1, number]))
+        scene = EFFECTS[name](np.random.default_rng([2, number]), scene)
+        window = scene.window if gyro else replace(scene.window, angular_rate=None)
+        outcome = calibrate(window, knowledge)
+        if outcome.estimate is None or not outcome.verdict.accepted:
+            refused += 1
+            continue
+        warned += Grade.WARN in (outcome.verdict.quality, outcome.verdict.confidence)
+        errors.append(heading_error(scene, outcome.estimate.correction))
+        sigmas.append(predicted_heading_sigma(outcome.estimate, 0.0))
+    text = f"{name:24s}{'gyro' if gyro else '-':>5s}{refused:8d}{warned:8d}"
+    if not errors:
+        return text
+    ratio = np.array(errors) / np.array(sigmas)
+    rms, sigma = (math.degrees(v) for v in (np.sqrt(np.mean(np.square(errors))), np.median(sigmas)))
+    return text + f"{rms:8.2f}{sigma:8.2f}{np.mean(ratio**2):8.2f}{np.mean(ratio > 3.0):8.0%}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=40)
+    parser.add_argument("--only", default="", help="effects whose name holds this")
+    arguments = parser.parse_args()
+    names = ("refused", "warned", "rms", "sigma", "NEES", ">3s")
+    print(f"{'effect':24s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
+    for name in EFFECTS:
+        if arguments.only in name:
+            for gyro in (True, False):
+                print(row(name, arguments.runs, gyro=gyro), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""How real recordings fare: `python benchmarks/recordings.py [FOLDER...] [--only NAME]`.
+
+Each row is a window of a recording: the verdict, the promised heading sigma, the heading's RMS and
+median against the truth, what five usual methods reach with the same samples and the same up, and
+what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
+the best of the five, chosen afterwards. Headings are scored on the whole recording.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from recorded_truth import Drive, Score, peers, read_drive, windows
+
+from magcal_ros.core.assessment.verdict import Grade
+from magcal_ros.core.calibrate import Outcome, calibrate
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.errors import MagcalError, Refusal
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.samples.window import Window
+
+DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+PEERS = ("minmax2", "minmax3", "sphere", "circle", "ellipsoid")
+AS_GOOD = 1.1
+"""Times the best peer's RMS up to which an answer counts as good as it."""
+SIGMAS, FLOOR = 5.0, 2.0
+"""An answer is a wrong one beyond so many promised sigmas and so many degrees."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of the table."""
+
+    name: str
+    window: str
+    seconds: float
+    grade: str
+    why: str
+    sigma: float
+    ours: Score | None
+    others: tuple[float, ...]
+    floor: Score | None
+
+    @property
+    def answered(self) -> bool:
+        return self.grade not in ("refused", "-")
+
+    @property
+    def ratio(self) -> float:
+        """Our RMS over the best peer's; NaN where either is missing."""
+        known = [other for other in self.others if math.isfinite(other)]
+        return self.ours.rms / min(known) if self.ours and known else math.nan
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether it was answered and the truth lies far outside of what was promised.
+
+        A truth has errors of its own, of which the floor tells.
+        """
+        if not self.answered or self.ours is None:
+            return False
+        own = self.floor.rms if self.floor else 0.0
+        excess = math.sqrt(max(self.ours.rms**2 - own**2, 0.0))
+        return excess > max(SIGMAS * self.sigma, FLOOR)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", type=Path, nargs="*", default=[DEFAULT])
+    parser.add_argument("--only", default="", help="recordings whose name holds this")
+    parser.add_argument("--reference", type=float, nargs=2, metavar=("UT", "DIP_DEG"))
+    parser.add_argument("--window", default="", help="whole, circles or live")
+    parser.add_argument("--reasons", action="store_true", help="print each verdict's summary")
+    arguments = parser.parse_args()
+    lines = []
+    print(HEADER)
+    for folder in recordings_in(arguments.folders):
+        if arguments.only in folder.name:
+            for line in run(read_drive(folder, arguments.reference), arguments.window):
+                print(row(line) + (f"\n    {line.why}" if arguments.reasons else ""), flush=True)
+                lines.append(line)
+    print(summary(lines))
+
+
+def recordings_in(folders: list[Path]) -> list[Path]:
+    """Return the recordings among folders and what they hold."""
+    found = [f for top in folders for f in [top, *sorted(top.iterdir())] if is_recording(f)]
+    return list(dict.fromkeys(found))
+
+
+def is_recording(folder: Path) -> bool:
+    return (folder / "imu.csv").exists() and (folder / "mag.csv").exists()
+
+
+def run(drive: Drive, only: str) -> list[Line]:
+    floor = drive.floor()
+    found = []
+    for name, window in windows(drive):
+        if only in name:
+            found.append(fitted(drive, name, window, floor))
+    return found
+
+
+def fitted(drive: Drive, name: str, window: Window | MagcalError, floor: Score | None) -> Line:
+    if isinstance(window, MagcalError):
+        return Line(drive.name, name, 0.0, "-", str(window), math.nan, None, (), floor)
+    outcome = outcome_of(window, drive)
+    sigma, ours = math.nan, None
+    if outcome.estimate is not None:
+        sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+        correction = outcome.estimate.correction
+        ours = drive.score(lambda up, raw: yaw_from_up_and_field(up, correction.apply(raw)))
+    headings = peers(window)
+    scores = [drive.score(heading) if heading else None for heading in map(headings.get, PEERS)]
+    others = tuple(score.rms if score else math.nan for score in scores)
+    seconds = float(np.ptp(window.time))
+    grade, why = graded(outcome), outcome.verdict.summary
+    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor)
+
+
+def outcome_of(window: Window, drive: Drive) -> Outcome:
+    try:
+        return calibrate(window, drive.knowledge)
+    except ValueError as fault:
+        print(f"broken: {drive.name}: {fault!r}")
+        return Outcome.refused(Refusal(None, f"broken: {fault}"))
+
+
+def graded(outcome: Outcome) -> str:
+    return max(outcome.verdict.quality, outcome.verdict.confidence, key=lambda g: g.rank).value
+
+
+HEADER = (
+    f"{'recording':28s}{'window':8s}{'s':>5s} {'verdict':10s}{'sigma':>6s}{'rms':>7s}{'median':>7s}"
+    + "".join(f"{name:>10s}" for name in PEERS)
+    + f"{'gyro':>7s}{'to best':>8s}"
+)
+
+
+def row(line: Line) -> str:
+    ours = (line.ours.rms, line.ours.median) if line.ours else (math.nan, math.nan)
+    numbers = [*(number(v, 7) for v in ours), *(number(v, 10) for v in line.others)]
+    numbers += ["         -"] * (len(PEERS) - len(line.others))
+    numbers += [number(line.floor.rms if line.floor else math.nan, 7), number(line.ratio, 8)]
+    start = f"{line.name:28s}{line.window:8s}{line.seconds:5.0f} {line.grade:10s}"
+    wrong = "  WRONG" if line.is_wrong else ""
+    return start + number(line.sigma, 6) + "".join(numbers) + wrong
+
+
+def number(value: float, width: int) -> str:
+    if not math.isfinite(value):
+        return "-".rjust(width)
+    return f"{value:{width}.2f}" if value < 100.0 else f"{value:{width}.0f}"
+
+
+def summary(lines: list[Line]) -> str:
+    text = []
+    for window in dict.fromkeys(line.window for line in lines):
+        rows = [line for line in lines if line.window == window and math.isfinite(line.ratio)]
+        answered = [line for line in rows if line.answered]
+        clean = sum(line.grade != Grade.WARN.value for line in answered)
+        good = sum(line.ratio <= AS_GOOD for line in answered)
+        mean = np.mean([line.ratio for line in answered]) if answered else math.nan
+        wrong = sum(line.is_wrong for line in answered)
+        text.append(
+            f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
+            f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio {mean:.2f},"
+            f" wrong {wrong}"
+        )
+    return "\n".join(text)
+
+
+if __name__ == "__main__":
+    main()
