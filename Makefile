@@ -5,14 +5,19 @@ BIN := $(VENV)/bin
 
 # DDS stays on this machine.
 export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+ifeq ($(ROS_DISTRO),humble)
+export ROS_LOCALHOST_ONLY := 1
+endif
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo test lint types unit bench soak docs clean
+.PHONY: demo test lint types unit ros nightly bench soak matrix docs clean
 
 demo: $(VENV)/.demo
 	@$(BIN)/magcal demo
 
-test: lint types unit
+test: $(VENV)/.test
+	$(MAKE) --jobs 3 --output-sync=target lint unit types
+	$(MAKE) ros
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -22,9 +27,17 @@ types: $(VENV)/.test
 	$(BIN)/mypy
 
 unit: $(VENV)/.test
+	$(BIN)/python -m pytest -q --numprocesses 2 --dist loadfile --ignore test/ros
+
+# Alone: on two cores tests that talk over DDS disturb each other's timing.
+ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile --ignore test/ros
-	$(BIN)/python -m pytest test/ros
+	$(BIN)/python -m pytest -q test/ros
+
+# Everything once more, with statistics over many seeds and ten times as many random cases.
+nightly: $(VENV)/.test
+	$(BIN)/python -m pytest -m '' --hypothesis-profile nightly --timeout=1800
+	$(BIN)/python benchmarks/soak.py --hours 0.5 --rate 400
 
 bench: $(VENV)/.test
 	$(BIN)/python benchmarks/cost.py
@@ -39,6 +52,10 @@ soak: $(VENV)/.test
 	MAGCAL_SOAK=1 $(BIN)/python -m pytest -m faults --timeout=14400
 	$(BIN)/python benchmarks/soak.py --hours 24
 
+# Every Python and every set of libraries (noxfile.py), each with a venv of its own in .nox/.
+matrix: $(VENV)/.nox
+	$(BIN)/nox
+
 $(VENV)/bin/pip:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
@@ -51,8 +68,12 @@ $(VENV)/.test: setup.py | $(VENV)/bin/pip
 	$(BIN)/python -m pip install --quiet --editable '.[ros,test]'
 	@touch $@ $(VENV)/.demo
 
+$(VENV)/.nox: | $(VENV)/bin/pip
+	$(BIN)/python -m pip install --quiet nox
+	@touch $@
+
 docs: $(VENV)/.test
-	$(BIN)/python -m magcal_ros.ros.generated README.md config/calibrator.yaml
+	$(BIN)/python -m magcal_ros.ros.generated doc/node.md config/calibrator.yaml
 
 clean:
-	rm -rf $(VENV) build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf $(VENV) .nox dist build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -1,37 +1,54 @@
 """Builds magcal_ros for pip and, through colcon, for ROS 2 (ament_python)."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = "magcal_ros"
+MAIL = "magcal-ros@users.noreply.github.com"
+HOME = "https://github.com/magcal-ros/magcal_ros"
 
 # Real rclpy as wheels, for machines without ROS. A robot has these from ROS itself.
-ROS_WHEELS = [
+JAZZY_WHEELS = [
+    "ros-jazzy-rclpy==7.1.6",
+    "ros-jazzy-builtin-interfaces==2.0.3",
+    "ros-jazzy-diagnostic-msgs==5.3.6",
+    "ros-jazzy-geometry-msgs==5.3.6",
+    "ros-jazzy-rcl-interfaces==2.0.3",
+    "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+    "ros-jazzy-rosgraph-msgs==2.0.3",
+    "ros-jazzy-sensor-msgs==5.3.6",
+    "ros-jazzy-std-msgs==5.3.6",
+    "ros-jazzy-std-srvs==5.3.6",
+    "ros-jazzy-visualization-msgs==5.3.6",
+]
+KILTED_WHEELS = [
     "ros-kilted-rclpy==9.1.2",
+    "ros-kilted-builtin-interfaces==2.3.0",
     "ros-kilted-diagnostic-msgs==5.5.1",
     "ros-kilted-geometry-msgs==5.5.1",
     "ros-kilted-rcl-interfaces==2.3.0",
+    "ros-kilted-rmw-fastrtps-cpp==9.3.3",
+    "ros-kilted-rosgraph-msgs==2.3.0",
     "ros-kilted-sensor-msgs==5.5.1",
     "ros-kilted-std-msgs==5.5.1",
     "ros-kilted-std-srvs==5.5.1",
     "ros-kilted-visualization-msgs==5.5.1",
-    "ros-rmw-fastrtps-cpp==9.3.3",
 ]
 
 # Reads bags without ROS.
 BAG_READER = ["rosbags>=0.10"]
 LIVE_VIEW = ["rich>=12"]
 
-# The first with the model of 2025 to 2030.
-WORLD_MAGNETIC_MODEL = ["pygeomag>=1.1"]
-
-REPORT = ["matplotlib>=3.5"]
+REPORT = ["matplotlib>=3.5.1"]
 
 TEST_TOOLS = [
     "colcon-common-extensions==0.3.0",
     "hypothesis>=6.100",
     "mypy>=1.11",
+    # A second evaluation of the World Magnetic Model to compare with.
+    "pygeomag>=1.1",
     "pytest>=8",
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
@@ -44,26 +61,41 @@ setup(
     name=NAME,
     version="0.1.0",
     description="A compass a ground robot can trust, calibrated by one turn",
+    long_description=Path(__file__).with_name("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    url=HOME,
+    project_urls={"Issues": f"{HOME}/issues", "Changelog": f"{HOME}/blob/main/CHANGELOG.rst"},
+    keywords=["ROS", "magnetometer", "compass", "calibration"],
+    classifiers=[
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+        "Typing :: Typed",
+    ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "core/earth_field/coefficients/*.COF"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*"))),
     ],
     python_requires=">=3.10",
-    install_requires=["setuptools", "numpy>=1.21", "scipy>=1.8", "PyYAML>=5.4"],
+    # The floors are Ubuntu 22.04's: `make matrix` tests on them.
+    install_requires=["setuptools", "numpy>=1.21.5", "scipy>=1.8.0", "PyYAML>=5.4.1"],
     extras_require={
         "bags": BAG_READER,
         "live": LIVE_VIEW,
         "report": REPORT,
-        "ros": ROS_WHEELS,
-        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *WORLD_MAGNETIC_MODEL, *TEST_TOOLS],
-        "wmm": WORLD_MAGNETIC_MODEL,
+        "ros": JAZZY_WHEELS,
+        "ros-kilted": KILTED_WHEELS,
+        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *TEST_TOOLS],
     },
     zip_safe=True,
+    author="magcal_ros contributors",
+    author_email=MAIL,
     maintainer="magcal_ros maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-cbee3d67.example",
+    maintainer_email=MAIL,
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
