@@ -17,8 +17,10 @@ from magcal_ros.core.geometry.signed_axes import (
     spoken,
 )
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import FIELD, UP, Alignment, align, stretch_of
+from magcal_ros.core.samples.alignment import Alignment, align
+from magcal_ros.core.samples.alignment_fit import FIELD, UP
 from magcal_ros.core.samples.gyro_signs import gyro_contradicts
+from magcal_ros.core.samples.stretch import stretch_of
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
@@ -230,7 +232,7 @@ def find_axes(
             window.angular_rate,
         )
     )
-    if np.ptp(np.cumsum(stretch.turn, axis=0), axis=0).max() < tuning.least_turn:
+    if np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max() < tuning.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
