@@ -51,7 +51,13 @@ class Alignment:
         return int(np.argmin(self.misfit))
 
 
-def align(stretch: Stretch, axes: FloatArray, tuning: AlignmentTuning = TUNING) -> Alignment:
+def align(
+    stretch: Stretch,
+    axes: FloatArray,
+    tuning: AlignmentTuning = TUNING,
+    gyro: FloatArray | None = None,
+    with_up: bool = True,
+) -> Alignment:
     """Fit every candidate and say how much worse than the best it explains the samples.
 
     Parameters
@@ -61,26 +67,32 @@ def align(stretch: Stretch, axes: FloatArray, tuning: AlignmentTuning = TUNING) 
     axes : ndarray, shape (k, 3, 3)
         Candidates; rows are the magnetometer's axes in the body's.
     tuning : AlignmentTuning, optional
+    gyro : ndarray, shape (k, 3, 3), optional
+        The same of the gyro; the body's by default.
+    with_up : bool
+        Whether gravity takes part.
     """
-    everything = AlignmentFit(stretch, axes, tuning)
+    ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
+    everything = AlignmentFit(stretch, axes, tuning, ways, with_up)
     state = everything.descend(everything.start(), START_NOISE, ROUNDS[0])
     first = everything.cost(state, START_NOISE)
     misfit, rms = first - first.min(), everything.rms(state)
     kept = np.flatnonzero(misfit <= tuning.hopeless)
-    problem, some = AlignmentFit(stretch, axes[kept], tuning), state[kept]
+    problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)
+    some = state[kept]
     noise = START_NOISE
     for steps in ROUNDS[1:]:
         best = int(np.argmin(problem.cost(some, noise)))
         noise = problem.noise(some, best)
+        problem.share = _shares(problem.residuals(some), best)
         some = problem.descend(some, noise, steps)
     cost = problem.cost(some, noise)
     best = int(np.argmin(cost))
-    repeated = _inefficiency(problem.residuals(some)[0][best])
     information = problem.normal_equations(some, noise)[0]
     state[kept], rms[kept] = some, problem.rms(some)
-    misfit[kept] = (cost - cost[best]) / repeated
+    misfit[kept] = cost - cost[best]
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
-    covariance[kept] = np.linalg.inv(information) * repeated
+    covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][best]
     return Alignment(misfit, rms, state, covariance, _tilt_spread(attitude), stretch.size)
 
@@ -90,6 +102,12 @@ def _tilt_spread(attitude: FloatArray) -> float:
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
     return math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
+
+
+def _shares(residuals: tuple[FloatArray, FloatArray], best: int) -> tuple[float, float]:
+    """Return how many independent samples each one counts: those of a vehicle repeat long."""
+    field, up = (1.0 / _inefficiency(values[best]) for values in residuals)
+    return field, up
 
 
 def _inefficiency(residual: FloatArray) -> float:

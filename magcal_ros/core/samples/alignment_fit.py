@@ -80,10 +80,15 @@ class AlignmentFit:
     axes : ndarray, shape (k, 3, 3)
         Candidates; rows are the magnetometer's axes in the body's.
     tuning : AlignmentTuning
-    gyro : ndarray, shape (k, 3, 3), optional
-        The same of the gyro; the body's by default.
+    gyro : ndarray, shape (k, 3, 3)
+        The same of the gyro.
     with_up : bool
         Whether gravity takes part.
+
+    Attributes
+    ----------
+    share : tuple of float
+        How many independent samples one sample of field and of gravity counts.
     """
 
     def __init__(
@@ -91,17 +96,17 @@ class AlignmentFit:
         stretch: Stretch,
         axes: FloatArray,
         tuning: AlignmentTuning,
-        gyro: FloatArray | None = None,
+        gyro: FloatArray,
         with_up: bool = True,
     ) -> None:
         self.tuning = tuning
+        self.share = (1.0, 1.0)
         self.stretch = stretch
         self.with_up = with_up
-        ways = np.eye(3)[None] if gyro is None else gyro
-        self.turn, self.rate = stretch.turn @ ways, stretch.rate @ ways
+        self.rate = stretch.rate @ gyro
         # A mirrored gyro turns the order of two turns around.
-        sense = np.linalg.det(ways)[:, None, None]
-        self.rotation = self.turn + sense * (stretch.coning @ ways)
+        sense = np.linalg.det(gyro)[:, None, None]
+        self.rotation = stretch.turn @ gyro + sense * (stretch.coning @ gyro)
         self.measured = np.einsum("kij,ni->knj", axes, stretch.field)
         mirror = np.array([0, 3, 6, 1, 4, 7, 2, 5, 8])
         antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
@@ -153,9 +158,7 @@ class AlignmentFit:
         halfway = 0.5 * (steps + np.eye(3))
         pushed = np.zeros((count, n - 1, 3, 4))
         pushed[..., :3] = halfway * seconds[:, None, None]
-        pushed[..., 3] = -np.einsum(
-            "knij,knj->kni", halfway, np.broadcast_to(self.rotation, (count, n - 1, 3))
-        )
+        pushed[..., 3] = -np.einsum("knij,knj->kni", halfway, self.rotation)
         attitude = np.empty((n, count, 3, 3))
         moved = np.zeros((n, count, 3, 4))
         attitude[0] = np.eye(3)
@@ -208,9 +211,10 @@ class AlignmentFit:
     ) -> FloatArray:
         nu = self.tuning.freedom
         total = np.einsum("ki,ij,kj->k", state, self.prior, state)
-        for values, sigma in zip(residuals[: 1 + self.with_up], noise, strict=False):
+        parts = list(zip(residuals, noise, self.share, strict=True))
+        for values, sigma, share in parts[: 1 + self.with_up]:
             chi2 = np.sum(values**2, axis=2) / sigma**2
-            total = total + (nu + 3.0) * np.log1p(chi2 / nu).sum(axis=1)
+            total = total + share * (nu + 3.0) * np.log1p(chi2 / nu).sum(axis=1)
         return np.asarray(total)
 
     def normal_equations(
@@ -222,9 +226,9 @@ class AlignmentFit:
         jacobian = self._jacobian(state, attitude, moved)
         nu, (count, n) = self.tuning.freedom, field.shape[:2]
         weights = []
-        for values, sigma in zip((field, up), noise, strict=True):
+        for values, sigma, share in zip((field, up), noise, self.share, strict=True):
             chi2 = np.sum(values**2, axis=2) / sigma**2
-            weights.append((nu + 3.0) / (nu + chi2) / sigma**2)
+            weights.append(share * (nu + 3.0) / (nu + chi2) / sigma**2)
         weights[1] = weights[1] * self.with_up
         weight = np.repeat(np.stack(weights, axis=2), 3, axis=2).reshape(count, -1, 1)
         rows = jacobian.reshape(count, n * 6, PARAMETERS)

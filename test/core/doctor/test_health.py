@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+from magcal_ros.core.assessment.health import field_findings, imu_findings, stamps_finding
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.assessment.health import field_findings, imu_findings, stamps_finding
 
 COUNT = 600
 
