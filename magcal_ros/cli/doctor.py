@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from magcal_ros.core.doctor.health import TUNING
 from magcal_ros.core.doctor.page import Page, examine
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -85,7 +86,15 @@ def run(options: argparse.Namespace) -> int:
     if options.recording is None:
         from magcal_ros.cli.doctor_live import listen
 
-        return listen(options, tell)
+        heard = listen(options)
+        if _too_little(heard.log):
+            return _nothing(options, heard.log, heard.more)
+        page = heard.page_with(examine(heard.log, heard.knowledge, heard.told))
+        return _tell(options, page, heard.knowledge.mounting.gains)
+    return _recorded(options)
+
+
+def _recorded(options: argparse.Namespace) -> int:
     kept, mounting = _Kept(), mounting_from(options)
     with open_recording(
         options.recording,
@@ -102,26 +111,26 @@ def run(options: argparse.Namespace) -> int:
     complaints = [*gathering.complaints(), *reference.complaints]
     more = [looked_at("recording", "recording", words, words) for words in complaints]
     log = SensorLog.of(kept.samples)
-    return tell(options, log, Knowledge(reference.field, mounting), told, more)
+    if _too_little(log):
+        return _nothing(options, log, more)
+    page = examine(log, Knowledge(reference.field, mounting), told).with_more(more)
+    return _tell(options, page, mounting.gains)
 
 
-def tell(
-    options: argparse.Namespace,
-    log: SensorLog,
-    knowledge: Knowledge,
-    told: Told,
-    more: list[Finding],
-) -> int:
-    """Examine a log, print the page and write what parameters can mend."""
-    if min(len(log.imu_time), len(log.field_time)) < TUNING.fewest:
-        counts = f"{len(log.imu_time)} IMU and {len(log.field_time)} field samples"
-        page = Page(tuple(more))
-        facts = page_as_facts(page, None, Exit.TOO_LITTLE_DATA)
-        print(document(facts) if options.json else f"Too little data: {counts}.")
-        return Exit.TOO_LITTLE_DATA
-    page = examine(log, knowledge, told).with_more(more)
+def _too_little(log: SensorLog) -> bool:
+    return min(len(log.imu_time), len(log.field_time)) < TUNING.fewest
+
+
+def _nothing(options: argparse.Namespace, log: SensorLog, more: Sequence[Finding]) -> int:
+    facts = page_as_facts(Page(tuple(more)), None, Exit.TOO_LITTLE_DATA)
+    counts = f"{len(log.imu_time)} IMU and {len(log.field_time)} field samples"
+    print(document(facts) if options.json else f"Too little data: {counts}.")
+    return Exit.TOO_LITTLE_DATA
+
+
+def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
+    """Print the page and write what parameters can mend."""
     status = Exit.REFUSED if page.is_wrong else Exit.GOOD
-    gains = knowledge.mounting.gains
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
     print(document(page_as_facts(page, written, status)) if options.json else page_in_words(page))
     if options.write is not None and not options.json:

@@ -56,7 +56,7 @@ def reference_findings(
     explanations: Explanations,
     k: int,
     knowledge: Knowledge,
-    up_is_down: bool = False,
+    up_is_down: bool | None = False,
     tuning: PlaceTuning = TUNING,
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
@@ -82,7 +82,7 @@ def reference_findings(
         apart = abs(strength - believed.strength.value)
         if apart > max(tuning.strength * believed.strength.value, tuning.sigmas * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
-    if not believed.inclination.is_unknown:
+    if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
         if abs(dip - believed.inclination.value) > max(tuning.inclination, tuning.sigmas * spread):
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")

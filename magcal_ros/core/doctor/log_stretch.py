@@ -117,7 +117,7 @@ def _liveliest(
             continue
         size = np.linalg.norm(log.rate[rows], axis=1)
         done = _integral(time, size[:, None])[:, 0]
-        begin = np.arange(low, max(high - longest, low) + 1e-9, 1.0)
+        begin = low + np.arange(0.0, max(high - longest - low, 0.0) + 0.5, 1.0)
         gained = np.interp(np.minimum(begin + longest, high), time, done)
         gained -= np.interp(begin, time, done)
         k = int(np.argmax(gained))

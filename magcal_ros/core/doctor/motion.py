@@ -87,8 +87,8 @@ class MotionFound:
         The explanation that is taken.
     factor : float
         What makes rad/s of the gyro's numbers.
-    up_is_down : bool
-        Whether gravity's sign is what errs.
+    up_is_down : bool or None
+        Whether gravity's sign is what errs; None where that is not decided.
     """
 
     findings: tuple[Finding, ...]
@@ -96,7 +96,7 @@ class MotionFound:
     explanations: Explanations | None = None
     chosen: int = 0
     factor: float = 1.0
-    up_is_down: bool = False
+    up_is_down: bool | None = False
 
 
 def compare(

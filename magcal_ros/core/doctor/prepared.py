@@ -73,7 +73,7 @@ def prepare(
     field &= np.linalg.norm(log.field, axis=1) > 0.0
     if log.has_gyro:
         imu &= np.isfinite(log.rate).all(axis=1)
-    log = _taken(log, imu, field)
+    log = _from_zero(_taken(log, imu, field))
     findings: list[Finding] = []
     burst = False
     for name in ("imu", "field"):
@@ -101,6 +101,13 @@ def prepare(
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
     return Prepared(log, tuple(findings), burst)
+
+
+def _from_zero(log: SensorLog) -> SensorLog:
+    """Count time from the first stamp: microseconds since 1970 leave few digits for a gap."""
+    stamps = np.concatenate([log.imu_time, log.field_time])
+    first = float(stamps.min()) if len(stamps) else 0.0
+    return replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
 
 
 def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:

@@ -67,7 +67,7 @@ def longest_rest(log: SensorLog, tuning: QuietTuning = QuietTuning()) -> Rest | 
     count = int((end - begin) / tuning.block)
     if count < tuning.blocks:
         return None
-    edges = begin + tuning.block * np.arange(count + 1)
+    edges: FloatArray = begin + tuning.block * np.arange(count + 1, dtype=np.float64)
     rate, force = (_means(log.imu_time, values, edges) for values in (log.rate, log.force))
     field = _means(log.field_time, log.field, edges)
     per_block = max(len(log.field) * tuning.block / max(end - begin, 1e-9), 1.0)

@@ -58,12 +58,12 @@ class Upright:
     ----------
     findings : tuple of Finding
         One line.
-    sign_wrong : bool
-        Whether gravity's sign is what errs.
+    sign_wrong : bool or None
+        Whether gravity's sign is what errs; None where that or the IMU's axes do.
     """
 
     findings: tuple[Finding, ...]
-    sign_wrong: bool = False
+    sign_wrong: bool | None = False
 
 
 def upright(
@@ -91,7 +91,7 @@ def upright(
     flipped = _is_flipped(given, other, told)
     if flipped is None:
         either = f"either {SIGN}; or {UPSIDE_DOWN}. {TELLS_GRAVITY}"
-        return Upright((wrong("gravity_sign", name, evidence, either),))
+        return Upright((wrong("gravity_sign", name, evidence, either),), None)
     if flipped:
         return Upright((wrong("gravity_sign", name, evidence, SIGN),), True)
     return Upright((wrong("imu_axes", name, evidence, UPSIDE_DOWN),))
