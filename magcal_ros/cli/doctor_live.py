@@ -15,7 +15,7 @@ from magcal_ros.cli.graph import interrupts_noted, joined
 from magcal_ros.cli.recorded import mounting_from
 from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
-from magcal_ros.core.doctor.guide import ASKED, Guide, Stage, StageState
+from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStep, GuideStepState
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.errors import MagcalError
@@ -108,7 +108,7 @@ def listen(options: argparse.Namespace) -> Heard:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         begin = time.monotonic()
-        say(f"Listening to {topics[0]} and {topics[1]}.\n  [ ] {ASKED[Stage.STAND]}")
+        say(f"Listening to {topics[0]} and {topics[1]}.\n  [ ] {ASKED[GuideStep.STAND]}")
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
                 executor.spin_once(timeout_sec=0.02)
@@ -146,8 +146,12 @@ def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
 
 def _tick(guide: Guide) -> None:
     """Tell what was seen, and what is asked for next."""
-    done = [s for s, state in guide.states.items() if state in (StageState.SEEN, StageState.MISSED)]
-    seen = guide.states[done[-1]] is StageState.SEEN
+    done = [
+        s
+        for s, state in guide.states.items()
+        if state in (GuideStepState.SEEN, GuideStepState.MISSED)
+    ]
+    seen = guide.states[done[-1]] is GuideStepState.SEEN
     say(f"  [{'x' if seen else '-'}] {ASKED[done[-1]]}{'' if seen else ': not seen'}")
     if guide.current is not None:
         say(f"  [ ] {ASKED[guide.current]}")

@@ -117,7 +117,7 @@ def motors_finding(
     time = log.field_time - state[LAG]
     iron = state[IRON] * explanations.part.stretch.size
     steps, spread = [], []
-    for moment, sign in _starts_and_stops(log.imu_time, rate, tuning):
+    for moment, sign in _starts_and_stops(log, rate, tuning):
         since = sign * (time - moment)
         low, high = ((since >= a) & (since <= b) for a, b in (tuning.before, tuning.after))
         if min(low.sum(), high.sum()) < 4:
@@ -147,14 +147,17 @@ def motors_finding(
 
 
 def _starts_and_stops(
-    time: FloatArray, rate: FloatArray, tuning: PlaceTuning
+    log: SensorLog, rate: FloatArray, tuning: PlaceTuning
 ) -> list[tuple[float, float]]:
-    """Return the moments in which the robot sets off (+1) and those in which it stops (-1)."""
+    """Return the moments in which the robot begins to turn (+1) and those in which it stops (-1).
+
+    About its up: a hand that lifts the nose is no motor.
+    """
+    time = log.imu_time
+    up = np.median(log.force, axis=0)
     width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
-    smooth = np.column_stack(
-        [np.convolve(rate[:, axis], np.ones(width) / width, "same") for axis in range(3)]
-    )
-    speed = np.linalg.norm(smooth, axis=1)
+    about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
+    speed = np.abs(np.convolve(about, np.ones(width) / width, "same"))
     found, resting, edge = [], bool(speed[0] < tuning.still), 0
     for row in range(1, len(time)):
         if speed[row] < tuning.still:

@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
-class Stage(str, Enum):
+class GuideStep(str, Enum):
     """What is asked for."""
 
     STAND = "stand"
@@ -26,14 +26,14 @@ class Stage(str, Enum):
 
 
 ASKED = {
-    Stage.STAND: "stand still",
-    Stage.TURN: "turn left a quarter at least, at best once round, and stop",
-    Stage.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
+    GuideStep.STAND: "stand still",
+    GuideStep.TURN: "turn left a quarter at least, at best once round, and stop",
+    GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
 }
 """In words."""
 
 
-class StageState(str, Enum):
+class GuideStepState(str, Enum):
     """How far a stage is."""
 
     LATER = "later"
@@ -100,8 +100,8 @@ class Guide:
 
     def __init__(self, now: float, tuning: GuideTuning = TUNING) -> None:
         self._tuning = tuning
-        self._states = dict.fromkeys(Stage, StageState.LATER)
-        self._states[Stage.STAND] = StageState.NOW
+        self._states = dict.fromkeys(GuideStep, GuideStepState.LATER)
+        self._states[GuideStep.STAND] = GuideStepState.NOW
         self._since = self._block_began = now
         self._imu: list[tuple[float, ...]] = []
         self._field: list[tuple[float, ...]] = []
@@ -111,19 +111,19 @@ class Guide:
         self._done_moving = False
 
     @property
-    def states(self) -> dict[Stage, StageState]:
+    def states(self) -> dict[GuideStep, GuideStepState]:
         """How far each stage is, in the order in which they are asked for."""
         return dict(self._states)
 
     @property
-    def current(self) -> Stage | None:
+    def current(self) -> GuideStep | None:
         """What is asked for now; None at the end."""
-        return next((s for s, state in self._states.items() if state is StageState.NOW), None)
+        return next((s for s, state in self._states.items() if state is GuideStepState.NOW), None)
 
     @property
     def turned_left(self) -> bool | None:
         """Whether the robot did what it was asked to; None where that was not seen."""
-        return True if self._states[Stage.TURN] is StageState.SEEN else None
+        return True if self._states[GuideStep.TURN] is GuideStepState.SEEN else None
 
     def add(self, sample: ImuSample | FieldSample) -> None:
         """Take a sample."""
@@ -140,10 +140,10 @@ class Guide:
         stage = self.current
         assert stage is not None
         if self._seen(stage):
-            self._next(stage, StageState.SEEN, now)
+            self._next(stage, GuideStepState.SEEN, now)
             return True
         if now - self._since > self._tuning.patience:
-            self._next(stage, StageState.MISSED, now)
+            self._next(stage, GuideStepState.MISSED, now)
             return True
         return False
 
@@ -160,12 +160,12 @@ class Guide:
         self._imu, self._field = [], []
         self._block_began = now
 
-    def _seen(self, stage: Stage) -> bool:
-        if stage is Stage.STAND:
+    def _seen(self, stage: GuideStep) -> bool:
+        if stage is GuideStep.STAND:
             return self._stands(self._tuning.stand)
         assert self._resting is not None
         newest = self._blocks[-1]
-        if stage is Stage.TURN:
+        if stage is GuideStep.TURN:
             way = float(np.linalg.norm(newest.field - self._resting.field))
             swing = way / max(float(np.linalg.norm(self._resting.field)), 1e-12)
             self._done_moving |= abs(self._angle) > self._tuning.angle or swing > self._tuning.swing
@@ -191,11 +191,11 @@ class Guide:
             for block in last
         )
 
-    def _next(self, stage: Stage, state: StageState, now: float) -> None:
+    def _next(self, stage: GuideStep, state: GuideStepState, now: float) -> None:
         self._states[stage] = state
-        left = [s for s in Stage if self._states[s] is StageState.LATER]
+        left = [s for s in GuideStep if self._states[s] is GuideStepState.LATER]
         if left:
-            self._states[left[0]] = StageState.NOW
+            self._states[left[0]] = GuideStepState.NOW
         last = self._blocks[-4:]
         self._resting = _Block(
             *(

@@ -168,6 +168,8 @@ def saturated(field: FloatArray, axis: int, tuning: HealthTuning = TUNING) -> Bo
     """
     values, others = field[:, axis], np.delete(field, axis, axis=1)
     none = np.zeros(len(values), dtype=np.bool_)
+    if np.ptp(values) == 0.0:
+        return none
     cell = max(float(np.ptp(field, axis=0).max()) / 40.0, 1e-12)
     places = np.floor(others / cell).astype(np.int64)
     step = _step(values, tuning)

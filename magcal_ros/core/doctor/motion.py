@@ -12,7 +12,7 @@ from magcal_ros.core.doctor.blame import blame
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.log_stretch import stretch_of_log
-from magcal_ros.core.doctor.prepared import Prepared
+from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
 from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factor
 from magcal_ros.core.doctor.upright import Told, upright
@@ -100,13 +100,13 @@ class MotionFound:
 
 
 def compare(
-    prepared: Prepared, knowledge: Knowledge, told: Told = Told(), tuning: MotionTuning = TUNING
+    prepared: CleanLog, knowledge: Knowledge, told: Told = Told(), tuning: MotionTuning = TUNING
 ) -> MotionFound:
     """Compare accelerometer, gyro and field.
 
     Parameters
     ----------
-    prepared : Prepared
+    prepared : CleanLog
         The cleaned streams.
     knowledge : Knowledge
         Its mounting is taken off; its inclination helps.
@@ -178,6 +178,11 @@ def _gyro_errors(
     tuning: MotionTuning,
 ) -> list[Finding]:
     state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
+    if not np.isfinite(sigma).all():
+        return [
+            not_shown("gyro_bias", "gyro: bias", FULL_TURN),
+            not_shown("rate_scale", "gyro: scale", FULL_TURN),
+        ]
     # In the gyro's own axes and numbers, so that it can be taken off in the driver.
     bias = explanations.gyro[chosen] @ state[BIAS] / (1.0 + state[SCALE])
     spread = explanations.gyro[chosen] ** 2 @ sigma[BIAS] ** 2

@@ -13,7 +13,7 @@ from magcal_ros.core.doctor.field_at_place import motors_finding, reference_find
 from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.noise import noise_findings
-from magcal_ros.core.doctor.prepared import Prepared, prepare
+from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
@@ -81,7 +81,7 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
     return Page(tuple(lines), mount)
 
 
-def _of_the_field(prepared: Prepared, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
+def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
     if found.explanations is None or any(f.key == "nothing_fits" for f in found.findings):
         return []
     log = prepared.log

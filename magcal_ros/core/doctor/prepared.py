@@ -45,7 +45,7 @@ class FrozenTuning:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class CleanLog:
     """A log of finite, fresh samples with increasing stamps.
 
     Parameters
@@ -65,7 +65,7 @@ class Prepared:
 
 def prepare(
     log: SensorLog, health: HealthTuning = HealthTuning(), frozen: FrozenTuning = FrozenTuning()
-) -> Prepared:
+) -> CleanLog:
     """Look at the streams of a log by themselves, and clean it."""
     imu = np.isfinite(log.imu_time) & np.isfinite(log.force).all(axis=1)
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
@@ -100,7 +100,7 @@ def prepare(
     log, more = _without_frozen(log, frozen)
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
-    return Prepared(log, tuple(findings), burst)
+    return CleanLog(log, tuple(findings), burst)
 
 
 def _from_zero(log: SensorLog) -> SensorLog:

@@ -1,8 +1,13 @@
 import numpy as np
 import pytest
-from magcal_ros.core.assessment.health import field_findings, imu_findings, stamps_finding
 
-from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.health import (
+    alive_finding,
+    field_findings,
+    gravity_size_finding,
+    repeats_finding,
+    stamps_finding,
+)
 
 COUNT = 600
 
@@ -20,20 +25,25 @@ def force():
     return np.array([0.0, 0.0, 9.8]) + 0.05 * np.random.default_rng(2).standard_normal((COUNT, 3))
 
 
+def found_in(field):
+    return [*field_findings(field), repeats_finding("field", field)]
+
+
 def wrong(findings):
-    return {f.name for f in findings if f.grade is not Grade.EXCELLENT}
+    return {f.key for f in findings if f.is_wrong}
 
 
 def test_good_streams_are_called_good(field, force):
     jitter = np.random.default_rng(3).uniform(-4e-3, 4e-3, COUNT)
-    assert stamps_finding("field", 0.025 * np.arange(COUNT) + jitter).grade is Grade.EXCELLENT
-    assert not wrong(field_findings(field))
-    assert not wrong(imu_findings(force, 0.01 * force))
+    assert not stamps_finding("field", 0.025 * np.arange(COUNT) + jitter).is_wrong
+    assert not wrong(found_in(field))
+    assert not gravity_size_finding(force).is_wrong
+    assert not alive_finding("gyro", force).is_wrong
 
 
 def test_one_gap_is_no_burst():
     time = 0.025 * np.arange(COUNT) + 3.0 * (np.arange(COUNT) > 300)
-    assert stamps_finding("field", time).grade is Grade.EXCELLENT
+    assert not stamps_finding("field", time).is_wrong
 
 
 @pytest.mark.parametrize("period", [0.2, 1.0])
@@ -42,8 +52,13 @@ def test_stamps_in_bursts_are_named(period):
         np.floor(0.025 * np.arange(COUNT) / period) * period + 1e-3 * np.tile(range(40), 15)
     )
     found = stamps_finding("field", time)
-    assert found.grade is Grade.WARN
+    assert found.key == "bursts"
     assert "bursts" in found.remedy
+
+
+def test_stamps_that_jitter_by_most_of_a_gap_are_named():
+    time = np.sort(0.025 * (np.arange(COUNT) + np.random.default_rng(5).uniform(-3, 3, COUNT)))
+    assert "jitter" in stamps_finding("field", time).remedy
 
 
 def repeated(field):
@@ -63,31 +78,34 @@ def dead(field):
 
 
 @pytest.mark.parametrize(
-    ("fault", "name", "words"),
+    ("fault", "key", "words"),
     [
-        (repeated, "field: repeats", "publishes faster"),
-        (lambda field: np.round(field / 0.6e-6) * 0.6e-6, "field: resolution", "finer range"),
-        (shifted, "field: range", "x stops at one value"),
-        (dead, "field: axes alive", "y never changes"),
-        (lambda field: field * 1e6, "field: unit", "microtesla"),
-        (lambda field: field * 1e4, "field: unit", "gauss"),
+        (repeated, "repeats", "publishes faster"),
+        (lambda field: np.round(field / 0.6e-6) * 0.6e-6, "resolution", "finer range"),
+        (shifted, "saturation", "x stops at one value"),
+        (dead, "frozen", "y never changes"),
+        (lambda field: field * 1e6, "field_unit", "microtesla"),
+        (lambda field: field * 1e4, "field_unit", "gauss"),
     ],
 )
-def test_a_fault_of_the_field_is_named(field, fault, name, words):
-    found = {f.name: f for f in field_findings(fault(field))}
-    assert found[name].grade is Grade.WARN
-    assert words in found[name].remedy
+def test_a_fault_of_the_field_is_named_alone(field, fault, key, words):
+    found = {f.key: f for f in found_in(fault(field)) if f.is_wrong}
+    assert set(found) == {key}
+    assert words in found[key].remedy
 
 
-@pytest.mark.parametrize(
-    ("factor", "words"), [(1.0 / 9.8, "g published"), (-1.0, "gravity"), (2.0, "scale")]
-)
-def test_a_fault_of_gravity_is_named(force, factor, words):
-    found = {f.name: f for f in imu_findings(factor * force, 0.01 * force)}
-    assert found["IMU: gravity"].grade is Grade.WARN
-    assert words in found["IMU: gravity"].remedy
+def test_a_robot_that_rests_at_the_top_of_a_coarse_swing_is_not_saturated(field):
+    resting = np.concatenate([np.round(field / 0.6e-6) * 0.6e-6, np.tile(field[:1], (300, 1))])
+    resting[COUNT:, 0] = resting[:, 0].max()
+    assert "saturation" not in wrong(field_findings(resting))
 
 
-def test_a_missing_and_a_dead_gyro_are_named(force):
-    assert wrong(imu_findings(force, None)) == {"IMU: gyro"}
-    assert wrong(imu_findings(force, force * np.array([1.0, 1.0, 0.0]))) == {"gyro: axes alive"}
+def test_coarse_numbers_of_a_quiet_sensor_are_no_repeats():
+    quiet = 20e-6 + 0.1e-6 * np.random.default_rng(6).standard_normal((COUNT, 3))
+    coarse = np.round(quiet / 0.6e-6) * 0.6e-6
+    assert not repeats_finding("field", coarse).is_wrong
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1.0 / 9.8, "g published"), (2.0, "scale")])
+def test_a_wrong_size_of_gravity_is_named(force, factor, words):
+    assert words in gravity_size_finding(factor * force).remedy
