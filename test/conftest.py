@@ -5,17 +5,21 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # What tests share lies beside them; pytest before 7 has no setting for it.
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE / "core"), str(HERE), str(HERE.parent / "benchmarks")]
 
-# Speed is measured in benchmarks/; a busy machine must not fail a test. CI tries the same cases
-# each time, people try new ones.
+# Speed is measured in benchmarks/; a busy machine must not fail a test. `make test` tries the same
+# cases each time, `make nightly` new ones.
 for profile, examples in {"project": 30, "nightly": 300}.items():
     settings.register_profile(
-        profile, deadline=None, derandomize="CI" in os.environ, max_examples=examples
+        profile,
+        deadline=None,
+        derandomize=profile == "project",
+        max_examples=examples,
+        suppress_health_check=[HealthCheck.too_slow],
     )
 settings.load_profile("project")
 

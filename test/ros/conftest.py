@@ -9,7 +9,7 @@ import pytest
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
-from support import REFERENCE, ROBOT, SPEED, store_calibration
+from support import PATIENCE, REFERENCE, ROBOT, SPEED, store_calibration
 
 from magcal_ros.ros.main import SWITCH_INTERVAL
 from magcal_ros.ros.node import Calibrator
@@ -66,8 +66,8 @@ def start_node(graph):
 
     yield start
     for node, spinner, thread in running:
-        spinner.shutdown(timeout_sec=5.0)
-        thread.join(timeout=5.0)
+        spinner.shutdown(timeout_sec=PATIENCE)
+        thread.join(timeout=PATIENCE)
         node.close()
         node.destroy_node()
 
@@ -81,7 +81,7 @@ def actor(graph):
         node = rclpy.create_node("actor")
         nodes.append(node)
         rehearsal = Rehearsal(node, robot, **{"speed": SPEED, **options})
-        rehearsal.wait_for_node()
+        rehearsal.wait_for_node(PATIENCE)
         return rehearsal
 
     yield enter
@@ -103,7 +103,7 @@ def loaded(stage, calibration_of_the_robot, tmp_path):
         path = shutil.copy(calibration_of_the_robot, tmp_path / "calibration.yaml")
         stored = {**parameters, "calibration_file": str(path)}
         rehearsal = stage(robot, stored, **options)
-        rehearsal.run(5.0, stop=lambda: rehearsal.status["state"] == "calibrated")
+        rehearsal.run(PATIENCE, stop=lambda: rehearsal.status["state"] == "calibrated")
         assert rehearsal.status["state"] == "calibrated"
         return rehearsal
 
