@@ -6,9 +6,9 @@ import pty
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+from support import PATIENCE
 
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate"]
 
@@ -23,7 +23,7 @@ def run_beside():
             [*COMMAND, *arguments], stdout=stdout, stderr=subprocess.PIPE, text=True
         )
         processes.append(process)
-        actor.run(60.0, yaw_rate, lambda: after(process) or process.poll() is not None)
+        actor.run(2.0 * PATIENCE, yaw_rate, lambda: after(process) or process.poll() is not None)
         return process
 
     yield run
@@ -100,10 +100,8 @@ def test_a_sensor_that_does_not_arrive_is_explained(stage, run_beside):
 
 @pytest.mark.nightly
 def test_a_node_that_is_not_there_is_said(graph):
-    started = time.monotonic()
     done = subprocess.run(
         [*COMMAND, "--node", "nobody"], capture_output=True, text=True, check=False, timeout=60
     )
     assert done.returncode == 1
     assert "the node /nobody is not there" in done.stderr
-    assert time.monotonic() - started < 30.0
