@@ -1,13 +1,15 @@
 """What an operator reads in /rosout."""
 
 import time
+from functools import partial
 
 import pytest
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import NavSatFix
 from support import PATIENCE, REFERENCE, calibrate_quickly
 
-from magcal_ros.ros.announcer import PAUSE
+from magcal_ros.ros import node
+from magcal_ros.ros.announcer import PAUSE, Announcer
 
 WARN, INFO = 30, 20
 
@@ -26,7 +28,8 @@ def listen(node, heard):
     return node.create_subscription(Log, "/rosout", hear, 1000)
 
 
-def test_missing_sensors_are_a_warning_and_a_turn_is_told(start_node, actor, heard):
+def test_missing_sensors_are_a_warning_and_a_turn_is_told(start_node, actor, heard, monkeypatch):
+    monkeypatch.setattr(node, "Announcer", partial(Announcer, lasting=0.5))
     start_node(REFERENCE)
     robot = actor(speed=8.0)
     listen(robot.node, heard)

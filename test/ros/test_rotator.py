@@ -11,11 +11,11 @@ from mobile_base import MobileBase
 from rclpy.parameter import Parameter
 from support import AT_ONCE, PATIENCE, REFERENCE
 
-from magcal_ros.core.session import self_turn
+from magcal_ros.core.session import leash, self_turn
 from magcal_ros.ros import guard
 from magcal_ros.ros.end_signals import SIGNALS
 
-TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.5}
+TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.8}
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-preflight"]
 
 
@@ -25,6 +25,7 @@ def leisure(monkeypatch):
     for name in ("SILENCE", "GYRO_SILENCE", "LONGEST_LOOK", "LISTENERS_WITHIN", "GUARDED_WITHIN"):
         monkeypatch.setattr(self_turn, name, PATIENCE)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
+    monkeypatch.setattr(leash, "FARTHEST_BEYOND", math.pi)
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def base(stage, leisure):
 
 def test_it_turns_once_each_way_and_stands_where_it_stood(base):
     parameters = {**TURNING, "rotate.stamped": True, "rotate.frame_id": "chassis"}
-    # Slower than elsewhere: to a robot that lives four times as fast commands come late.
+    # Slower than elsewhere: to a robot that lives many times as fast commands come late.
     robot = base(parameters, stamped=True, speed=2.0)
     robot.live(0.5)
     assert robot.commands == []
@@ -47,7 +48,7 @@ def test_it_turns_once_each_way_and_stands_where_it_stood(base):
     assert answer.success, answer.message
     robot.assert_stopped_and_silent()
     rates = np.array(robot.rates)
-    assert (rates.max(), rates.min()) == (0.5, -0.5)
+    assert (rates.max(), rates.min()) == (0.8, -0.8)
     assert np.abs(np.diff(rates)).max() < 0.12
     assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
     assert {m.header.frame_id for m in robot.messages} == {"chassis"}
@@ -76,7 +77,8 @@ def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure
     robot.assert_stopped_and_silent()
 
 
-def test_a_base_that_does_not_listen_is_said_with_the_topic(stage):
+def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
+    monkeypatch.setattr(self_turn, "LISTENERS_WITHIN", 0.3)
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
     assert "nobody listens to /cmd_vel" in answer.message

@@ -48,7 +48,7 @@ def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(sta
 
 
 def test_start_and_finish_are_calibrate_in_two_steps(stage):
-    actor = stage()
+    actor = stage(speed=8.0)
     too_early = actor.answer(actor.call("finish"))
     assert not too_early.success
     assert "~/start" in too_early.message
@@ -76,7 +76,7 @@ def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
 
 def test_accept_applies_what_the_verdict_refused(stage):
     # A reference a third too strong: the circle's radius contradicts it.
-    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0})
+    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0}, speed=8.0)
     assert "no fitted calibration" in actor.answer(actor.call("accept")).message
     refused = calibrate_quickly(actor)
     assert not refused.success

@@ -70,14 +70,6 @@ def test_where_there_is_none_it_says_what_to_do():
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize("name", ["", "/", "/x//y", "x\x1b[2J", "a b", "/x/", "1a", "x" * 5000])
-def test_a_name_that_is_none_is_said(name):
-    done = run("--node", name)
-    assert done.returncode == 2
-    assert "is no name of a node" in done.stderr
-    assert "\x1b" not in done.stderr
-
-
 @pytest.fixture
 def node_process():
     process = subprocess.Popen([*NODE, "--ros-args", "-p", "report_folder:=none"])
@@ -126,6 +118,7 @@ def test_a_node_that_is_killed_ends_the_command_in_a_few_seconds(node_process, c
     assert "/calibrator has been silent for 6 s: it has ended or hangs" in errors
 
 
+@pytest.mark.nightly
 def test_ctrl_c_ends_it_at_once_even_if_the_node_is_gone(node_process, command, graph_node):
     wait_for_turn(graph_node)
     node_process.kill()

@@ -67,9 +67,8 @@ def wait_for(path, patience=PATIENCE):
     return path.exists()
 
 
-@pytest.mark.parametrize(
-    "how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)]
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_while_it_publishes(run_node, tmp_path, how):
     path = store_calibration(tmp_path / "calibration.yaml")
     before = path.read_bytes()
