@@ -177,3 +177,12 @@ def test_an_os_error_without_a_name_is_ours_and_with_one_the_users(monkeypatch, 
     capsys.readouterr()
     assert main(["check", "x", "--calibration", "y"]) == Exit.FILE_TROUBLE
     assert capsys.readouterr().err == "magcal: cannot use /secret: Denied\n"
+
+
+@pytest.mark.parametrize("name", ["", "/", "/x//y", "x\x1b[2J", "a b", "/x/", "1a", "x" * 5000])
+def test_a_name_that_no_node_can_have_is_said(name, capsys):
+    with pytest.raises(SystemExit, match=f"{Exit.USAGE:d}"):
+        main(["calibrate", "--node", name])
+    said = capsys.readouterr().err
+    assert "is no name of a node" in said
+    assert "\x1b" not in said

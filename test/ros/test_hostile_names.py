@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support import REFERENCE, calibrate_quickly
+from support import PATIENCE, REFERENCE, calibrate_quickly
 
 from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files.calibration_file import read_calibration
@@ -43,7 +43,7 @@ def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
     loaded = actor.answer(actor.call("load"))
     assert loaded.success, loaded.message
     (folder,) = (ros_home / "magcal" / "reports").iterdir()
-    actor.run(30.0, stop=(folder / "report.html").exists)
+    actor.run(PATIENCE, stop=(folder / "report.html").exists)
     page = (folder / "report.html").read_text()
     assert "<script" not in page
     assert len(page) < 1_000_000

@@ -8,7 +8,7 @@ import pytest
 import rclpy
 from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
-from support import rms_deg
+from support import PATIENCE, rms_deg
 
 from magcal_ros.core.geometry.attitude import wrap_angle
 
@@ -31,7 +31,7 @@ class Audience:
         future = None
         if service:
             client = self.node.create_client(Trigger, f"/calibrator/{service}")
-            assert client.wait_for_service(10.0)
+            assert client.wait_for_service(PATIENCE)
             future = client.call_async(Trigger.Request())
         while process.poll() is None or (future is not None and not future.done()):
             rclpy.spin_once(self.node, timeout_sec=0.05)

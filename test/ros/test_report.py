@@ -3,12 +3,12 @@
 import time
 
 import pytest
-from support import REFERENCE, calibrate_quickly
+from support import PATIENCE, REFERENCE, calibrate_quickly
 
 from magcal_ros.files.samples import read_samples
 
 
-def wait_for(path, patience=30.0):
+def wait_for(path, patience=PATIENCE):
     deadline = time.monotonic() + patience
     while not path.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
