@@ -56,6 +56,15 @@ def assert_silent(actor):
     raise AssertionError("the yaw goes on")
 
 
+def goes_on(actor):
+    """The node answers, by its services and by the yaw."""
+    assert actor.answer(actor.call("reset")).success
+    assert_silent(actor)
+    assert actor.answer(actor.call("load")).success
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
+    assert actor.yaws
+
+
 def turn_by(actor, degrees):
     """Turn until the node has seen so much of the circle."""
     actor.run(PATIENCE, 0.5, lambda: (actor.status["progress"] or {}).get("arc_deg", 0.0) > degrees)

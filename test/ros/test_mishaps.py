@@ -5,7 +5,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
-from support import PATIENCE, REFERENCE, assert_silent
+from support import PATIENCE, REFERENCE, goes_on
 
 from magcal_ros.ros.mishaps import LONGEST, Mishaps
 
@@ -65,15 +65,6 @@ def watched(loaded):
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
     actor.run(PATIENCE, stop=lambda: counts)
     return actor, counts
-
-
-def goes_on(actor):
-    """The node answers, by its services and by the yaw."""
-    assert actor.answer(actor.call("reset")).success
-    assert_silent(actor)
-    assert actor.answer(actor.call("load")).success
-    actor.run(PATIENCE, stop=lambda: actor.yaws)
-    assert actor.yaws
 
 
 @pytest.mark.nightly

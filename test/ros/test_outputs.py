@@ -8,11 +8,18 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, MagneticField
 from support import PATIENCE, REFERENCE, store_calibration
+from theatre import open_theatre
 
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.ros.outputs import LATCHED
 
 DECLINATION = math.radians(7.0)
+
+TOPICS = {
+    "field": (MagneticField, "imu/mag_unbiased"),
+    "magnetic": (Imu, "compass/mag/enu/imu"),
+    "true": (Imu, "compass/true/enu/imu"),
+}
 
 SETTLED_WITHIN = 3.0
 """Seconds of the robot's time until the leap to another pose no longer widens the variance."""
@@ -30,30 +37,31 @@ def listen():
     return subscribe
 
 
-@pytest.fixture
-def calibrated(loaded, listen):
-    """Return an actor whose node is calibrated, and what it publishes."""
-    actor = loaded(parameters={**REFERENCE, "reference.declination_deg": 7.0})
-    actor.sent = set()
+@pytest.fixture(scope="module")
+def recorded(calibration_of_the_robot, tmp_path_factory):
+    """Return a robot that has left the graph, and what its calibrated node published."""
+    parameters = {**REFERENCE, "reference.declination_deg": 7.0}
+    with open_theatre() as theatre:
+        folder = tmp_path_factory.mktemp("recorded")
+        actor = theatre.loaded(calibration_of_the_robot, folder, parameters=parameters)
+        actor.sent = set()
 
-    def remember(sample):
-        actor.sent.add(round(sample.stamp * 1e9))
-        return [sample]
+        def remember(sample):
+            actor.sent.add(round(sample.stamp * 1e9))
+            return [sample]
 
-    actor.mangle = remember
-    heard = {
-        "field": listen(actor, MagneticField, "imu/mag_unbiased"),
-        "magnetic": listen(actor, Imu, "compass/mag/enu/imu"),
-        "true": listen(actor, Imu, "compass/true/enu/imu"),
-    }
-    actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
-    settled = actor.ride.stamp + SETTLED_WITHIN
-    actor.run(PATIENCE, stop=lambda: any(_nanoseconds(m) > 1e9 * settled for m in heard["true"]))
-    actor.yaws.clear()
-    for messages in heard.values():
-        messages.clear()
-    actor.run(PATIENCE, stop=lambda: min(len(actor.yaws), *map(len, heard.values())) >= 50)
-    return actor, heard
+        actor.mangle = remember
+        heard = {name: [] for name in TOPICS}
+        for name, (kind, topic) in TOPICS.items():
+            actor.node.create_subscription(kind, topic, heard[name].append, 10)
+        actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
+        settled = 1e9 * (actor.ride.stamp + SETTLED_WITHIN)
+        actor.run(PATIENCE, stop=lambda: any(_nanoseconds(m) > settled for m in heard["true"]))
+        actor.yaws.clear()
+        for messages in heard.values():
+            messages.clear()
+        actor.run(PATIENCE, stop=lambda: min(len(actor.yaws), *map(len, heard.values())) >= 100)
+        return actor, heard
 
 
 def quaternion(message):
@@ -61,8 +69,8 @@ def quaternion(message):
     return [q.x, q.y, q.z, q.w]
 
 
-def test_the_outputs_agree_with_the_truth_and_with_each_other(calibrated):
-    actor, heard = calibrated
+def test_the_outputs_agree_with_the_truth_and_with_each_other(recorded):
+    actor, heard = recorded
     body_to_enu = Rotation.from_quat([quaternion(m) for m in heard["magnetic"]]).mean()
     yaw, pitch, roll = body_to_enu.as_euler("ZYX")
     truth = actor.ride.magnetic_yaw
@@ -80,24 +88,24 @@ def test_the_outputs_agree_with_the_truth_and_with_each_other(calibrated):
     assert mean_yaw == pytest.approx(float(wrap_angle(yaw - DECLINATION)), abs=2e-3)
 
 
-def test_stamps_are_the_fields_and_frames_are_the_imus(calibrated):
-    actor, heard = calibrated
+def test_stamps_are_the_fields_and_frames_are_the_imus(recorded):
+    actor, heard = recorded
     for topic in ("field", "magnetic", "true"):
         assert heard[topic]
         assert {message.header.frame_id for message in heard[topic]} == {"imu_link"}
         assert {_nanoseconds(message) for message in heard[topic]} <= actor.sent
 
 
-def test_the_compensated_field_is_the_earths_in_body_axes(calibrated):
-    actor, heard = calibrated
+def test_the_compensated_field_is_the_earths_in_body_axes(recorded):
+    actor, heard = recorded
     field = np.mean([_vector(message.magnetic_field) for message in heard["field"]], axis=0)
     truth = actor.ride.attitude @ actor.robot.field_enu
     assert np.linalg.norm(field - truth) < 0.6e-6
     assert not np.any(heard["field"][0].magnetic_field_covariance)
 
 
-def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(calibrated):
-    actor, heard = calibrated
+def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(recorded):
+    actor, heard = recorded
     last = heard["magnetic"][-1]
     assert last.angular_velocity_covariance[0] == -1.0
     assert last.linear_acceleration_covariance[0] == -1.0

@@ -246,7 +246,7 @@ def awakenings(monkeypatch):
 def test_nothing_is_awake_while_nothing_happens(served, awakenings):
     time.sleep(0.3)
     awakenings.clear()
-    time.sleep(1.0)
+    time.sleep(0.5)
     assert len(awakenings) < 10
 
 
@@ -266,7 +266,7 @@ def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, ask, 
     time.sleep(0.3)
     ticks.clear()
     awakenings.clear()
-    time.sleep(1.0)
+    time.sleep(0.5)
     # An executor that finds the timer ready again and again comes here hundreds of times.
     assert len(awakenings) < 10
     assert not ticks
