@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
+
+
+class SpeedSource(str, Enum):
+    """Who tells the speed, the best first."""
+
+    ODOMETRY = "odometry"
+    VELOCITY = "velocity"
+    FIXES = "fixes"
 
 
 @dataclass(frozen=True)
@@ -61,8 +71,9 @@ class OwnAccelerationTuning:
 
     Parameters
     ----------
-    span : int
-        Ticks over which a change of speed is taken: long against the noise of wheels.
+    spans : mapping of SpeedSource to int
+        Ticks over which a change of speed is taken: long against the noise of wheels, and as long
+        as a receiver averages.
     oldest : float
         Seconds by which a matched tick may be late; up is propagated by the gyro over them.
     watched : int
@@ -71,18 +82,21 @@ class OwnAccelerationTuning:
         Ticks that must have been tried before anything is taken off.
     gain : float
         What is left of the force's variance where the speed explains it, at most.
-    believed : float
-        Radians of sigma below which a yaw of the IMU is used.
     quiet : float
         m/s². Scatter of the force below which nothing is to be explained.
     """
 
-    span: int = 2
+    spans: Mapping[SpeedSource, int] = field(
+        default_factory=lambda: {
+            SpeedSource.ODOMETRY: 2,
+            SpeedSource.VELOCITY: 4,
+            SpeedSource.FIXES: 8,
+        }
+    )
     oldest: float = 3.5
     watched: int = 60
     fewest: int = 12
     gain: float = 0.7
-    believed: float = math.radians(15.0)
     quiet: float = 0.3
 
 
@@ -114,14 +128,18 @@ class MountingYawTuning:
         What the force may be of the speed's change: else the speed's unit or stamps are wrong.
     energy : float
         m²/s³ of changes of velocity that must have been seen: two starts.
+    first_energy : float
+        The same before the yaw is used to take the own acceleration off: half a start.
+    believed : float
+        Radians of sigma below which it is used so.
     explained : float
         Share of the force's changes that the speed must explain.
     floor : float
         Radians that no drive takes away: springs, tyres.
     largest_delay, earliest_delay : float
         Seconds of latency that are tried.
-    reuse : float
-        Seconds between fits.
+    reuse, reuse_first : float
+        Seconds between fits, and in the first minute.
     recent : int
         Ticks of the newest 90 s, over which a speed must hold as well.
     """
@@ -138,11 +156,14 @@ class MountingYawTuning:
     lowest: float = 0.8
     highest: float = 1.2
     energy: float = 25.0
+    first_energy: float = 4.0
+    believed: float = math.radians(20.0)
     explained: float = 0.4
     floor: float = math.radians(0.3)
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
     reuse: float = 10.0
+    reuse_first: float = 2.5
     recent: int = 360
 
 

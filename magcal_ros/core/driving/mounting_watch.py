@@ -9,7 +9,7 @@ from enum import Enum
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.driving.mounting_yaw import (
     MountingYaw,
@@ -17,7 +17,7 @@ from magcal_ros.core.driving.mounting_yaw import (
     correlation,
     fit_mounting_yaw,
 )
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedSource, SpeedTrack
+from magcal_ros.core.driving.speedometer import Speedometer, SpeedTrack
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""
@@ -75,7 +75,10 @@ class MountingWatch:
         is_quiet = abs(tick.level_force) < 0.5 * mounting.moving
         if self._still < mounting.standing or not is_quiet:
             self._ticks.append(tick)
-        return tick.stamp - self._fitted_at >= mounting.reuse
+        is_young = len(self._ticks) * tick.seconds < 60.0
+        return tick.stamp - self._fitted_at >= (
+            mounting.reuse_first if is_young else mounting.reuse
+        )
 
     def restart(self) -> None:
         """Forget the ticks: time was set back."""

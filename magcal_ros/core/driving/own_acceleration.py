@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
@@ -67,10 +67,10 @@ class OwnAcceleration:
         self.yaw, self.is_yaw_known = 0.0, False
         self.noise = 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[_Matched] = deque(maxlen=self._tuning.own.span + 1)
+        self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
         self._tried: deque[_Tried] = deque(maxlen=self._tuning.own.watched)
         self._gravity: tuple[float, Triple] | None = None
-        self._is_signed = True
+        self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
         self.is_used, self.unexplained = False, 0.0
         self._stand()
 
@@ -92,6 +92,7 @@ class OwnAcceleration:
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
+                self._span = self._tuning.own.spans[track.source]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
@@ -128,13 +129,12 @@ class OwnAcceleration:
             self._stand()
         velocity = speed * cmath.exp(1j * tick.yaw)
         self._matched.append(_Matched(tick, velocity))
-        if len(self._matched) <= self._tuning.own.span:
-            return
-        self._weigh()
+        if len(self._matched) > self._span:
+            self._weigh()
 
     def _weigh(self) -> None:
         """Take the change of velocity over the span off the mean force over it."""
-        first, *others = self._matched
+        first, *others = list(self._matched)[-self._span - 1 :]
         last = others[-1]
         seconds = sum(each.tick.seconds for each in others)
         if not 0.5 * seconds < last.tick.stamp - first.tick.stamp < 1.5 * seconds:

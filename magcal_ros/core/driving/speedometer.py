@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from enum import Enum
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import SpeedTuning
+from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import Drop, StampGuard
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-
-
-class SpeedSource(str, Enum):
-    """Who tells the speed, the best first."""
-
-    ODOMETRY = "odometry"
-    VELOCITY = "velocity"
-    FIXES = "fixes"
 
 
 class SpeedTrack:

@@ -9,12 +9,12 @@ from magcal_ros.core.driving.chords import Chord, Chords
 from magcal_ros.core.driving.course_cells import CourseCells
 from magcal_ros.core.driving.course_offset import CourseOffset, fit_course_offset
 from magcal_ros.core.driving.drift import DriftWatch
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.mounting_watch import MountingWatch
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedSource
+from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
@@ -158,11 +158,14 @@ class Travelling:
         self._settle()
 
     def _believe_fit(self) -> None:
-        known, own = self.mounting.known, self._own
-        if known is not None and known.sigma < self.tuning.own.believed:
-            own.yaw, own.is_yaw_known, own.noise = known.yaw, True, known.noise
-        elif self._given is not None and self._given[1] < self.tuning.own.believed:
-            own.yaw, own.is_yaw_known = self._given[0], True
+        found, own, tuning = self.mounting.found, self._own, self.tuning
+        given = self._given
+        if found is not None and found.is_usable(tuning.mounting):
+            # What is taken off is tried against the force all the time: a rough yaw does.
+            own.yaw, own.noise = found.yaw, found.noise
+            own.is_yaw_known = found.is_known(tuning.mounting)
+        elif given is not None and given[1] < tuning.mounting.believed:
+            own.yaw, own.is_yaw_known = given[0], True
 
     def _receiver_delay(self) -> float:
         tracks = self.speedometer.tracks
