@@ -76,12 +76,17 @@ class OwnAccelerationTuning:
         as a receiver averages.
     oldest : float
         Seconds by which a matched tick may be late; up is propagated by the gyro over them.
+    latest : float
+        Seconds by which a speed may be late to be of use.
     watched : int
         Ticks over which it is tried whether the speed explains the force: 15 s.
     fewest : int
         Ticks that must have been tried before anything is taken off.
     gain : float
         What is left of the force's variance where the speed explains it, at most.
+    pulling : float
+        Share of the changes of velocity that must be starts and stops, where the speed is that
+        of mere fixes.
     quiet : float
         m/s². Scatter of the force below which nothing is to be explained.
     """
@@ -94,9 +99,11 @@ class OwnAccelerationTuning:
         }
     )
     oldest: float = 3.5
+    latest: float = 2.5
     watched: int = 60
     fewest: int = 12
     gain: float = 0.7
+    pulling: float = 0.25
     quiet: float = 0.3
 
 
@@ -140,6 +147,8 @@ class MountingYawTuning:
         Seconds of latency that are tried.
     reuse, reuse_first : float
         Seconds between fits, and in the first minute.
+    wild : float
+        Share of samples that jump as no vehicle can.
     recent : int
         Ticks of the newest 90 s, over which a speed must hold as well.
     """
@@ -157,13 +166,14 @@ class MountingYawTuning:
     highest: float = 1.2
     energy: float = 25.0
     first_energy: float = 4.0
-    believed: float = math.radians(20.0)
+    believed: float = math.radians(6.0)
     explained: float = 0.4
     floor: float = math.radians(0.3)
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
     reuse: float = 10.0
     reuse_first: float = 2.5
+    wild: float = 0.02
     recent: int = 360
 
 
@@ -258,6 +268,8 @@ class CourseTuning:
         Clusters that are taken off their number: a small sample's correction.
     fewest : int
         Cells before anything is said.
+    new_chords : int
+        Chords after which the course is fitted anew.
     drifting : float
         Radians by which course less gyro yaw may scatter within `drifting_span` of straight
         driving; boats exceed it.
@@ -282,6 +294,7 @@ class CourseTuning:
     cluster: float = 150.0
     few_clusters: int = 1
     fewest: int = 5
+    new_chords: int = 5
     drifting: float = math.radians(10.0)
     drifting_span: float = 60.0
     lost: float = math.radians(10.0)
