@@ -275,10 +275,6 @@ class CourseTuning:
         driving; boats exceed it.
     drifting_span : float
         Seconds.
-    lost : float
-        Radians of sigma beyond which nothing is told but that it is not known.
-    useful : float
-        Radians of sigma below which it may be applied.
     """
 
     cell: float = 10.0
@@ -297,8 +293,31 @@ class CourseTuning:
     new_chords: int = 5
     drifting: float = math.radians(10.0)
     drifting_span: float = 60.0
-    lost: float = math.radians(10.0)
+
+
+@dataclass(frozen=True)
+class FrontTuning:
+    """What is called askew.
+
+    Parameters
+    ----------
+    clear : float
+        Sigmas beyond which compass and accelerations contradict each other.
+    near : float
+        Sigmas within which the contradiction is twice the declination.
+    smallest : float
+        Radians that nobody need hear of.
+    useful : float
+        Radians of sigma below which an offset may be applied.
+    lost : float
+        Radians of sigma of course beyond which it tells nothing.
+    """
+
+    clear: float = 3.0
+    near: float = 2.0
+    smallest: float = math.radians(3.0)
     useful: float = math.radians(2.0)
+    lost: float = math.radians(10.0)
 
 
 @dataclass(frozen=True)
@@ -312,3 +331,4 @@ class DrivingTuning:
     trip: TripTuning = field(default_factory=TripTuning)
     chords: ChordTuning = field(default_factory=ChordTuning)
     course: CourseTuning = field(default_factory=CourseTuning)
+    front: FrontTuning = field(default_factory=FrontTuning)
