@@ -9,6 +9,21 @@ from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.driving.course_offset import CourseOffset
 
+SWING_ONCE = Bound(
+    Figure.COURSE_SWING_ONCE,
+    4.0,
+    8.0,
+    "made where the field was bent: heading swings once around by",
+    "calibrate in the open, away from steel",
+)
+SWING_TWICE = Bound(
+    Figure.COURSE_SWING_TWICE,
+    4.0,
+    8.0,
+    "soft iron is missing: heading swings twice around by",
+    "calibrate with turns on slopes, or give soft_iron_gains",
+)
+
 
 @dataclass(frozen=True)
 class CourseCheckTuning:
@@ -24,20 +39,8 @@ class CourseCheckTuning:
         Courses, of eight, that must have been driven.
     """
 
-    once: Bound = Bound(
-        Figure.COURSE_SWING_ONCE,
-        4.0,
-        8.0,
-        "made where the field was bent: heading swings once around by",
-        "calibrate in the open, away from steel",
-    )
-    twice: Bound = Bound(
-        Figure.COURSE_SWING_TWICE,
-        4.0,
-        8.0,
-        "soft iron is missing: heading swings twice around by",
-        "calibrate with turns on slopes, or give soft_iron_gains",
-    )
+    once: Bound = SWING_ONCE
+    twice: Bound = SWING_TWICE
     clear: float = 4.0
     sectors: int = 4
 
