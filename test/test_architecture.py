@@ -110,6 +110,7 @@ ORDER_OF_ROOMS = (
     "earth_field",
     "messages",
     "up",
+    "driving",
     "simulation",
     "heading",
     "estimation",
