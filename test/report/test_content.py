@@ -147,6 +147,7 @@ def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
     assert names_of(page) == ["views", "around"]
     assert page.count("<svg") == 2
     assert ">corrected field<" not in page
+    text_of(tmp_path, subject)
     assert (tmp_path / "samples.csv").read_text().count("\n") == 501
 
 
