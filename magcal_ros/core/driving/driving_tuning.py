@@ -180,8 +180,8 @@ class MountingYawTuning:
     floor: float = math.radians(0.3)
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
-    reuse: float = 10.0
-    reuse_first: float = 2.5
+    reuse: float = 15.0
+    reuse_first: float = 4.0
     wild: float = 0.02
     recent: int = 360
 

@@ -102,7 +102,7 @@ class MountingWatch:
         """Return the work of fitting what was driven, for any thread; give `take` its result."""
         self._fitted_at = stamp
         self._fits += 1
-        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 3 == 0
+        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 4 == 0
         spoken = [
             (source, track.record())
             for source, track in self._speedometer.tracks.items()
@@ -165,7 +165,7 @@ def _judged(
 
 def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> float:
     """Find the shift at which force and change of velocity go together best."""
-    mounting, step = tuning.mounting, tuning.ticks.seconds
+    mounting, step = tuning.mounting, 2.0 * tuning.ticks.seconds
     if len(table.stamp) < 2 * mounting.highpass:
         return record.delay
     delays = np.arange(mounting.earliest_delay, mounting.largest_delay + step, step)
