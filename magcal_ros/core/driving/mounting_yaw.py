@@ -49,6 +49,8 @@ class MountingYaw:
         Of driving that were fitted.
     noise : float
         m/s² that the force departs by.
+    is_rough : bool
+        Whether the speed is a receiver's, whose noise makes the scale less than one.
     """
 
     yaw: float
@@ -60,18 +62,24 @@ class MountingYaw:
     force_energy: float
     seconds: float
     noise: float
+    is_rough: bool = False
 
     def is_usable(self, tuning: MountingYawTuning) -> bool:
         """Whether it is good enough to take the vehicle's own acceleration off."""
-        is_enough = self.energy * min(1.0, self.scale) ** 2 >= tuning.first_energy
+        is_enough = min(self.energy, self.force_energy) >= tuning.first_energy
         return is_enough and self.explained >= tuning.explained and self.sigma < tuning.believed
+
+    def has_scale(self, tuning: MountingYawTuning) -> bool:
+        """Whether the speed is in m/s."""
+        lowest = tuning.lowest_rough if self.is_rough else tuning.lowest
+        return lowest <= self.scale <= tuning.highest
 
     def is_known(self, tuning: MountingYawTuning) -> bool:
         """Whether enough was seen, and the speed explains it."""
         return (
-            self.energy * min(1.0, self.scale) ** 2 >= tuning.energy
+            min(self.energy, self.force_energy) >= tuning.energy
             and self.explained >= tuning.explained
-            and tuning.lowest <= self.scale <= tuning.highest
+            and self.has_scale(tuning)
         )
 
 
@@ -239,8 +247,9 @@ def _solved(
     if energy <= 0.0:
         return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, seconds, math.inf)
     end = _steps(force, change, swing, tuning)
-    spent = float(np.sum(end.weight * np.abs(force) ** 2))
-    left = float(np.sum(end.weight * np.abs(end.error) ** 2))
+    # A wild speed explains nothing, but is no worse than none.
+    spent = float(np.sum(np.abs(force) ** 2))
+    left = float(np.sum(np.minimum(np.abs(end.error) ** 2, np.abs(force) ** 2)))
     variance = _yaw_variance(end, ticks.stamp[rows], tuning)
     if seconds < tuning.short:
         variance *= tuning.widening**2

@@ -62,6 +62,8 @@ class OwnAcceleration:
         self._gravity: tuple[float, Triple] | None = None
         self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
+        self._gives, self._pauses_until = False, -math.inf
+        self._speaker: tuple[SpeedSource, float] | None = None
         self.is_used = False
         self._stand()
 
@@ -73,6 +75,13 @@ class OwnAcceleration:
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
         self._waiting.append(tick)
+        speaker = None if track is None else (track.source, track.delay)
+        if speaker != self._speaker:
+            # Another source, or another latency: a change of velocity would be none.
+            self._speaker = speaker
+            self._matched.clear()
+            self._trial.clear()
+            self.is_used = False
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
@@ -91,14 +100,26 @@ class OwnAcceleration:
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to take off a specific force, m/s², body axes; None if it is not known."""
-        if self._gravity is None or not self.is_used or frame.axes is None:
+        """Return what to take off a specific force, m/s², body axes; None if it is not known.
+
+        It does not come and go: a force that is freed of it for moments only would mislead.
+        """
+        gravity = self._gravity_at(stamp)
+        if gravity is None or frame.axes is None or stamp < self._pauses_until:
+            if self._gives:
+                self._pauses_until = stamp + self._tuning.own.pause
+            self._gives = False
             return None
-        since, gravity = self._gravity
-        if not 0.0 <= stamp - since <= self._tuning.own.oldest:
-            return None
+        self._gives = True
         x, y, z = frame.to_body(gravity)
         return (force[0] - x, force[1] - y, force[2] - z)
+
+    def _gravity_at(self, stamp: float) -> Triple | None:
+        """Return gravity in the gyro's frame, m/s², while it may be used."""
+        if self._gravity is None or not self.is_used:
+            return None
+        since, gravity = self._gravity
+        return gravity if 0.0 <= stamp - since <= self._tuning.own.oldest else None
 
     def restart(self) -> None:
         """Forget ticks: the gyro's frame is another one."""
@@ -106,6 +127,7 @@ class OwnAcceleration:
         self._matched.clear()
         self._trial.clear()
         self._gravity, self.is_used = None, False
+        self._gives, self._pauses_until = False, -math.inf
         self._stand()
 
     def _stand(self) -> None:
@@ -160,8 +182,8 @@ class OwnAcceleration:
         if not self._is_signed:
             self._decide()
         without, with_it = trial.scatter(0j), trial.scatter(self._turn)
-        quiet = own.quiet**2
-        self.is_used = with_it <= (own.gain * without if without > quiet else quiet)
+        quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
+        self.is_used = with_it <= (gain * without if without > quiet else quiet)
         # An even circle is seen through without: the speed of mere fixes would only add noise.
         if self._is_rough and (trial.pull_share < own.pulling or not self.is_yaw_usable):
             self.is_used = False
