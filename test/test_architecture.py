@@ -113,6 +113,7 @@ ORDER_OF_ROOMS = (
     "simulation",
     "heading",
     "estimation",
+    "smoothing",
     "methods",
     "multi_turn",
     "calibrate",
