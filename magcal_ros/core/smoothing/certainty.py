@@ -69,7 +69,7 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     jacobian = _by_shared(shared, to_sensor)
     by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
     plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
-    widened = strain**2 * _widened(smoothed, plain, by_heading)
+    widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
     covariance = widened * jacobian @ plain @ jacobian.T
     sigma = math.sqrt(widened) * rms_sigma(by_heading, plain)
     return Twelve(correction, 0.5 * (covariance + covariance.T), field, sigma, widened)
@@ -103,6 +103,21 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
     middle = scores.T @ scores * count / (count - 4.0)
     sandwich = plain @ (middle + smoothed.problem.prior.information) @ plain
     return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
+
+
+def _repeated(smoothed: Smoothed) -> float:
+    """Return how often the road went through the same places, at least one.
+
+    A street that is driven again tells what it told before. The way is reckoned from yaw and
+    metres; cells of one reach of the street are counted.
+    """
+    nodes, tuning = smoothed.problem.nodes, smoothed.problem.tuning
+    steps = nodes.metres[:, None] * np.column_stack(
+        [np.cos(smoothed.unknowns.yaw), np.sin(smoothed.unknowns.yaw)]
+    )
+    cells = np.unique((np.cumsum(steps, axis=0) // tuning.reach).astype(int), axis=0)
+    again = float(nodes.metres.sum()) / (tuning.reach * len(cells))
+    return min(max(1.0, again), tuning.most_repeated)
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

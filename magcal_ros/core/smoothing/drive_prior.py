@@ -74,7 +74,7 @@ class SharedPrior:
 
 def free_prior(knowledge: Knowledge, tuning: SmootherTuning = TUNING) -> SharedPrior:
     """Return the prior of a sensor of which little is known."""
-    mean, sigma = np.zeros(SHARED), np.empty(SHARED)
+    mean, sigma = np.zeros((2, SHARED))
     counts = math.sqrt(tuning.counts)
     sigma[IRON] = tuning.hard_iron
     sigma[[ROLL, PITCH]] = tuning.tilt / counts

@@ -104,7 +104,9 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
         twelve = twelve_of(smoothed, knowledge.mounting.matrix, strain)
     except (ValueError, np.linalg.LinAlgError) as fault:
         raise Refusal(
-            Reason.NO_SOLUTION, "the drive shows too little to say what the compass reads"
+            Reason.AXES_DISAGREE,
+            "along the drive the field does not turn as the gyro does; check that the axes of both"
+            " sensors belong together",
         ) from fault
     return DriveFit(smoothed, twelve, pull)
 
@@ -207,6 +209,36 @@ def held_fit(
     declination = knowledge.reference.declination or 0.0
     problem = Problem(inside, prior, declination, sizes, tuning)
     return descend(problem, _followed(start, inside))
+
+
+def favour(
+    nodes: Nodes,
+    old: Correction,
+    new: Correction,
+    knowledge: Knowledge,
+    tuning: SmootherTuning = TUNING,
+) -> float:
+    """Return by how much likelier the nodes are under a new calibration than under an old one.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    old, new : Correction
+        Both are held; yaw, street and the Earth's field are free.
+    knowledge : Knowledge
+    tuning : SmootherTuning
+
+    Returns
+    -------
+    float
+        Fall of minus twice the log likelihood, over `counts`: neighbours are alike. Zero where one
+        of them cannot be followed.
+    """
+    sizes = Sizes()
+    fits = [held_fit(nodes, each, knowledge, sizes, tuning) for each in (old, new)]
+    if fits[0] is None or fits[1] is None:
+        return 0.0
+    return (fits[0].here.cost - fits[1].here.cost) / tuning.counts
 
 
 def _followed(start: Unknowns, inside: Nodes) -> Unknowns:

@@ -41,6 +41,11 @@ class DriveLog:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def window(self) -> Window:
+        """The same rows as samples."""
+        return Window(self.time, self.field, self.force, self.rate)
+
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))

@@ -27,6 +27,10 @@ class SmootherTuning:
     still_field, still_yaw, still_rate : float
         A block that differs by no more than this from the one that began a rest, microtesla beyond
         its noise and radians, stands; a gyro's bias turns on by so much more, rad/s.
+    rest_field, rest_rate, rest_force, rest_noise, rest_speed : float
+        A robot rests while five seconds of rows change by less than this from half to half:
+        microtesla and rad/s, so many times their spread included; the force may spread by m/s²,
+        and the speed, where it is known, is m/s at most.
     street, noise : float
         Standard deviations per axis of the streets' disturbance and of a node's own noise, small
         iron within two metres included. Cars in two cities: 2.5 to 5 and about 1.5.
@@ -59,11 +63,16 @@ class SmootherTuning:
         Prior sigmas of tilt (rad) and soft iron where only the hard iron is sought anew.
     fewest_nodes : int
         Below which nothing is fitted.
+    believed : float
+        Student's weight above which a node counts as believed.
     pseudo, least_street, least_noise : float
         The sizes of street and noise are estimated with so many observations of the usual size,
         and never below these shares of it.
     cluster : float
         Metres of road that count as one witness in the sandwich covariance.
+    most_repeated : float
+        By how much a road that is driven again and again widens the variance at most: part of what
+        it tells is the sensor's own noise, which does not repeat.
     most_rounds, enough, largest_turn : int, float, float
         Steps at most; a heading that moves less than this many radians has converged; the largest
         turn of any node in one step.
@@ -80,6 +89,11 @@ class SmootherTuning:
     still_field: float = 0.1
     still_yaw: float = math.radians(1.0)
     still_rate: float = math.radians(0.3)
+    rest_field: float = 0.6
+    rest_rate: float = math.radians(0.5)
+    rest_force: float = 0.15
+    rest_noise: float = 0.5
+    rest_speed: float = 0.1
     street: float = 3.0
     noise: float = 1.5
     reach: float = 30.0
@@ -105,10 +119,12 @@ class SmootherTuning:
     kept_tilt: float = math.radians(0.5)
     kept_soft_iron: float = 0.01
     fewest_nodes: int = 40
+    believed: float = 0.3
     pseudo: float = 18.0
     least_street: float = 0.1
     least_noise: float = 0.1
     cluster: float = 150.0
+    most_repeated: float = 4.0
     most_rounds: int = 40
     enough: float = math.radians(0.01)
     largest_turn: float = 0.3
