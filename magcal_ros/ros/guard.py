@@ -56,6 +56,7 @@ class Guard:
             stdout=subprocess.PIPE,
             # Ctrl-C in the node's terminal is not meant for the guard.
             start_new_session=True,
+            env={**os.environ, **_without_shared_memory()},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -102,6 +103,16 @@ class Guard:
         with self._lock, contextlib.suppress(BlockingIOError, BrokenPipeError):
             if self._line >= 0:
                 os.write(self._line, word)
+
+
+def _without_shared_memory() -> dict[str, str]:
+    """Return the environment in which the guard's messages share no memory with the node's.
+
+    A process that is stopped while it writes to the memory of Fast DDS keeps the lock of the
+    base's port there, and all who write to it wait for seconds. Who chose transports keeps them.
+    """
+    name = "FASTDDS_BUILTIN_TRANSPORTS"
+    return {name: os.environ.get(name, "UDPv4")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -34,6 +34,15 @@ PARAMETERS: tuple[Spec, ...] = (
         1,
         100_000,
     ),
+    Spec(
+        "memory_limit_mb",
+        1024,
+        "How much more memory than at its start the node may take; a request that claims to hold "
+        "millions of values ends there. Read when the node starts; fits are not bounded",
+        256,
+        1_000_000,
+        "MB",
+    ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
         "accumulate",
