@@ -110,6 +110,7 @@ ORDER_OF_ROOMS = (
     "earth_field",
     "messages",
     "up",
+    "driving",
     "simulation",
     "heading",
     "estimation",
@@ -119,6 +120,7 @@ ORDER_OF_ROOMS = (
     "calibrate",
     "session",
     "monitoring",
+    "keeping",
 )
 """The rooms of core from the ground up: each imports only what lies below it."""
 

@@ -24,7 +24,7 @@ from magcal_ros.core.smoothing.log import DriveLog
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("maximum_likelihood", "drive", "design_tip", "ellipsoid", "min_max")
+METHODS = ("maximum_likelihood", "smoother", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
 
 DRIVES = METHODS[1]
@@ -121,7 +121,7 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and judge the result; its samples are the rows of the log."""
     # A node that never drives loads nothing of this.
-    from magcal_ros.core.methods.drive import fit_log
+    from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
         words = "nothing was driven: no samples with a gyro in which the robot moved"

@@ -34,8 +34,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 LONGEST_DRIVE = 7200.0
 """Seconds of movement that are remembered; of a longer drive the last ones."""
 
-FEWEST_ROWS = 250
-"""Rows of a drive's log, 25 s: below, a recording is a turn or nothing."""
+SHORTEST_DRIVE = 25.0
+"""Seconds of movement below which a recording is a turn or nothing."""
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Reasons that a longer recording would mend."""
 
@@ -177,7 +177,7 @@ def fit_gathered(
     else:
         turn, window = calibrate(found, knowledge, method), found
     log = gathering.drive()
-    if method != METHODS[0] or len(log) < FEWEST_ROWS or turn.verdict.is_good:
+    if method != METHODS[0] or log.seconds < SHORTEST_DRIVE or turn.verdict.is_good:
         return turn, window
     drive = calibrate_drive(log, knowledge)
     if drive_rather_than_turn(turn, drive, log, knowledge):

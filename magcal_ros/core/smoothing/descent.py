@@ -137,6 +137,14 @@ class Standpoint:
         return (nu + 3.0) / (nu + field), (nu + 3.0) / (nu + street)
 
     @cached_property
+    def node_costs(self) -> FloatArray:
+        """What each node has of `misfit`, the course left out, shape (n,)."""
+        nu = self.problem.tuning.freedom
+        costs = sum((nu + 3.0) * np.log1p(square / nu) for square in self.squares)
+        gyro = np.concatenate([[0.0], self.gyro**2 * self.problem.gyro_information])
+        return np.asarray(costs + gyro)
+
+    @cached_property
     def shared_gap(self) -> FloatArray:
         """Shared numbers less their prior, shape (15,)."""
         return np.asarray(self.unknowns.shared - self.problem.prior.mean)

@@ -241,6 +241,26 @@ def favour(
     return (fits[0].here.cost - fits[1].here.cost) / tuning.counts
 
 
+def onset(
+    nodes: Nodes,
+    old: Correction,
+    new: Correction,
+    knowledge: Knowledge,
+    tuning: SmootherTuning = TUNING,
+) -> float:
+    """Return the clock from which the nodes follow a new calibration rather than an old one.
+
+    Parameters are those of `favour`; the nodes' last time if none of them does.
+    """
+    fits = [held_fit(nodes, each, knowledge, Sizes(), tuning) for each in (old, new)]
+    if fits[0] is None or fits[1] is None:
+        return float(nodes.time[-1])
+    gain = fits[0].here.node_costs - fits[1].here.node_costs
+    behind = np.append(np.cumsum(gain[::-1])[::-1], 0.0)
+    first = int(np.argmax(behind))
+    return float(nodes.time[min(first, len(nodes) - 1)])
+
+
 def _followed(start: Unknowns, inside: Nodes) -> Unknowns:
     """Turn the gyro's path to where the corrected field points, as most nodes have it."""
     level = np.einsum("nji,nj->ni", inside.axes, inside.field)

@@ -42,6 +42,11 @@ class DriveLog:
         return len(self.time)
 
     @property
+    def seconds(self) -> float:
+        """How long it is."""
+        return float(self.time[-1] - self.time[0]) if len(self) else 0.0
+
+    @property
     def window(self) -> Window:
         """The same rows as samples."""
         return Window(self.time, self.field, self.force, self.rate)

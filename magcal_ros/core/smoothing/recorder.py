@@ -55,6 +55,11 @@ class DriveRecorder:
         return float(self._chunks[-1][-1, 0]) if self._chunks else -math.inf
 
     @property
+    def seconds(self) -> float:
+        """Of movement that are kept."""
+        return self.clock - float(self._chunks[0][0, 0]) if self._chunks else 0.0
+
+    @property
     def rests(self) -> bool:
         """Whether the robot stood in the last second."""
         return self._rests

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from drives import BOSTON, driven, heading_error, log_from
+from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
@@ -212,6 +212,7 @@ def test_ten_minutes_of_weak_motion(turns, soft_iron):
 
 
 @pytest.mark.nightly
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("seconds", [120.0, 300.0])
 @pytest.mark.parametrize("speed", [False, True])
 def test_sigma_is_right_over_many_drives(seconds, speed):

@@ -21,7 +21,7 @@ from magcal_ros.core.smoothing.log import DriveLog, log_of
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING
 
-METHOD = "drive"
+METHOD = "smoother"
 
 
 @dataclass(frozen=True)
