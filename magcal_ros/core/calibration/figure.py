@@ -128,6 +128,11 @@ class Figure(str, Enum):
     DIP_SHIFT = "dip_shift"
     """How far the dip at all headings of a drive is off the calibrated inclination, radians."""
 
+    COURSE_SWING_ONCE = "course_swing_once"
+    """Amplitude by which compass less course swings once around, radians: hard iron."""
+    COURSE_SWING_TWICE = "course_swing_twice"
+    """The same twice around: soft iron."""
+
     STRENGTH = "strength"
     """Strength of the field, tesla."""
     GRAVITY = "gravity"

@@ -12,7 +12,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from magcal_ros.core.driving.course_cells import CellTable
 from magcal_ros.core.driving.driving_tuning import CourseTuning
@@ -148,7 +147,7 @@ class _Fit:
         # A cell of little weight is one that its street bends more than others.
         spread = self.street**2 * self._alike / np.outer(own, own)
         spread[np.diag_indices_from(spread)] += self._noise / self._weight
-        return np.asarray(cho_solve(cho_factor(spread), right)), self._design
+        return np.asarray(np.linalg.solve(spread, right)), self._design
 
     def _weigh_street(self) -> None:
         """Take the street's size from what is left, with some pseudo-observations."""
@@ -156,7 +155,7 @@ class _Fit:
         own = np.sqrt(self._weight) * self.left
         shape = self._alike.copy()
         shape[np.diag_indices_from(shape)] += self._noise / self.street**2
-        squares = float(own @ cho_solve(cho_factor(shape), own))
+        squares = float(own @ np.linalg.solve(shape, own))
         count = len(own)
         total = tuning.street_weight * tuning.street**2 + squares
         self.street = math.sqrt(total / (tuning.street_weight + count))
@@ -189,7 +188,7 @@ class _Fit:
         spread = self.street**2 * self._alike[np.ix_(kept, kept)] / np.outer(own, own)
         spread[np.diag_indices_from(spread)] += self._noise[kept] / self._weight[kept]
         design = self._design[kept]
-        information = design.T @ cho_solve(cho_factor(spread), design) + self._prior
+        information = design.T @ np.linalg.solve(spread, design) + self._prior
         return float(np.linalg.inv(information)[0, 0])
 
     def _again(self) -> BoolArray:

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum
+
+
+class SpeedSource(str, Enum):
+    """Who tells the speed, the best first."""
+
+    ODOMETRY = "odometry"
+    VELOCITY = "velocity"
+    FIXES = "fixes"
 
 
 @dataclass(frozen=True)
@@ -61,28 +71,39 @@ class OwnAccelerationTuning:
 
     Parameters
     ----------
-    span : int
-        Ticks over which a change of speed is taken: long against the noise of wheels.
+    spans : mapping of SpeedSource to int
+        Ticks over which a change of speed is taken: long against the noise of wheels, and as long
+        as a receiver averages.
     oldest : float
         Seconds by which a matched tick may be late; up is propagated by the gyro over them.
+    latest : float
+        Seconds by which a speed may be late to be of use.
     watched : int
         Ticks over which it is tried whether the speed explains the force: 15 s.
     fewest : int
         Ticks that must have been tried before anything is taken off.
     gain : float
         What is left of the force's variance where the speed explains it, at most.
-    believed : float
-        Radians of sigma below which a yaw of the IMU is used.
+    pulling : float
+        Share of the changes of velocity that must be starts and stops, where the speed is that
+        of mere fixes.
     quiet : float
         m/s². Scatter of the force below which nothing is to be explained.
     """
 
-    span: int = 2
+    spans: Mapping[SpeedSource, int] = field(
+        default_factory=lambda: {
+            SpeedSource.ODOMETRY: 2,
+            SpeedSource.VELOCITY: 4,
+            SpeedSource.FIXES: 8,
+        }
+    )
     oldest: float = 3.5
+    latest: float = 2.5
     watched: int = 60
     fewest: int = 12
     gain: float = 0.7
-    believed: float = math.radians(15.0)
+    pulling: float = 0.25
     quiet: float = 0.3
 
 
@@ -114,14 +135,20 @@ class MountingYawTuning:
         What the force may be of the speed's change: else the speed's unit or stamps are wrong.
     energy : float
         m²/s³ of changes of velocity that must have been seen: two starts.
+    first_energy : float
+        The same before the yaw is used to take the own acceleration off: half a start.
+    believed : float
+        Radians of sigma below which it is used so.
     explained : float
         Share of the force's changes that the speed must explain.
     floor : float
         Radians that no drive takes away: springs, tyres.
     largest_delay, earliest_delay : float
         Seconds of latency that are tried.
-    reuse : float
-        Seconds between fits.
+    reuse, reuse_first : float
+        Seconds between fits, and in the first minute.
+    wild : float
+        Share of samples that jump as no vehicle can.
     recent : int
         Ticks of the newest 90 s, over which a speed must hold as well.
     """
@@ -138,11 +165,15 @@ class MountingYawTuning:
     lowest: float = 0.8
     highest: float = 1.2
     energy: float = 25.0
+    first_energy: float = 4.0
+    believed: float = math.radians(6.0)
     explained: float = 0.4
     floor: float = math.radians(0.3)
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
     reuse: float = 10.0
+    reuse_first: float = 2.5
+    wild: float = 0.02
     recent: int = 360
 
 
@@ -237,15 +268,13 @@ class CourseTuning:
         Clusters that are taken off their number: a small sample's correction.
     fewest : int
         Cells before anything is said.
+    new_chords : int
+        Chords after which the course is fitted anew.
     drifting : float
         Radians by which course less gyro yaw may scatter within `drifting_span` of straight
         driving; boats exceed it.
     drifting_span : float
         Seconds.
-    lost : float
-        Radians of sigma beyond which nothing is told but that it is not known.
-    useful : float
-        Radians of sigma below which it may be applied.
     """
 
     cell: float = 10.0
@@ -261,10 +290,34 @@ class CourseTuning:
     cluster: float = 150.0
     few_clusters: int = 1
     fewest: int = 5
+    new_chords: int = 5
     drifting: float = math.radians(10.0)
     drifting_span: float = 60.0
-    lost: float = math.radians(10.0)
+
+
+@dataclass(frozen=True)
+class FrontTuning:
+    """What is called askew.
+
+    Parameters
+    ----------
+    clear : float
+        Sigmas beyond which compass and accelerations contradict each other.
+    near : float
+        Sigmas within which the contradiction is twice the declination.
+    smallest : float
+        Radians that nobody need hear of.
+    useful : float
+        Radians of sigma below which an offset may be applied.
+    lost : float
+        Radians of sigma of course beyond which it tells nothing.
+    """
+
+    clear: float = 3.0
+    near: float = 2.0
+    smallest: float = math.radians(3.0)
     useful: float = math.radians(2.0)
+    lost: float = math.radians(10.0)
 
 
 @dataclass(frozen=True)
@@ -278,3 +331,4 @@ class DrivingTuning:
     trip: TripTuning = field(default_factory=TripTuning)
     chords: ChordTuning = field(default_factory=ChordTuning)
     course: CourseTuning = field(default_factory=CourseTuning)
+    front: FrontTuning = field(default_factory=FrontTuning)

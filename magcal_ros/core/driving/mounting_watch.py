@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
+from collections.abc import Callable
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.driving.mounting_yaw import (
     MountingYaw,
@@ -17,7 +19,7 @@ from magcal_ros.core.driving.mounting_yaw import (
     correlation,
     fit_mounting_yaw,
 )
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedSource, SpeedTrack
+from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
 
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""
@@ -31,6 +33,15 @@ class SpeedFault(str, Enum):
     SCALE = "scale"
     LATE = "late"
     UNRELATED = "unrelated"
+
+
+class Judged(NamedTuple):
+    """What a fit says of one source: the yaw it leads to, what is wrong with it, its latency."""
+
+    source: SpeedSource
+    fitted: MountingYaw | None
+    fault: SpeedFault | None
+    delay: float
 
 
 class MountingWatch:
@@ -47,8 +58,10 @@ class MountingWatch:
     ----------
     found : MountingYaw or None
         The newest fit of the source in use.
-    faults : dict of SpeedSource to (SpeedFault, MountingYaw)
+    faults : dict of SpeedSource to SpeedFault
         What is wrong with which source.
+    seen : dict of SpeedSource to MountingYaw
+        The newest fit of each source.
     """
 
     def __init__(self, speedometer: Speedometer, tuning: DrivingTuning | None = None) -> None:
@@ -75,105 +88,133 @@ class MountingWatch:
         is_quiet = abs(tick.level_force) < 0.5 * mounting.moving
         if self._still < mounting.standing or not is_quiet:
             self._ticks.append(tick)
-        return tick.stamp - self._fitted_at >= mounting.reuse
+        is_young = len(self._ticks) * tick.seconds < 60.0
+        return tick.stamp - self._fitted_at >= (
+            mounting.reuse_first if is_young else mounting.reuse
+        )
 
     def restart(self) -> None:
         """Forget the ticks: time was set back."""
         self._ticks.clear()
         self._fitted_at = -math.inf
 
-    def fit(self, stamp: float) -> None:
-        """Fit what was driven, for every source that speaks; some milliseconds."""
+    def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
+        """Return the work of fitting what was driven, for any thread; give `take` its result."""
         self._fitted_at = stamp
         self._fits += 1
-        self.found = None
-        if not self._ticks:
-            return
-        table = self._table()
-        for source, track in self._speedometer.tracks.items():
-            if stamp - track.newest > self._tuning.mounting.reuse:
-                continue
-            if self._fits % 3 == 0:
-                self._measure_delay(table, track)
-            fitted = self._fitted(table, track)
-            # What went wrong just now is not outweighed by minutes in which all was well.
-            recent = self._fitted(_last(table, self._tuning.mounting.recent), track)
-            fault = None if recent is None else self._fault(track, recent)
-            if fault is None and fitted is not None:
-                fault = self._fault(track, fitted)
-            elif recent is not None:
-                fitted = recent
-            self._note(source, fitted, fault)
-            if fault is None and self.found is None:
-                self.found = fitted
+        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 3 == 0
+        spoken = [
+            (source, track.record())
+            for source, track in self._speedometer.tracks.items()
+            if stamp - track.newest <= tuning.mounting.reuse
+        ]
 
-    def _note(
-        self, source: SpeedSource, fitted: MountingYaw | None, fault: SpeedFault | None
-    ) -> None:
-        if fitted is not None:
-            self.seen[source] = fitted
-        if fault is None:
-            self.faults.pop(source, None)
-            self._speedometer.distrusted.discard(source)
-        else:
-            self.faults[source] = fault
-            self._speedometer.distrusted.add(source)
+        def work() -> tuple[Judged, ...]:
+            return tuple(
+                _judged(source, table, record, tuning, measures_delay) for source, record in spoken
+            )
+
+        return work
+
+    def take(self, judged: tuple[Judged, ...]) -> None:
+        """Take over what was fitted: the best source without a fault is used."""
+        self.found = None
+        for each in judged:
+            if each.fitted is not None:
+                self.seen[each.source] = each.fitted
+            self._speedometer.tracks[each.source].delay = each.delay
+            if each.fault is None:
+                self.faults.pop(each.source, None)
+                self._speedometer.distrusted.discard(each.source)
+                self.found = self.found or each.fitted
+            else:
+                self.faults[each.source] = each.fault
+                self._speedometer.distrusted.add(each.source)
 
     def _table(self) -> TickTable:
         """Return the ticks in arrays, without speeds."""
-        stamp, seconds, force, yaw, turn_rate = zip(*self._ticks, strict=True)
-        level = np.array(force)[:, :2] @ np.array([1.0, 1.0j])
-        time, none = np.array(stamp), np.full(len(stamp), math.nan)
-        return TickTable(time, np.array(seconds), level, np.array(yaw), np.array(turn_rate), none)
+        stamp = np.array([tick.stamp for tick in self._ticks])
+        force = np.array([tick.level_force for tick in self._ticks], dtype=np.complex128)
+        seconds, yaw, rate = (
+            np.array([tick[column] for tick in self._ticks], dtype=np.float64)
+            for column in (1, 3, 4)
+        )
+        return TickTable(stamp, seconds, force, yaw, rate, np.full(len(stamp), math.nan))
 
-    def _fitted(self, table: TickTable, track: SpeedTrack) -> MountingYaw | None:
-        met = _met(table, track, track.delay)
-        return fit_mounting_yaw(met, track.delay, self._tuning.mounting, self._tuning.trip)
 
-    def _measure_delay(self, table: TickTable, track: SpeedTrack) -> None:
-        """Find the shift at which force and change of velocity go together best."""
-        mounting, step = self._tuning.mounting, self._tuning.ticks.seconds
-        if len(table.stamp) < 2 * mounting.highpass:
-            return
-        delays = np.arange(mounting.earliest_delay, mounting.largest_delay + step, step)
-        scores = np.array([correlation(_met(table, track, d), mounting) for d in delays])
-        best = int(np.argmax(scores))
-        now = float(np.interp(track.delay, delays, scores))
-        is_clear = scores[best] ** 2 > mounting.explained and scores[best] > now + 0.02
-        if not is_clear or best in (0, len(delays) - 1):
-            return
-        before, top, after = scores[best - 1 : best + 2]
-        bend = before - 2.0 * top + after
-        shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-        track.delay = float(delays[best] + step * shift)
+def _judged(
+    source: SpeedSource,
+    table: TickTable,
+    record: SpeedRecord,
+    tuning: DrivingTuning,
+    measures_delay: bool,
+) -> Judged:
+    delay = _delay(table, record, tuning) if measures_delay else record.delay
+    met = _met(table, record, delay)
+    fitted = fit_mounting_yaw(met, delay, tuning.mounting, tuning.trip)
+    # What went wrong just now is not outweighed by minutes in which all was well.
+    recent = fit_mounting_yaw(
+        _last(met, tuning.mounting.recent), delay, tuning.mounting, tuning.trip
+    )
+    fault = None if recent is None else _fault(record, recent, delay, tuning)
+    if fault is not None:
+        return Judged(source, recent, fault, delay)
+    fault = None if fitted is None else _fault(record, fitted, delay, tuning)
+    return Judged(source, fitted, fault, delay)
 
-    def _fault(self, track: SpeedTrack, fitted: MountingYaw) -> SpeedFault | None:
-        mounting = self._tuning.mounting
-        if track.wild_share > 0.02:
-            return SpeedFault.JUMPS
-        if fitted.force_energy < 2.0 * mounting.energy:
-            return None
-        if fitted.energy < 0.02 * fitted.force_energy:
-            return SpeedFault.FROZEN
-        if fitted.explained < mounting.explained:
-            return SpeedFault.UNRELATED
-        if not mounting.lowest <= fitted.scale <= mounting.highest:
-            return SpeedFault.SCALE
-        if track.delay > self._tuning.own.oldest:
-            return SpeedFault.LATE
+
+def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> float:
+    """Find the shift at which force and change of velocity go together best."""
+    mounting, step = tuning.mounting, tuning.ticks.seconds
+    if len(table.stamp) < 2 * mounting.highpass:
+        return record.delay
+    delays = np.arange(mounting.earliest_delay, mounting.largest_delay + step, step)
+    scores = np.array([correlation(_met(table, record, d), mounting) for d in delays])
+    best = int(np.argmax(scores))
+    now = float(np.interp(record.delay, delays, scores))
+    is_clear = scores[best] ** 2 > mounting.explained and scores[best] > now + 0.02
+    if not is_clear or best in (0, len(delays) - 1):
+        return record.delay
+    before, top, after = scores[best - 1 : best + 2]
+    bend = before - 2.0 * top + after
+    shift = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
+    return float(delays[best] + step * shift)
+
+
+def _fault(
+    record: SpeedRecord, fitted: MountingYaw, delay: float, tuning: DrivingTuning
+) -> SpeedFault | None:
+    mounting = tuning.mounting
+    if record.wild_share > mounting.wild:
+        return SpeedFault.JUMPS
+    if fitted.force_energy < 2.0 * mounting.energy:
         return None
+    if fitted.energy < 0.02 * fitted.force_energy:
+        return SpeedFault.FROZEN
+    if fitted.explained < mounting.explained:
+        return SpeedFault.UNRELATED
+    if not mounting.lowest <= fitted.scale <= mounting.highest:
+        return SpeedFault.SCALE
+    return SpeedFault.LATE if delay > tuning.own.latest else None
 
 
-def _met(table: TickTable, track: SpeedTrack, delay: float) -> TickTable:
+def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
     """Return ticks with the speeds of a source at a latency."""
-    speed = track.along(table.stamp, delay)
-    return dataclasses.replace(table, speed=speed, is_signed=track.is_signed)
+    speed = record.along(table.stamp, delay)
+    return dataclasses.replace(table, speed=speed, is_signed=record.is_signed)
 
 
 def _last(table: TickTable, count: int) -> TickTable:
     """Return the newest ticks."""
-    columns = (table.stamp, table.seconds, table.force, table.yaw, table.turn_rate, table.speed)
-    return TickTable(*(column[-count:] for column in columns))  # type: ignore[arg-type]
+    return TickTable(
+        table.stamp[-count:],
+        table.seconds[-count:],
+        table.force[-count:],
+        table.yaw[-count:],
+        table.turn_rate[-count:],
+        table.speed[-count:],
+        table.is_signed,
+    )
 
 
 def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:

@@ -61,6 +61,11 @@ class MountingYaw:
     seconds: float
     noise: float
 
+    def is_usable(self, tuning: MountingYawTuning) -> bool:
+        """Whether it is good enough to take the vehicle's own acceleration off."""
+        is_enough = self.energy * min(1.0, self.scale) ** 2 >= tuning.first_energy
+        return is_enough and self.explained >= tuning.explained and self.sigma < tuning.believed
+
     def is_known(self, tuning: MountingYawTuning) -> bool:
         """Whether enough was seen, and the speed explains it."""
         return (

@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
@@ -21,15 +21,19 @@ class _Matched(NamedTuple):
 
 
 class _Tried(NamedTuple):
-    """Force across up, and change of velocity if the IMU looked ahead, m/s²."""
+    """Force across up, and change of velocity if the IMU looked ahead, m/s².
+
+    `pull` is the latter's part along the vehicle.
+    """
 
     force: complex
     change: complex
+    pull: float
 
     @property
     def backwards(self) -> _Tried:
         """The same of a vehicle that looks the other way."""
-        return _Tried(self.force, -self.change)
+        return self._replace(change=-self.change)
 
 
 class OwnAcceleration:
@@ -48,6 +52,8 @@ class OwnAcceleration:
     ----------
     yaw : float
         Of the IMU in the vehicle, radians; zero until somebody knows better.
+    scale : float
+        Force over change of speed: the latter's noise makes it less than one.
     noise : float
         m/s² by which the force departs from what the speed explains.
     is_used : bool
@@ -65,12 +71,13 @@ class OwnAcceleration:
     def __init__(self, tuning: DrivingTuning | None = None) -> None:
         self._tuning = tuning or DrivingTuning()
         self.yaw, self.is_yaw_known = 0.0, False
-        self.noise = 0.3
+        self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[_Matched] = deque(maxlen=self._tuning.own.span + 1)
+        self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
         self._tried: deque[_Tried] = deque(maxlen=self._tuning.own.watched)
         self._gravity: tuple[float, Triple] | None = None
-        self._is_signed = True
+        self._is_rough = False
+        self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
         self.is_used, self.unexplained = False, 0.0
         self._stand()
 
@@ -92,6 +99,8 @@ class OwnAcceleration:
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
+                self._is_rough = track.source is SpeedSource.FIXES
+                self._span = self._tuning.own.spans[track.source]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
@@ -128,13 +137,17 @@ class OwnAcceleration:
             self._stand()
         velocity = speed * cmath.exp(1j * tick.yaw)
         self._matched.append(_Matched(tick, velocity))
-        if len(self._matched) <= self._tuning.own.span:
-            return
-        self._weigh()
+        if len(self._matched) > self._span:
+            self._weigh()
+
+    @property
+    def _turn(self) -> complex:
+        """From the change of velocity, as if the IMU looked ahead, to the force."""
+        return self.scale * cmath.exp(-1j * self.yaw)
 
     def _weigh(self) -> None:
         """Take the change of velocity over the span off the mean force over it."""
-        first, *others = self._matched
+        first, *others = list(self._matched)[-self._span - 1 :]
         last = others[-1]
         seconds = sum(each.tick.seconds for each in others)
         if not 0.5 * seconds < last.tick.stamp - first.tick.stamp < 1.5 * seconds:
@@ -144,10 +157,11 @@ class OwnAcceleration:
             for axis in range(3)
         )
         change = (last.velocity - first.velocity) / seconds
-        self._tried.append(_Tried(complex(x, y), self.sign * change))
+        pull = (abs(last.velocity) - abs(first.velocity)) / seconds
+        self._tried.append(_Tried(complex(x, y), self.sign * change, pull))
         self._of_trip += 1
         self._judge()
-        own = self.sign * change * cmath.exp(-1j * self.yaw)
+        own = self.sign * change * self._turn
         self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
 
     def _judge(self) -> None:
@@ -157,19 +171,24 @@ class OwnAcceleration:
         self.is_used = False
         if count < own.fewest:
             return
-        turn = cmath.exp(-1j * self.yaw)
+        turn = self._turn
         mean = sum(each.force for each in tried) / count
         change = sum(each.change for each in tried) / count
         if not self._is_signed:
             self._decide(tried[-1], mean, change, turn)
-        without = with_it = 0.0
+        without = with_it = pulls = changes = 0.0
         for each in tried:
             force = each.force - mean
             left = force - (each.change - change) * turn
             without += abs(force) ** 2
             with_it += abs(left) ** 2
+            pulls += each.pull**2
+            changes += abs(each.change) ** 2
         quiet = count * own.quiet**2
         self.is_used = with_it <= (own.gain * without if without > quiet else quiet)
+        # An even circle is seen through without: the speed of mere fixes would only add noise.
+        if self._is_rough and pulls < own.pulling * changes:
+            self.is_used = False
         if self.is_used:
             self.unexplained = 0.0
         elif without > 4.0 * quiet:

@@ -4,22 +4,62 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from enum import Enum
+from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import SpeedTuning
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.streams import Drop, StampGuard
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
 
 
-class SpeedSource(str, Enum):
-    """Who tells the speed, the best first."""
+@dataclass(frozen=True, eq=False)
+class SpeedRecord:
+    """What one source said, frozen.
 
-    ODOMETRY = "odometry"
-    VELOCITY = "velocity"
-    FIXES = "fixes"
+    Parameters
+    ----------
+    kept, recent : ndarray, shape (n, 2)
+        Stamps and speeds of some minutes, thinned, and the newest as they came.
+    delay, gap : float
+        Seconds by which the stamps are late, and that are interpolated over.
+    is_signed : bool
+        Whether backwards is negative.
+    tuning : SpeedTuning
+        What is taken for granted.
+    """
+
+    kept: FloatArray
+    recent: FloatArray
+    delay: float
+    gap: float
+    is_signed: bool
+    tuning: SpeedTuning
+
+    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
+        """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
+        if len(self.kept) < 2:
+            return np.full(len(stamps), math.nan)
+        time, speed = self.kept.T
+        moments = stamps + delay
+        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
+        span, change = np.diff(time), np.diff(speed)
+        broken = (span > self.gap) | self._is_wild(span, change)
+        found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
+        found[broken[after - 1]] = math.nan
+        return np.asarray(found)
+
+    @property
+    def wild_share(self) -> float:
+        """Share of the newest samples between which the speed jumps as no vehicle can."""
+        if len(self.recent) < 20:
+            return 0.0
+        span, change = np.diff(self.recent, axis=0).T
+        return float(np.mean(self._is_wild(span, change)))
+
+    def _is_wild(self, span: FloatArray, change: FloatArray) -> BoolArray:
+        return np.asarray(np.abs(change) > self.tuning.largest_acceleration * span + 0.5)
 
 
 class SpeedTrack:
@@ -102,36 +142,11 @@ class SpeedTrack:
         """Whether waiting longer can bring no sample before a stamp of the IMU's clock."""
         return self.newest >= stamp + self.delay
 
-    def along(self, stamps: FloatArray, delay: float) -> FloatArray:
-        """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
-        if len(self._kept) < 2:
-            return np.full(len(stamps), math.nan)
-        time, speed = np.array(self._kept).T
-        moments = stamps + delay
-        after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
-        span = time[after] - time[after - 1]
-        change = np.abs(speed[after] - speed[after - 1])
-        found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
-        wild = change > self._tuning.largest_acceleration * span + 0.5
-        found[(span > self.gap) | wild] = math.nan
-        return np.asarray(found)
-
-    @property
-    def wild_share(self) -> float:
-        """Share of the newest samples between which the speed jumps as no vehicle can."""
-        if len(self._recent) < 20:
-            return 0.0
-        time, speed = np.array(self._recent).T
-        return float(
-            np.mean(
-                np.abs(np.diff(speed)) > self._tuning.largest_acceleration * np.diff(time) + 0.5
-            )
-        )
-
-    def forget(self) -> None:
-        """Forget what was said."""
-        self._recent.clear()
-        self._kept.clear()
+    def record(self) -> SpeedRecord:
+        """Return what is remembered, for work in another thread."""
+        kept = np.array(self._kept).reshape(-1, 2)
+        recent = np.array(self._recent).reshape(-1, 2)
+        return SpeedRecord(kept, recent, self.delay, self.gap, self.is_signed, self._tuning)
 
 
 class Speedometer:

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from typing import Any
 
 from magcal_ros.core.driving.chords import Chord, Chords
 from magcal_ros.core.driving.course_cells import CourseCells
 from magcal_ros.core.driving.course_offset import CourseOffset, fit_course_offset
 from magcal_ros.core.driving.drift import DriftWatch
-from magcal_ros.core.driving.driving_tuning import DrivingTuning
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
-from magcal_ros.core.driving.mounting_watch import MountingWatch
+from magcal_ros.core.driving.mounting_watch import Judged, MountingWatch
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
-from magcal_ros.core.driving.speedometer import Speedometer, SpeedSource
+from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+
+Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
+
+
+def at_once(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    """Do some work and go on with its result."""
+    then(work())
 
 
 class Travelling:
@@ -27,6 +36,9 @@ class Travelling:
     ----------
     tuning : DrivingTuning, optional
         What is taken for granted.
+    run : callable, optional
+        Takes some work and what is to be done with its result; by default it does both at once.
+        A node has the work, of some tens of milliseconds, done beside its messages.
 
     Attributes
     ----------
@@ -34,7 +46,8 @@ class Travelling:
         The newest fit of compass against course: of the yaw to *magnetic* north.
     """
 
-    def __init__(self, tuning: DrivingTuning | None = None) -> None:
+    def __init__(self, tuning: DrivingTuning | None = None, run: Run = at_once) -> None:
+        self._run, self._is_running = run, False
         self.tuning = tuning or DrivingTuning()
         self.speedometer = Speedometer(self.tuning.speed)
         self.mounting = MountingWatch(self.speedometer, self.tuning)
@@ -122,19 +135,22 @@ class Travelling:
         self.course, self._fitted_chords = None, 0
         self._pending.clear()
 
-    @property
-    def course_is_due(self) -> bool:
-        """Whether there is enough new way for another fit of the course."""
-        return self.cells.chords >= self._fitted_chords + 5
-
     def fit_course(self) -> CourseOffset | None:
-        """Fit the offset of the compass; up to a tenth of a second with many cells."""
-        self._fitted_chords = self.cells.chords
-        if self.drift.is_drifting or not len(self.cells):
-            self.course = None
-        else:
-            self.course = fit_course_offset(self.cells.table(), self.tuning.course)
+        """Fit the offset of the compass with all that was driven."""
+        self._fitted_chords = 0
+        self.course = self._begin_course()()
         return self.course
+
+    def _begin_course(self) -> Callable[[], CourseOffset | None]:
+        """Return the work of fitting the course; up to a tenth of a second with many cells."""
+        last, tuning, chords = self.course, self.tuning.course, self.cells.chords
+        if self.drift.is_drifting or not len(self.cells):
+            return lambda: None
+        if chords < self._fitted_chords + tuning.new_chords:
+            return lambda: last
+        self._fitted_chords = chords
+        table = self.cells.table()
+        return lambda: fit_course_offset(table, tuning)
 
     def _restart(self) -> None:
         self._own.restart()
@@ -149,20 +165,39 @@ class Travelling:
             is_due = self.mounting.add(met, speed) or is_due
             if math.isfinite(speed):
                 self.metres += abs(speed) * met.seconds
-        if is_due:
-            self.mounting.fit(tick.stamp)
-            self._believe_fit()
+        if is_due and not self._is_running:
+            self._fit(tick.stamp)
         if track is not None:
             self._chords.delay = self._receiver_delay()
         self._pending.extend(self._chords.add_tick(tick))
         self._settle()
 
+    def _fit(self, stamp: float) -> None:
+        """Have the drive fitted, and the course where there is new way."""
+        mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
+        self._is_running = True
+
+        def work() -> tuple[tuple[Judged, ...], CourseOffset | None]:
+            return mounting(), course()
+
+        def then(found: tuple[tuple[Judged, ...], CourseOffset | None]) -> None:
+            self._is_running = False
+            self.mounting.take(found[0])
+            self.course = found[1]
+            self._believe_fit()
+
+        self._run(work, then)
+
     def _believe_fit(self) -> None:
-        known, own = self.mounting.known, self._own
-        if known is not None and known.sigma < self.tuning.own.believed:
-            own.yaw, own.is_yaw_known, own.noise = known.yaw, True, known.noise
-        elif self._given is not None and self._given[1] < self.tuning.own.believed:
-            own.yaw, own.is_yaw_known = self._given[0], True
+        found, own, tuning = self.mounting.found, self._own, self.tuning
+        given = self._given
+        if found is not None and found.is_usable(tuning.mounting):
+            # What is taken off is tried against the force all the time: a rough yaw does.
+            own.yaw, own.noise = found.yaw, found.noise
+            own.scale = min(1.0, found.scale)
+            own.is_yaw_known = found.is_known(tuning.mounting)
+        elif given is not None and given[1] < tuning.mounting.believed:
+            own.yaw, own.is_yaw_known = given[0], True
 
     def _receiver_delay(self) -> float:
         tracks = self.speedometer.tracks

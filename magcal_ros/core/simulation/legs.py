@@ -133,7 +133,7 @@ def one_street(
         legs += [Leg(speed / pull, way * speed), Leg(rolling, way * speed), Leg(speed / pull)]
         legs += [Leg(2.0)]
         if back:
-            legs += [Leg(2.0, 3.0), Leg(math.pi * radius / 3.0 - 2.0, 3.0, 1.0 / radius)]
+            legs += [Leg(2.0, 3.0), Leg(math.pi * radius / 3.0 - 1.0, 3.0, 1.0 / radius)]
             legs += [Leg(2.0, 0.0, 1.0 / radius), Leg(1.0)]
     return legs
 

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.simulation.coloured import exponential_noise
 from magcal_ros.core.simulation.travel import Travel
 
 
@@ -105,7 +105,8 @@ class Receiver:
         moments = stamps - self.delay
         place = _between(moments, truth.time, truth.position)
         bent, is_bent = self._bends(len(stamps), rng)
-        place = place + self._drifts(len(stamps), rng) + bent
+        drift = exponential_noise(rng, len(stamps), 1.0 / self.rate, self.drift_lasts)
+        place = place + self.drift * drift + bent
         place = place + self.noise * rng.standard_normal(place.shape)
         velocity = _between(moments, truth.time, np.gradient(truth.position, truth.period, axis=0))
         size = self.speed_noise * np.where(is_bent, 5.0, 1.0)[:, None]
@@ -124,12 +125,6 @@ class Receiver:
             for t, (east, north) in zip(at, velocity[kept].tolist(), strict=True)
         )
         return positions, velocities if self.speed_noise > 0.0 else ()
-
-    def _drifts(self, count: int, rng: np.random.Generator) -> FloatArray:
-        keeps = math.exp(-1.0 / (self.rate * self.drift_lasts))
-        kicks = rng.standard_normal((count, 2)) * math.sqrt(1.0 - keeps**2)
-        kicks[0] = rng.standard_normal(2)
-        return np.asarray(self.drift * lfilter([1.0], [1.0, -keeps], kicks, axis=0))
 
     def _bends(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, BoolArray]:
         """Return how houses bend the fixes, metres, and which are bent."""

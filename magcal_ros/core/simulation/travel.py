@@ -6,11 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
+from magcal_ros.core.simulation.coloured import running_mean, smooth_noise
 from magcal_ros.core.simulation.legs import Leg
 from magcal_ros.core.simulation.simulator import UP_ENU, Motion
 
@@ -152,10 +151,7 @@ def _eased(legs: list[Leg], rate: float, ease: float) -> tuple[FloatArray, ...]:
     width = max(1, round(ease * rate))
     joined = (np.concatenate(column) for column in columns)
     # Twice a moving mean: the change of acceleration has an end as well.
-    return tuple(
-        uniform_filter1d(uniform_filter1d(column, width, mode="nearest"), width, mode="nearest")
-        for column in joined
-    )
+    return tuple(running_mean(running_mean(column, width), width) for column in joined)
 
 
 def _lean(
@@ -167,22 +163,12 @@ def _lean(
 ) -> FloatArray:
     """Return the body's small rotation on its way, radians, shape (n, 3)."""
     moving = np.minimum(1.0, np.abs(speed))[:, None]
-    wobble = body.wobble * moving * _smooth(rng, len(speed), period, body.wobble_lasts)
+    wobble = body.wobble * moving * smooth_noise(rng, len(speed), period, body.wobble_lasts)
     metres = np.cumsum(np.abs(speed)) * period
     marks = np.arange(0.0, metres[-1] + 20.0, 10.0)
-    camber = np.interp(metres, marks, _smooth(rng, len(marks), 10.0, 25.0)[:, 0])
+    camber = np.interp(metres, marks, smooth_noise(rng, len(marks), 10.0, 25.0)[:, 0])
     lean = np.zeros((len(speed), 3))
     # The nose dives when braking; the body leans out of a bend.
     lean[:, 0] = wobble[:, 0] + body.camber * camber + body.dive * accelerations[:, 1]
     lean[:, 1] = wobble[:, 1] - body.dive * accelerations[:, 0]
     return lean
-
-
-def _smooth(rng: np.random.Generator, count: int, period: float, lasts: float) -> FloatArray:
-    """Return two columns of smooth noise of size one, twice low-passed, shape (count, 2)."""
-    keeps = math.exp(-period / lasts)
-    noise = rng.standard_normal((count, 2))
-    for _ in range(2):
-        noise = lfilter([1.0 - keeps], [1.0, -keeps], noise, axis=0)
-    size = math.sqrt(1.0 - keeps) * math.sqrt((1.0 + keeps**2) / (1.0 + keeps) ** 3)
-    return np.asarray(noise / size)
