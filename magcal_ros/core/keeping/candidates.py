@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,8 +17,10 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
-from magcal_ros.core.smoothing.fit import DriveFit
 from magcal_ros.core.smoothing.nodes import MICROTESLA
+
+if TYPE_CHECKING:
+    from magcal_ros.core.smoothing.fit import DriveFit
 
 HEADINGS = 24
 UP: FloatArray = np.array([0.0, 0.0, 1.0])

@@ -119,6 +119,14 @@ class SelfCalibration:
             return "waiting for movement"
         return f"watching, {self.seconds:.0f} s of driving remembered"
 
+    def forget(self) -> None:
+        """Forget the drive, and what it led to: the sensors are others, or nobody asks any more."""
+        self._recorder.begin_anew()
+        self._on_probation.clear()
+        self._first = self._trial = self.proposal = None
+        self._not_before = self._changed = self._looked = -math.inf
+        self._generation += 1
+
     def put_in_force(self, calibration: Calibration | None) -> None:
         """Take note that another calibration is in force, by whomever.
 
@@ -154,7 +162,9 @@ class SelfCalibration:
         """Take a sample as `DriveRecorder.add` does; returns whether a look is due."""
         if self.mode is Mode.OFF or not self._recorder.add(stamp, field, force, rate, speed):
             return False
-        return not self._pending and self._recorder.clock - self._looked >= self.tuning.look_every
+        if self._pending or self._recorder.seconds < min(self.tuning.iron_windows):
+            return False
+        return self._recorder.clock - self._looked >= self.tuning.look_every
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
@@ -227,7 +237,7 @@ class SelfCalibration:
                 self._first = candidate
                 words = f"{candidate.in_words}; a second one that agrees puts it in force"
                 return [Decision(clock, Verb.PROBATION, words)]
-            if candidate.end - first.end < tuning.look_every:
+            if candidate.end - first.end < 0.5 * tuning.look_every:
                 continue
             apart = difference(first.calibration, candidate.calibration)
             allowed = tuning.agree * math.hypot(first.sigma, candidate.sigma)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 
 from magcal_ros.core.geometry.arrays import FloatArray
 
@@ -69,6 +68,9 @@ class Eliminated:
 
 def eliminate(chain: Chain) -> Eliminated | None:
     """Solve the normal equations; None where they are not positive definite."""
+    # Loaded only by who fits a drive: it takes longer than all the rest of the package.
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
     n, g = len(chain.blocks), len(chain.shared)
     band = np.zeros((LOCAL + 1, LOCAL * n))
     for row in range(LOCAL):
@@ -84,7 +86,7 @@ def eliminate(chain: Chain) -> Eliminated | None:
         cross = right[:, :g].T @ solved
         information = np.asarray(chain.shared - cross[:, :g], dtype=np.float64)
         root = np.linalg.cholesky(0.5 * (information + information.T))
-    except (LinAlgError, np.linalg.LinAlgError):
+    except np.linalg.LinAlgError:
         return None
     left = chain.shared_gradient - cross[:, g]
     shared = np.asarray(np.linalg.solve(information, left), dtype=np.float64)
