@@ -55,6 +55,7 @@ from magcal_ros.ros.status import (
     watch_diagnostic,
 )
 from magcal_ros.ros.straight import StraightGroup
+from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
@@ -92,6 +93,7 @@ class Calibrator(Node):
         self._outputs = Outputs(self, self._seat)
         self._fused = FusedOutput(self, self._up, self._seat)
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
+        self._travel = Travel(self, self._fits)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
@@ -159,7 +161,7 @@ class Calibrator(Node):
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
-            self._up.add(sample)
+            self._up.add(sample, self._travel.on_imu(sample, self._up))
             self._control.hear(sample)
             reference = self._whereabouts.reference.field
             self._fused.on_imu(sample.stamp, stamp, self._body_frame(), reference)
@@ -183,15 +185,11 @@ class Calibrator(Node):
             reference = self._whereabouts.reference.field
             self._outputs.publish(moment, arrived, self._body_frame(), reference)
             self._fused.on_field(moment)
-            self._look_on(moment)
+            self._travel.on_moment(moment)
+            if self._watch is not None:
+                self._watch.take(moment)
         if not streams.is_repeated:
             self._control.add(sample)
-
-    def _look_on(self, moment: Moment) -> None:
-        stamp, field, up, heading, rate = moment
-        if self._watch is None or up is None or heading is None or rate is None:
-            return
-        self._watch.add(stamp, field, up.direction, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -228,12 +226,13 @@ class Calibrator(Node):
         self._fused.begin_anew(calibration)
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
+        self._travel.use(self._keeper.origin.vehicle_yaw if self._keeper.origin else None)
         self._publish_status()
 
     def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
         frames = (self._inputs.field.frame, self._inputs.imu.frame)
-        origin = Origin.now(*frames, self.get_fully_qualified_name())
+        origin = Origin.now(*frames, self.get_fully_qualified_name(), self._travel.yaw)
         self._keeper.put_in_force(calibration, origin)
         return self._keeper.store(self._path)
 
@@ -366,7 +365,10 @@ class Calibrator(Node):
         self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
-        complaints = self._inputs.complaints() + self._seat.complaints
+        news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
+        if news is not None and self._keeper.keep_vehicle_yaw(news):
+            self._save(lambda _: None)
+        complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
         self._announcer.complain(complaints)
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
@@ -376,6 +378,7 @@ class Calibrator(Node):
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
             watch_diagnostic(name, self._watch),
+            self._travel.diagnostic(name),
             inputs_diagnostic(
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),
@@ -388,9 +391,9 @@ class Calibrator(Node):
         answer = self._control.turn.last_conclusion
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(self._control.state is not TurnState.IDLE, answer, words)
-        reference, rotation = self._whereabouts.reference, self._table.settings.rotation
+        reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
         status = status_json(
-            self._control, self._keeper, self._inputs, reference, self._watch, rotation.enabled
+            self._control, self._keeper, self._inputs, reference, self._watch, turns, self._travel
         )
         if status != self._status:
             self._status = status

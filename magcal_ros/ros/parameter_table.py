@@ -135,6 +135,15 @@ PARAMETERS: tuple[Spec, ...] = (
         "robot_description or the static transforms. Empty: the IMU's own",
     ),
     Spec(
+        "vehicle_yaw_deg",
+        UNSET,
+        "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
+        "what the robot's description says, mended by up to 15° by what driving shows",
+        -360.0,
+        360.0,
+        "°",
+    ),
+    Spec(
         "mount_rpy_deg",
         (UNSET, UNSET, UNSET),
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "

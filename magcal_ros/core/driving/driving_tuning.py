@@ -74,6 +74,8 @@ class OwnAccelerationTuning:
     spans : mapping of SpeedSource to int
         Ticks over which a change of speed is taken: long against the noise of wheels, and as long
         as a receiver averages.
+    slow : mapping of SpeedSource to float
+        m/s below which a source may be standing.
     oldest : float
         Seconds by which a matched tick may be late; up is propagated by the gyro over them.
     latest : float
@@ -96,6 +98,13 @@ class OwnAccelerationTuning:
             SpeedSource.ODOMETRY: 2,
             SpeedSource.VELOCITY: 4,
             SpeedSource.FIXES: 8,
+        }
+    )
+    slow: Mapping[SpeedSource, float] = field(
+        default_factory=lambda: {
+            SpeedSource.ODOMETRY: 0.05,
+            SpeedSource.VELOCITY: 0.3,
+            SpeedSource.FIXES: 0.6,
         }
     )
     oldest: float = 3.5

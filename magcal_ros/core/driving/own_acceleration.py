@@ -76,7 +76,7 @@ class OwnAcceleration:
         self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
         self._tried: deque[_Tried] = deque(maxlen=self._tuning.own.watched)
         self._gravity: tuple[float, Triple] | None = None
-        self._is_rough = False
+        self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
         self.is_used, self.unexplained = False, 0.0
         self._stand()
@@ -99,6 +99,7 @@ class OwnAcceleration:
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
+                self._slow = self._tuning.own.slow[track.source]
                 self._is_rough = track.source is SpeedSource.FIXES
                 self._span = self._tuning.own.spans[track.source]
             self._meet(first, speed)
@@ -156,7 +157,9 @@ class OwnAcceleration:
             sum(each.tick.force[axis] * each.tick.seconds for each in others) / seconds
             for axis in range(3)
         )
-        change = (last.velocity - first.velocity) / seconds
+        # The speed of a receiver that stands wanders.
+        stands = max(abs(last.velocity), abs(first.velocity)) < self._slow
+        change = 0j if stands else (last.velocity - first.velocity) / seconds
         pull = (abs(last.velocity) - abs(first.velocity)) / seconds
         self._tried.append(_Tried(complex(x, y), self.sign * change, pull))
         self._of_trip += 1

@@ -152,6 +152,10 @@ class Travelling:
         table = self.cells.table()
         return lambda: fit_course_offset(table, tuning)
 
+    def give_up_fit(self) -> None:
+        """Forget a fit that has failed: the next one may be tried."""
+        self._is_running = False
+
     def _restart(self) -> None:
         self._own.restart()
         self._chords.restart()
