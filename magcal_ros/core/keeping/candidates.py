@@ -72,6 +72,42 @@ class DriveCandidate:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class CourseSwing:
+    """How the compass in force swings against course.
+
+    Parameters
+    ----------
+    offset : float
+        Radians, compass less course.
+    harmonics : ndarray, shape (4,)
+        cos psi, sin psi, cos 2psi, sin 2psi of the course psi, radians.
+    covariance : ndarray, shape (4, 4)
+    """
+
+    offset: float
+    harmonics: FloatArray
+    covariance: FloatArray
+
+
+def course_gain(old: Calibration, new: DriveCandidate, course: CourseSwing) -> float:
+    """Return by how much of chi-square a candidate explains what course says of the old one."""
+    calibration = new.calibration
+    swung = swing(
+        old.correction, calibration.correction, calibration.strength, calibration.inclination
+    )
+    # The old compass reads the true yaw and its swing; its course is the yaw less the offset.
+    way = np.arange(HEADINGS) * (math.tau / HEADINGS) - course.offset
+    rows = np.column_stack([np.cos(way), np.sin(way), np.cos(2.0 * way), np.sin(2.0 * way)])
+    explained = 2.0 / HEADINGS * (swung @ rows)
+    covariance = course.covariance + 0.5 * new.sigma**2 * np.eye(4)
+    before, after = (
+        float(left @ np.linalg.solve(covariance, left))
+        for left in (course.harmonics, course.harmonics - explained)
+    )
+    return before - after if after < 0.5 * before else 0.0
+
+
 def candidate_of(
     fitted: DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
 ) -> DriveCandidate:

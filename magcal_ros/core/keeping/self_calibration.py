@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import (
     METHOD,
+    CourseSwing,
     DriveCandidate,
     Kind,
+    course_gain,
     difference,
     heading_sigma,
     is_another,
@@ -25,6 +26,7 @@ from magcal_ros.core.keeping.candidates import (
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
+from magcal_ros.core.keeping.modes import Mode, Trial, is_same
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.recorder import DriveRecorder
@@ -32,29 +34,6 @@ from magcal_ros.core.smoothing.recorder import DriveRecorder
 TRIAL = "trial"
 MEMORY = 600.0
 """Seconds of movement that are remembered."""
-
-
-class Mode(str, Enum):
-    """What may be done with a proved candidate."""
-
-    PROPOSE = "propose"
-    APPLY = "apply"
-    OFF = "off"
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """The calibration before the one in force, still compared with it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    since : float
-        Clock from which road counts, seconds.
-    """
-
-    calibration: Calibration
-    since: float
 
 
 class SelfCalibration:
@@ -89,6 +68,7 @@ class SelfCalibration:
         self._round = 0
         self._pending = 0
         self._generation = 0
+        self._course: CourseSwing | None = None
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
@@ -117,7 +97,11 @@ class SelfCalibration:
             return f"on probation: {worded}"
         if self._recorder.rests:
             return "waiting for movement"
-        return f"watching, {self.seconds:.0f} s of driving remembered"
+        return f"watching, {self.seconds / 60.0:.0f} min of driving remembered"
+
+    def note_course(self, course: CourseSwing | None) -> None:
+        """Take how the compass in force swings against course, where fixes tell: a third proof."""
+        self._course = course
 
     def forget(self) -> None:
         """Forget the drive, and what it led to: the sensors are others, or nobody asks any more."""
@@ -133,11 +117,11 @@ class SelfCalibration:
         One that it had decided for itself keeps the one before on trial; any other begins anew.
         """
         old = self._in_force
-        if _is_same(calibration, old):
+        if is_same(calibration, old):
             return
         last = self._decisions[-1] if self._decisions else None
         wanted = self.proposal if last is None or self.proposal is not None else last.calibration
-        decided = calibration is not None and _is_same(calibration, wanted)
+        decided = calibration is not None and is_same(calibration, wanted)
         self._in_force, self.proposal = calibration, None
         self._on_probation.clear()
         self._first = None
@@ -272,7 +256,7 @@ class SelfCalibration:
         for kind in list(self._on_probation):
             proof = findings.proofs.get(kind.value, Proof())
             candidate = self._on_probation[kind]
-            why = proof.stands(self.tuning)
+            why = proof.stands(self.tuning) or self._by_course(candidate)
             if why:
                 if kind is Kind.IRON:
                     candidate = self._with_road_since(candidate, findings)
@@ -284,6 +268,15 @@ class SelfCalibration:
                 words = f"{candidate.in_words}: not proved better on the road since"
                 made.append(Decision(findings.clock, Verb.DROPPED, words))
         return made
+
+    def _by_course(self, candidate: DriveCandidate) -> str:
+        """Return in words that course accuses what is in force and the candidate explains it."""
+        if self._course is None or self._in_force is None:
+            return ""
+        gain = course_gain(self._in_force, candidate, self._course)
+        if gain < self.tuning.course_proof:
+            return ""
+        return f"it explains how the compass swings against course (chi-square falls by {gain:.0f})"
 
     def _with_road_since(self, candidate: DriveCandidate, findings: Findings) -> DriveCandidate:
         """Return the iron of all road since the change: that it changed is what was proved."""
@@ -379,10 +372,3 @@ class SelfCalibration:
         if self.mode is Mode.PROPOSE:
             self.proposal = calibration
         return Decision(clock, verb, words, calibration)
-
-
-def _is_same(one: Calibration | None, other: Calibration | None) -> bool:
-    """Whether the numbers are the same object, whoever accepted them."""
-    if one is None or other is None:
-        return one is other
-    return one.correction is other.correction

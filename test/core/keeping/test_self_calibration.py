@@ -17,8 +17,9 @@ from magcal_ros.core.keeping.candidates import (
 )
 from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.jobs import Findings, run
+from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.proofs import Proof
-from magcal_ros.core.keeping.self_calibration import TRIAL, Mode, SelfCalibration
+from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation.drive import Iron, Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import Leg, city
