@@ -114,11 +114,13 @@ ORDER_OF_ROOMS = (
     "simulation",
     "heading",
     "estimation",
+    "smoothing",
     "methods",
     "multi_turn",
     "calibrate",
     "session",
     "monitoring",
+    "keeping",
 )
 """The rooms of core from the ground up: each imports only what lies below it."""
 

@@ -18,6 +18,7 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
@@ -25,7 +26,6 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.places import known_as
 from magcal_ros.ros.announcer import Announcer
@@ -42,8 +42,10 @@ from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.spinner import Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
@@ -97,6 +99,8 @@ class Calibrator(Node):
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
+        self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
+        self._keeping = SelfKeeping(self, self, self._keeper, self._files, self._path, log.info)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
         self._reporter = Reporter(log.error)
@@ -109,7 +113,7 @@ class Calibrator(Node):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
-        slow = {"accept": self._accept, "save": self._save, "load": self._load}
+        slow = {"accept": self._accept, "save": self._shelf.save, "load": self._shelf.load}
         Services(self, self._control, self._start, {"reset": self._reset}, slow)
         self._sensor_group = StraightGroup()
         self._sensor_subscriptions = [
@@ -135,6 +139,7 @@ class Calibrator(Node):
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self.stop_robot()
         self._control.shut_down()
+        self._keeping.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""
@@ -179,6 +184,7 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         self._up.add_field(sample.stamp, sample.field)
+        self._keeping.on_field(sample, streams.newest_imu, self._travel)
         if self._compass is not None:
             up = self._up.at(sample.stamp, streams.max_gap)
             moment = Moment.of(self._compass, sample, up, streams.newest_rate)
@@ -205,6 +211,7 @@ class Calibrator(Node):
         """Take note of sensors that are heard for the first time, or under another name."""
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(f"{field.frame} {imu.frame}")
+        self._keeping.meet(f"{field.frame} {imu.frame}")
         self._seat.meet(imu.frame, field.frame)
         if field.last_heard is not None:
             self._meetings.meet(field.frame)
@@ -226,6 +233,7 @@ class Calibrator(Node):
         self._fused.begin_anew(calibration)
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
+        self._keeping.use(calibration)
         self._travel.use(self._keeper.origin.vehicle_yaw if self._keeper.origin else None)
         self._publish_status()
 
@@ -236,48 +244,29 @@ class Calibrator(Node):
         self._keeper.put_in_force(calibration, origin)
         return self._keeper.store(self._path)
 
+    def _sensor_file(self) -> tuple[str, str]:
+        return self._chosen(), self._inputs.field.frame
+
     def _path(self) -> Path:
-        return self._keeper.path(self._chosen(), self._inputs.field.frame)
+        return self._keeper.path(*self._sensor_file())
 
     def _accept(self, tell: Tell) -> None:
         outcome = self._control.turn.last_outcome
         if self._control.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
+        elif self._keeping.proposal is not None:
+            self._keeping.accept(tell)
         elif outcome is None or outcome.calibration is None:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
         else:
             self._reporter.put_in_force()
-            work = self.put_in_force(outcome.calibration.on_users_word())
-            self._files.run(
-                work,
-                lambda words: tell(Conclusion(True, words)),
-                lambda error: tell(Conclusion(True, f"In force, but not saved: {error!r}")),
-            )
+            self._keeping.put_in_force(outcome.calibration.on_users_word(), tell)
 
-    def _save(self, tell: Tell) -> None:
-        try:
-            work = self._keeper.store(self._path)
-        except FileTrouble as error:
-            tell(Conclusion(False, str(error)))
-            return
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
-            lambda error: tell(Conclusion(False, f"not saved: {error!r}")),
-        )
-
-    def _load(self, tell: Tell) -> None:
-        chosen, frame = self._chosen(), self._inputs.field.frame
-
-        def fail(error: Exception) -> None:
-            self._keeper.trouble = str(error)
-            tell(Conclusion(False, str(error)))
-
-        self._files.run(
-            lambda: self._keeper.read(chosen, frame),
-            lambda loaded: tell(Conclusion(True, self._keeper.use(loaded))),
-            fail,
-        )
+    def drive_knowledge(self) -> Knowledge | None:
+        """Return what is known beforehand of a drive; None while a turn is under way."""
+        if self._control.state is not TurnState.IDLE:
+            return None
+        return self._seat.settled(self._whereabouts.settings).knowledge
 
     def _reset(self) -> Conclusion:
         self._control.forget_turns()
@@ -365,9 +354,10 @@ class Calibrator(Node):
         self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
+        self._keeping.follow(self._table.settings.self_calibration, self._travel.swing)
         news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
-            self._save(lambda _: None)
+            self._shelf.save(lambda _: None)
         complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
         self._announcer.complain(complaints)
         now = self.get_clock().now().to_msg()
@@ -392,9 +382,8 @@ class Calibrator(Node):
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(self._control.state is not TurnState.IDLE, answer, words)
         reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
-        status = status_json(
-            self._control, self._keeper, self._inputs, reference, self._watch, turns, self._travel
-        )
+        told = self._control, self._keeper, self._inputs, reference, self._watch, turns
+        status = status_json(*told, self._travel, self._keeping)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

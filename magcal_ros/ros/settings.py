@@ -60,6 +60,7 @@ class Settings:
     rotation: Rotation
     base_frame: str
     mount_is_given: bool
+    self_calibration: str
     vehicle_yaw: float | None
 
     @classmethod
@@ -109,5 +110,6 @@ class Settings:
             ),
             values["base_frame"],
             mount_is_given,
+            values["self_calibration"],
             None if math.isnan(by_hand) else math.radians(by_hand),
         )

@@ -22,6 +22,7 @@ from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.outputs import Outputs
+from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.travel import Travel
 
 
@@ -33,6 +34,7 @@ def status_json(
     watch: Watch | None,
     turns_itself: bool,
     travel: Travel,
+    keeping: SelfKeeping,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
@@ -58,6 +60,7 @@ def status_json(
             "watch": None if watch is None else _watch(watch.watched),
             "vehicle_yaw_offset": _vehicle_yaw(travel),
             "drive": travel.facts(),
+            "self_calibration": keeping.facts(),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},

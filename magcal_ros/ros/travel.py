@@ -20,9 +20,14 @@ from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.messages import fix_of, speed_of, velocity_of
-from magcal_ros.core.monitoring.course_check import accusation, check_by_course
+from magcal_ros.core.monitoring.course_check import (
+    CourseCheckTuning,
+    accusation,
+    check_by_course,
+)
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
@@ -56,6 +61,8 @@ class Travel:
         }
         self._travelling = Travelling(run=self._run)
         self.front = Front()
+        self.own_acceleration: Triple | None = None
+        """Of the vehicle at the newest IMU sample, m/s², body axes; None where nobody knows."""
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
         for kind, topic, callback in (
@@ -75,7 +82,24 @@ class Travel:
 
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
-        return self._travelling.add_imu(sample, follower.gyro_bias.rate)
+        self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)
+        return self.own_acceleration
+
+    @property
+    def speed(self) -> float:
+        """The newest speed, m/s; NaN where nobody tells it."""
+        track = self._travelling.speedometer.track
+        return math.nan if track is None else track.last
+
+    @property
+    def swing(self) -> CourseSwing | None:
+        """How the compass in force swings against course, where enough was driven."""
+        course = self._travelling.course
+        if course is None or self._travelling.known_mounting is None:
+            return None
+        if course.sectors < CourseCheckTuning.sectors:
+            return None
+        return CourseSwing(course.offset, course.harmonics, course.covariance[1:, 1:])
 
     def on_moment(self, moment: Moment) -> None:
         """Take what a field message comes to."""

@@ -143,6 +143,18 @@ class Figure(str, Enum):
     TURN_MISFIT = "turn_misfit"
     """Worst turn off the others, as many times as noise explains."""
 
+    HEADINGS_DRIVEN = "headings_driven"
+    """How many of twelve sectors of heading a drive went through."""
+    DRIVING_TIME = "driving_time"
+    """Seconds of a drive, standing included."""
+    METRES = "metres"
+    """Metres of a drive; absent where nobody measured the speed."""
+    STREET = "street"
+    """Disturbance of the field along a drive that changes with the place, tesla per axis."""
+    LEVEL_PULL = "level_pull"
+    """Level field of a drive less the one believed, in sigmas of the belief; absent where that is
+    exact or unknown."""
+
     CIRCLE_RADIUS = "circle_radius"
     """Radius of the turn's circle, tesla."""
     AXIS_TILT = "axis_tilt"

@@ -99,6 +99,11 @@ class SpeedTrack:
         """Stamp of the newest sample, seconds; minus infinity before the first."""
         return self._recent[-1][0] if self._recent else -math.inf
 
+    @property
+    def last(self) -> float:
+        """The newest speed, m/s; NaN before the first."""
+        return self._recent[-1][1] if self._recent else math.nan
+
     def add(self, stamp: float, speed: float) -> bool:
         """Take a speed; returns whether it was usable."""
         newest = self._stamps.newest

@@ -31,3 +31,7 @@ class VelocitySample(NamedTuple):
     east: float
     north: float
     sigma: float
+
+
+TravelSample = SpeedSample | PositionSample | VelocitySample
+"""Whatever tells how a vehicle travels."""
