@@ -4,7 +4,9 @@ import numpy as np
 import yaml
 from axes_cases import wrong_case
 
+from magcal_ros.cli.doctor_page import write_parameters
 from magcal_ros.cli.main import main
+from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.geometry.signed_axes import signed_permutations
 
 NED = np.diag([1.0, -1.0, -1.0])
@@ -28,6 +30,7 @@ def test_good_sensors_are_called_good(tmp_path, capsys):
     assert main(["doctor", *record(tmp_path / "bag", np.eye(3))]) == 0
     said = capsys.readouterr().out
     assert "x forward, y left, z up" in said
+    assert "wrong" not in said
     assert "What to do" not in said
 
 
@@ -60,3 +63,26 @@ def test_too_little_is_said(tmp_path, capsys):
     arguments = record(tmp_path / "bag", NED)
     assert main(["doctor", *arguments, "--to", "0.5"]) == 3
     assert "Too little data" in capsys.readouterr().out
+
+
+def test_a_recording_is_not_live(tmp_path, capsys):
+    assert main(["doctor", *record(tmp_path / "bag", np.eye(3)), "--live"]) == 2
+    assert "leave out --live" in capsys.readouterr().err
+
+
+def test_how_the_robot_turned_is_heard(tmp_path, capsys):
+    # All sensors agree on the side to which it turned: it is the person who is asked about.
+    arguments = record(tmp_path / "bag", np.eye(3))
+    statuses = [main(["doctor", *arguments, "--json", "--turned", s]) for s in ("left", "right")]
+    assert sorted(statuses) == [0, 4]
+    assert "z pointing down" in capsys.readouterr().out
+
+
+def test_known_gains_are_written_beside_the_mounting(tmp_path):
+    page = Page((), (180, 0, 0))
+    file = tmp_path / "params.yaml"
+    assert write_parameters(file, page, np.array([1.0, 1.05, 0.98])) == str(file)
+    content = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+    assert content == {"mount_rpy_deg": [180.0, 0.0, 0.0], "soft_iron_gains": [1.0, 1.05, 0.98]}
+    assert write_parameters(tmp_path / "other.yaml", Page(()), None) is None
+    assert not (tmp_path / "other.yaml").exists()
