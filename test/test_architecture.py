@@ -107,6 +107,7 @@ ORDER_OF_ROOMS = (
     "knowledge",
     "calibration",
     "assessment",
+    "doctor",
     "earth_field",
     "messages",
     "up",

@@ -50,6 +50,7 @@ class Guard:
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         command = [sys.executable, "-m", __name__, "--topic", topic, "--frame", frame]
+        command += ["--silence", str(SILENCE)]
         self._process = subprocess.Popen(
             [*command, "--stamped"] if stamped else command,
             stdin=subprocess.PIPE,
@@ -123,6 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--topic", required=True)
     parser.add_argument("--frame", default="")
     parser.add_argument("--stamped", action="store_true")
+    parser.add_argument("--silence", type=float, default=SILENCE)
     options = parser.parse_args(arguments)
     brake = Brake(options.topic, options.stamped, options.frame)
     brake.wait_for_base()
@@ -130,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
     _answer(READY)
-    if not is_needed(sys.stdin.fileno()):
+    if not is_needed(sys.stdin.fileno(), options.silence):
         return 0
     brake.stop_base(lambda: _answer(STOPPED))
     return 1
@@ -142,17 +144,19 @@ def _answer(word: bytes) -> None:
         os.write(sys.stdout.fileno(), word)
 
 
-def is_needed(line: int) -> bool:
+def is_needed(line: int, silence: float = SILENCE) -> bool:
     """Wait for the node's last word; returns whether it went while the robot may be moving.
 
     Parameters
     ----------
     line : int
         File descriptor that the node writes to.
+    silence : float
+        Seconds without a word after which the node counts as gone.
     """
     may_move = False
     while True:
-        heard, _, _ = select.select([line], [], [], SILENCE if may_move else None)
+        heard, _, _ = select.select([line], [], [], silence if may_move else None)
         words = os.read(line, 4096) if heard else b""
         if DISMISSED in words:
             return False

@@ -368,7 +368,7 @@ class Calibrator(Node):
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
             watch_diagnostic(name, self._watch),
-            self._travel.diagnostic(name),
+            *self._travel.diagnostics(name),
             inputs_diagnostic(
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),

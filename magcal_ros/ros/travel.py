@@ -184,13 +184,11 @@ class Travel:
             "verdict": self.verdict,
         }
 
-    def diagnostic(self, name: str) -> DiagnosticStatus:
-        """Say what the drive has told so far."""
-        status = diagnostic(name, "Drive")
+    def diagnostics(self, name: str) -> list[DiagnosticStatus]:
+        """Say what the drive has told so far; nothing where no speed and no fix has come."""
         if not self._travelling.is_heard:
-            topics = ", ".join(self._topics.values())
-            status.message = f"no speed and no fix has come on {topics}; none is needed"
-            return status
+            return []
+        status = diagnostic(name, "Drive")
         yaw, verdict = self.yaw, self.verdict
         told = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
@@ -198,7 +196,7 @@ class Travel:
         status.message = "; ".join([told, *wrong])
         facts = self.facts() or {}
         status.values = key_values({key: str(value) for key, value in facts.items()})
-        return status
+        return [status]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:

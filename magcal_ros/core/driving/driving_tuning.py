@@ -78,14 +78,17 @@ class OwnAccelerationTuning:
         m/s below which a source may be standing.
     oldest : float
         Seconds by which a matched tick may be late; up is propagated by the gyro over them.
+    pause : float
+        Seconds for which nothing is taken off once it could not be.
     latest : float
         Seconds by which a speed may be late to be of use.
     watched : int
         Ticks over which it is tried whether the speed explains the force: 15 s.
     fewest : int
         Ticks that must have been tried before anything is taken off.
-    gain : float
-        What is left of the force's variance where the speed explains it, at most.
+    gain, rough_gain : float
+        What is left of the force's variance where the speed explains it, at most, and where the
+        speed is that of mere fixes.
     pulling : float
         Share of the changes of velocity that must be starts and stops, where the speed is that
         of mere fixes.
@@ -107,11 +110,13 @@ class OwnAccelerationTuning:
             SpeedSource.FIXES: 0.6,
         }
     )
-    oldest: float = 3.5
+    oldest: float = 4.5
+    pause: float = 5.0
     latest: float = 2.5
     watched: int = 60
     fewest: int = 12
-    gain: float = 0.7
+    gain: float = 0.3
+    rough_gain: float = 0.5
     pulling: float = 0.25
     quiet: float = 0.3
 
@@ -142,6 +147,8 @@ class MountingYawTuning:
         Metres ahead of the rear axle where the IMU may be.
     lowest, highest : float
         What the force may be of the speed's change: else the speed's unit or stamps are wrong.
+    lowest_rough : float
+        The same for a receiver, whose noise makes it less.
     energy : float
         m²/s³ of changes of velocity that must have been seen: two starts.
     first_energy : float
@@ -159,7 +166,7 @@ class MountingYawTuning:
     wild : float
         Share of samples that jump as no vehicle can.
     recent : int
-        Ticks of the newest 90 s, over which a speed must hold as well.
+        Ticks of the newest minute, over which a speed must hold as well.
     """
 
     remembered: int = 2400
@@ -172,6 +179,7 @@ class MountingYawTuning:
     widening: float = 1.5
     lever_sigma: float = 1.0
     lowest: float = 0.8
+    lowest_rough: float = 0.4
     highest: float = 1.2
     energy: float = 25.0
     first_energy: float = 4.0
@@ -180,10 +188,10 @@ class MountingYawTuning:
     floor: float = math.radians(0.3)
     largest_delay: float = 8.0
     earliest_delay: float = -1.0
-    reuse: float = 10.0
-    reuse_first: float = 2.5
+    reuse: float = 15.0
+    reuse_first: float = 4.0
     wild: float = 0.02
-    recent: int = 360
+    recent: int = 240
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class MountingWatch:
         """Return the work of fitting what was driven, for any thread; give `take` its result."""
         self._fitted_at = stamp
         self._fits += 1
-        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 3 == 0
+        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 4 == 0
         spoken = [
             (source, track.record())
             for source, track in self._speedometer.tracks.items()
@@ -150,22 +150,26 @@ def _judged(
     measures_delay: bool,
 ) -> Judged:
     delay = _delay(table, record, tuning) if measures_delay else record.delay
-    met = _met(table, record, delay)
-    fitted = fit_mounting_yaw(met, delay, tuning.mounting, tuning.trip)
+    met, mounting = _met(table, record, delay), tuning.mounting
+    is_rough = source is not SpeedSource.ODOMETRY
+
+    def fitted(ticks: TickTable) -> MountingYaw | None:
+        found = fit_mounting_yaw(ticks, delay, mounting, tuning.trip)
+        return None if found is None else dataclasses.replace(found, is_rough=is_rough)
+
     # What went wrong just now is not outweighed by minutes in which all was well.
-    recent = fit_mounting_yaw(
-        _last(met, tuning.mounting.recent), delay, tuning.mounting, tuning.trip
-    )
-    fault = None if recent is None else _fault(record, recent, delay, tuning)
+    recent = fitted(_last(met, mounting.recent))
+    fault = None if recent is None else _fault(record, recent, tuning)
     if fault is not None:
         return Judged(source, recent, fault, delay)
-    fault = None if fitted is None else _fault(record, fitted, delay, tuning)
-    return Judged(source, fitted, fault, delay)
+    found = fitted(met)
+    fault = None if found is None else _fault(record, found, tuning)
+    return Judged(source, found, fault, delay)
 
 
 def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> float:
     """Find the shift at which force and change of velocity go together best."""
-    mounting, step = tuning.mounting, tuning.ticks.seconds
+    mounting, step = tuning.mounting, 2.0 * tuning.ticks.seconds
     if len(table.stamp) < 2 * mounting.highpass:
         return record.delay
     delays = np.arange(mounting.earliest_delay, mounting.largest_delay + step, step)
@@ -181,21 +185,19 @@ def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> floa
     return float(delays[best] + step * shift)
 
 
-def _fault(
-    record: SpeedRecord, fitted: MountingYaw, delay: float, tuning: DrivingTuning
-) -> SpeedFault | None:
+def _fault(record: SpeedRecord, fitted: MountingYaw, tuning: DrivingTuning) -> SpeedFault | None:
     mounting = tuning.mounting
     if record.wild_share > mounting.wild:
         return SpeedFault.JUMPS
-    if fitted.force_energy < 2.0 * mounting.energy:
+    if fitted.force_energy < mounting.energy:
         return None
     if fitted.energy < 0.02 * fitted.force_energy:
         return SpeedFault.FROZEN
     if fitted.explained < mounting.explained:
         return SpeedFault.UNRELATED
-    if not mounting.lowest <= fitted.scale <= mounting.highest:
+    if not fitted.has_scale(mounting):
         return SpeedFault.SCALE
-    return SpeedFault.LATE if delay > tuning.own.latest else None
+    return SpeedFault.LATE if fitted.delay > tuning.own.latest else None
 
 
 def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:

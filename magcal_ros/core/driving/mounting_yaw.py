@@ -23,7 +23,7 @@ from magcal_ros.core.driving.driving_tuning import MountingYawTuning, TripTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
-ITERATIONS = 8
+ITERATIONS = 6
 """Reweighted steps: the weights have settled."""
 
 
@@ -49,6 +49,8 @@ class MountingYaw:
         Of driving that were fitted.
     noise : float
         m/s² that the force departs by.
+    is_rough : bool
+        Whether the speed is a receiver's, whose noise makes the scale less than one.
     """
 
     yaw: float
@@ -60,18 +62,24 @@ class MountingYaw:
     force_energy: float
     seconds: float
     noise: float
+    is_rough: bool = False
 
     def is_usable(self, tuning: MountingYawTuning) -> bool:
         """Whether it is good enough to take the vehicle's own acceleration off."""
-        is_enough = self.energy * min(1.0, self.scale) ** 2 >= tuning.first_energy
+        is_enough = min(self.energy, self.force_energy) >= tuning.first_energy
         return is_enough and self.explained >= tuning.explained and self.sigma < tuning.believed
+
+    def has_scale(self, tuning: MountingYawTuning) -> bool:
+        """Whether the speed is in m/s."""
+        lowest = tuning.lowest_rough if self.is_rough else tuning.lowest
+        return lowest <= self.scale <= tuning.highest
 
     def is_known(self, tuning: MountingYawTuning) -> bool:
         """Whether enough was seen, and the speed explains it."""
         return (
-            self.energy * min(1.0, self.scale) ** 2 >= tuning.energy
+            min(self.energy, self.force_energy) >= tuning.energy
             and self.explained >= tuning.explained
-            and tuning.lowest <= self.scale <= tuning.highest
+            and self.has_scale(tuning)
         )
 
 
@@ -142,35 +150,48 @@ def fit_mounting_yaw(
 
 def correlation(ticks: TickTable, tuning: MountingYawTuning) -> float:
     """Return how well force and change of velocity go together, zero to one."""
-    found = _filtered(ticks, np.ones(len(ticks.stamp)), tuning)
-    force, change = found.force[found.valid], found.change[found.valid]
+    change, valid = _change(ticks, np.ones(len(ticks.stamp)))
+    force = _banded(np.where(valid, ticks.force, 0.0), valid, tuning)
+    change = _banded(change, valid, tuning)
     size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
 
+def _change(ticks: TickTable, signs: FloatArray) -> tuple[ComplexArray, BoolArray]:
+    """Return the change of velocity over each tick, m/s², and where it is known."""
+    velocity = signs * ticks.speed * np.exp(1j * ticks.yaw)
+    change = np.full(len(velocity), np.nan, dtype=np.complex128)
+    change[1:] = (velocity[1:] - velocity[:-1]) / ticks.seconds[1:]
+    valid = np.isfinite(change)
+    gap = np.diff(ticks.stamp)
+    valid[1:] &= np.abs(gap - ticks.seconds[1:]) < 0.5 * ticks.seconds[1:]
+    return np.where(valid, change, 0.0), valid
+
+
 def _filtered(ticks: TickTable, signs: FloatArray, tuning: MountingYawTuning) -> _Filtered:
-    look = np.exp(1j * ticks.yaw)
-    gap = np.diff(ticks.stamp, prepend=ticks.stamp[0] - ticks.seconds[0])
-    ends = 0.5 * (ticks.turn_rate + np.r_[ticks.turn_rate[1:], ticks.turn_rate[-1]])
-    change = np.diff(signs * ticks.speed * look, prepend=np.nan) / ticks.seconds
-    swing = np.diff(1j * ends * look, prepend=np.nan) / ticks.seconds
-    valid = np.isfinite(change) & (np.abs(gap - ticks.seconds) < 0.5 * ticks.seconds)
-    force, change, swing = (np.where(valid, x, 0.0) for x in (ticks.force, change, swing))
+    change, valid = _change(ticks, signs)
+    ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
+    look = 1j * ends * np.exp(1j * ticks.yaw)
+    swing = np.zeros(len(look), dtype=np.complex128)
+    swing[1:] = (look[1:] - look[:-1]) / ticks.seconds[1:]
+    force, swing = (np.where(valid, x, 0.0) for x in (ticks.force, swing))
     force, change, swing = (_banded(x, valid, tuning) for x in (force, change, swing))
     return _Filtered(force, change, swing, valid)
 
 
 def _banded(values: ComplexArray, valid: BoolArray, tuning: MountingYawTuning) -> ComplexArray:
-    low = _running(values, valid, tuning.smooth)
-    return np.where(valid, low - _running(values, valid, tuning.highpass), 0.0)
+    counts = np.zeros(len(values) + 1, dtype=np.int64)
+    np.cumsum(valid, out=counts[1:])
+    low = _running(values, counts, tuning.smooth)
+    return np.where(valid, low - _running(values, counts, tuning.highpass), 0.0)
 
 
-def _running(values: ComplexArray, valid: BoolArray, width: int) -> ComplexArray:
-    """Return the mean over so many rows about each, of the valid ones."""
-    sums = np.r_[0.0, np.cumsum(values)]
-    counts = np.r_[0, np.cumsum(valid)]
-    first = np.maximum(np.arange(len(values)) - width // 2, 0)
-    last = np.minimum(first + width, len(values))
+def _running(values: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
+    """Return the mean over so many rows about each; `counts` are running ones of valid rows."""
+    total = len(values)
+    sums = np.zeros(total + 1, dtype=np.complex128)
+    np.cumsum(values, out=sums[1:])
+    last = np.minimum(np.maximum(np.arange(total) - width // 2, 0) + width, total)
     first = np.maximum(last - width, 0)
     return np.asarray((sums[last] - sums[first]) / np.maximum(counts[last] - counts[first], 1))
 
@@ -226,8 +247,9 @@ def _solved(
     if energy <= 0.0:
         return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, seconds, math.inf)
     end = _steps(force, change, swing, tuning)
-    spent = float(np.sum(end.weight * np.abs(force) ** 2))
-    left = float(np.sum(end.weight * np.abs(end.error) ** 2))
+    # A wild speed explains nothing, but is no worse than none.
+    spent = float(np.sum(np.abs(force) ** 2))
+    left = float(np.sum(np.minimum(np.abs(end.error) ** 2, np.abs(force) ** 2)))
     variance = _yaw_variance(end, ticks.stamp[rows], tuning)
     if seconds < tuning.short:
         variance *= tuning.widening**2

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
 from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
+from magcal_ros.core.driving.speed_trial import SpeedTrial, Tried
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -18,22 +19,6 @@ class _Matched(NamedTuple):
 
     tick: Tick
     velocity: complex
-
-
-class _Tried(NamedTuple):
-    """Force across up, and change of velocity if the IMU looked ahead, m/s².
-
-    `pull` is the latter's part along the vehicle.
-    """
-
-    force: complex
-    change: complex
-    pull: float
-
-    @property
-    def backwards(self) -> _Tried:
-        """The same of a vehicle that looks the other way."""
-        return self._replace(change=-self.change)
 
 
 class OwnAcceleration:
@@ -58,10 +43,9 @@ class OwnAcceleration:
         m/s² by which the force departs from what the speed explains.
     is_used : bool
         Whether the speed explains the force of the last seconds.
-    unexplained : float
-        Seconds for which it has not, while the force has changed.
-    is_yaw_known : bool
-        Whether somebody did: before, a vehicle is taken to drive forwards.
+    is_yaw_usable, is_yaw_known : bool
+        Whether somebody does, roughly and well: before the latter, a vehicle is taken to drive
+        forwards.
     sign : float
         Minus one while a speed without sign is that of a vehicle that backs up.
     sign_score : float
@@ -70,15 +54,17 @@ class OwnAcceleration:
 
     def __init__(self, tuning: DrivingTuning | None = None) -> None:
         self._tuning = tuning or DrivingTuning()
-        self.yaw, self.is_yaw_known = 0.0, False
+        self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
-        self._tried: deque[_Tried] = deque(maxlen=self._tuning.own.watched)
+        self._trial = SpeedTrial(self._tuning.own.watched)
         self._gravity: tuple[float, Triple] | None = None
         self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
-        self.is_used, self.unexplained = False, 0.0
+        self._gives, self._pauses_until = False, -math.inf
+        self._speaker: tuple[SpeedSource, float] | None = None
+        self.is_used = False
         self._stand()
 
     @property
@@ -89,6 +75,13 @@ class OwnAcceleration:
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
         self._waiting.append(tick)
+        speaker = None if track is None else (track.source, track.delay)
+        if speaker != self._speaker:
+            # Another source, or another latency: a change of velocity would be none.
+            self._speaker = speaker
+            self._matched.clear()
+            self._trial.clear()
+            self.is_used = False
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
@@ -107,21 +100,34 @@ class OwnAcceleration:
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to take off a specific force, m/s², body axes; None if it is not known."""
-        if self._gravity is None or not self.is_used or frame.axes is None:
+        """Return what to take off a specific force, m/s², body axes; None if it is not known.
+
+        It does not come and go: a force that is freed of it for moments only would mislead.
+        """
+        gravity = self._gravity_at(stamp)
+        if gravity is None or frame.axes is None or stamp < self._pauses_until:
+            if self._gives:
+                self._pauses_until = stamp + self._tuning.own.pause
+            self._gives = False
             return None
-        since, gravity = self._gravity
-        if not 0.0 <= stamp - since <= self._tuning.own.oldest:
-            return None
+        self._gives = True
         x, y, z = frame.to_body(gravity)
         return (force[0] - x, force[1] - y, force[2] - z)
+
+    def _gravity_at(self, stamp: float) -> Triple | None:
+        """Return gravity in the gyro's frame, m/s², while it may be used."""
+        if self._gravity is None or not self.is_used:
+            return None
+        since, gravity = self._gravity
+        return gravity if 0.0 <= stamp - since <= self._tuning.own.oldest else None
 
     def restart(self) -> None:
         """Forget ticks: the gyro's frame is another one."""
         self._waiting.clear()
         self._matched.clear()
-        self._tried.clear()
+        self._trial.clear()
         self._gravity, self.is_used = None, False
+        self._gives, self._pauses_until = False, -math.inf
         self._stand()
 
     def _stand(self) -> None:
@@ -161,7 +167,7 @@ class OwnAcceleration:
         stands = max(abs(last.velocity), abs(first.velocity)) < self._slow
         change = 0j if stands else (last.velocity - first.velocity) / seconds
         pull = (abs(last.velocity) - abs(first.velocity)) / seconds
-        self._tried.append(_Tried(complex(x, y), self.sign * change, pull))
+        self._trial.add(Tried(complex(x, y), self.sign * change, pull))
         self._of_trip += 1
         self._judge()
         own = self.sign * change * self._turn
@@ -169,46 +175,28 @@ class OwnAcceleration:
 
     def _judge(self) -> None:
         """Look whether the speed explains the force of the last seconds, and with which sign."""
-        own = self._tuning.own
-        tried, count = self._tried, len(self._tried)
+        own, trial = self._tuning.own, self._trial
         self.is_used = False
-        if count < own.fewest:
+        if len(trial) < own.fewest:
             return
-        turn = self._turn
-        mean = sum(each.force for each in tried) / count
-        change = sum(each.change for each in tried) / count
         if not self._is_signed:
-            self._decide(tried[-1], mean, change, turn)
-        without = with_it = pulls = changes = 0.0
-        for each in tried:
-            force = each.force - mean
-            left = force - (each.change - change) * turn
-            without += abs(force) ** 2
-            with_it += abs(left) ** 2
-            pulls += each.pull**2
-            changes += abs(each.change) ** 2
-        quiet = count * own.quiet**2
-        self.is_used = with_it <= (own.gain * without if without > quiet else quiet)
+            self._decide()
+        without, with_it = trial.scatter(0j), trial.scatter(self._turn)
+        quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
+        self.is_used = with_it <= (gain * without if without > quiet else quiet)
         # An even circle is seen through without: the speed of mere fixes would only add noise.
-        if self._is_rough and pulls < own.pulling * changes:
+        if self._is_rough and (trial.pull_share < own.pulling or not self.is_yaw_usable):
             self.is_used = False
-        if self.is_used:
-            self.unexplained = 0.0
-        elif without > 4.0 * quiet:
-            self.unexplained += self._tuning.ticks.seconds
 
-    def _decide(self, newest: _Tried, mean: complex, change: complex, turn: complex) -> None:
+    def _decide(self) -> None:
         """Sum up, since the vehicle stood, what the force says of the direction of travel."""
-        trip = self._tuning.trip
-        expected = (newest.change - change) * turn
-        self._product += self.sign * ((newest.force - mean) * expected.conjugate()).real
+        trip, newest = self._tuning.trip, self._trial.newest
+        expected = newest.change * self._turn
+        self._product += self.sign * (newest.force * expected.conjugate()).real
         self._energy += abs(expected) ** 2
         spread = math.sqrt(trip.correlated * max(self._energy, 1e-9)) * self.noise
         score = self._product / spread
         if self.is_yaw_known and score * self.sign < -trip.clear:
             self.sign = -self.sign
-            for index in range(
-                len(self._tried) - min(self._of_trip, len(self._tried)), len(self._tried)
-            ):
-                self._tried[index] = self._tried[index].backwards
+            self._trial.turn_back(self._of_trip)
         self.sign_score = score * self.sign if self.is_yaw_known else 0.0

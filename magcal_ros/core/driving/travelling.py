@@ -199,9 +199,10 @@ class Travelling:
             # What is taken off is tried against the force all the time: a rough yaw does.
             own.yaw, own.noise = found.yaw, found.noise
             own.scale = min(1.0, found.scale)
+            own.is_yaw_usable = True
             own.is_yaw_known = found.is_known(tuning.mounting)
         elif given is not None and given[1] < tuning.mounting.believed:
-            own.yaw, own.is_yaw_known = given[0], True
+            own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
 
     def _receiver_delay(self) -> float:
         tracks = self.speedometer.tracks

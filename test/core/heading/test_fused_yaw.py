@@ -207,6 +207,7 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
     assert 0.1 < np.mean(nees) < 2.0
 
 
+@pytest.mark.nightly
 def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
     """Truth is the course of a GPS: one offset is removed, and it is late by 0.6 s."""
     folder = recording("car_drive_neu2022_rahul")
