@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 from magcal_ros.core.geometry.signed_axes import (
@@ -19,9 +19,7 @@ from magcal_ros.core.geometry.signed_axes import (
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import FIELD, UP
-from magcal_ros.core.samples.gyro_signs import gyro_contradicts
 from magcal_ros.core.samples.stretch import stretch_of
-from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
 
@@ -315,20 +313,3 @@ def inclination_misfit(
         return 0.0
     allowed = tuning.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)
-
-
-def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
-    # The field's axes are measured against the gyro's.
-    if gyro_contradicts(window):
-        return Refusal(Reason.AXES_DISAGREE, GYRO_IS_WRONG)
-    found = find_axes(window, knowledge)
-    if found is None or found.right or found.meant is None:
-        return None
-    return Refusal(Reason.AXES_DISAGREE, found.words)
-
-
-def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return a method's refusal, or that of the wrong axes behind it."""
-    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
-    return explained(refusal, window) if wrong is None else wrong
