@@ -9,6 +9,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.units import (
     Z_NOT_UP,
     likely_acceleration_unit,
@@ -22,8 +23,6 @@ class HealthTuning:
 
     Parameters
     ----------
-    burst : tuple of float
-        Share of the time that passes in gaps, and how many usual gaps such a one lasts.
     repeats : float
         Share of samples with the values of the one before.
     coarse : float
@@ -36,7 +35,6 @@ class HealthTuning:
         Samples below which nothing is said of a stream.
     """
 
-    burst: tuple[float, float] = (0.5, 5.0)
     repeats: float = 0.05
     coarse: float = 0.5e-6
     saturated: float = 0.01
@@ -69,20 +67,16 @@ class Finding:
     remedy: str = ""
 
 
-def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+def stamps_finding(name: str, time: FloatArray) -> Finding:
     """Look at a stream's stamps, seconds, increasing; at least two."""
     gaps = np.diff(time)
     usual, span = float(np.median(gaps)), float(time[-1] - time[0])
     evidence = (
         f"{len(gaps) / span:.1f} Hz, gaps of {usual * 1e3:.1f} ms, at most {gaps.max():.2f} s"
     )
-    long = gaps > tuning.burst[1] * usual
-    if gaps[long].sum() > tuning.burst[0] * span:
-        remedy = (
-            f"the stamps come in bursts, {float(np.median(gaps[long])):.2f} s apart: stamp each "
-            "sample when it is measured, not when a buffer is read"
-        )
-        return Finding(f"{name}: stamps", Grade.WARN, evidence, remedy)
+    long = long_gaps(time)
+    if len(long):
+        return Finding(f"{name}: stamps", Grade.WARN, evidence, bursts_in_words(long))
     return Finding(f"{name}: stamps", Grade.EXCELLENT, evidence)
 
 
