@@ -38,7 +38,10 @@ class AxesTuning:
     times : float
         So many times the best's residual they must leave, too.
     lift : float
-        Radians RMS of movement beside the turn from which the misfit alone decides.
+        Radians RMS of movement beside the turn from which less than that is asked for.
+    times_lifted : float
+        So many times the best's residual, then: on a long drive the gyro's own wandering passes for
+        movement, and a linear acceleration for another inclination, and neither shows in it.
     worst_fit : float
         Residual over the changing field beyond which even the best explains nothing.
     least_turn : float
@@ -64,6 +67,7 @@ class AxesTuning:
     wrong: float = 50.0
     times: float = 2.0
     lift: float = math.radians(3.0)
+    times_lifted: float = 1.25
     worst_fit: float = 0.3
     least_turn: float = math.radians(60.0)
     fewest: int = 20
@@ -269,13 +273,20 @@ def _decide(
     pose = knowledge.mounting.pose
     if rms[best] > tuning.worst_fit:
         return AxesFound(np.zeros((0, 3, 3)), False, pose, dip_known)
-    plainly = lifted or rms[given] > tuning.times * rms[best]
+    times = tuning.times_lifted if lifted else tuning.times
+    upside_down = misfit[given] - misfit[_opposite(given)] > tuning.wrong
+    plainly = rms[given] > times * rms[best] or (lifted and upside_down)
     wrong = misfit[given] > tuning.wrong and plainly
     order = {axes.tobytes(): rank for rank, axes in enumerate(signed_permutations())}
     remaining = [k for k in range(len(axes)) if misfit[k] < tuning.remains]
     remaining = [k for k in remaining if not (wrong and k == given)]
     remaining.sort(key=lambda k: (misfit[k] > tuning.likely, order[(axes[k] + 0.0).tobytes()]))
     return AxesFound(axes[remaining], not wrong, pose, dip_known)
+
+
+def _opposite(k: int) -> int:
+    """Return where the opposite of candidate k stands: in the other half, at the same place."""
+    return (k + 24) % 48
 
 
 def inclination_misfit(

@@ -7,6 +7,7 @@ from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.gyro_signs import gyro_contradicts
+from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
@@ -24,6 +25,9 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     found = find_axes(window, knowledge)
     if found is None or found.right or found.meant is None:
         return None
+    bursts = bursts_of_a_turn(window.time)
+    if bursts:
+        return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
     return Refusal(Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words)
 
 
