@@ -220,6 +220,8 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
         Row("samples", f"{len(subject.window)} over {seconds:.1f} s"),
         Row("gyro", "yes" if subject.window.angular_rate is not None else "no"),
     ]
+    if subject.vehicle:
+        rows.append(Row("in the vehicle", subject.vehicle))
     versions = (
         f"magcal_ros {__version__}, Python {platform.python_version()}, "
         f"numpy {np.__version__}, scipy {scipy.__version__}"

@@ -32,6 +32,8 @@ class Subject:
         Headline of the report.
     magnetometer_frame, imu_frame : str
         `frame_id` of field and IMU where they are known. Any text: it is escaped.
+    vehicle : str
+        How the IMU sits in the vehicle, where driving has shown it.
     """
 
     window: Window
@@ -43,3 +45,4 @@ class Subject:
     title: str = "Compass calibration"
     magnetometer_frame: str = ""
     imu_frame: str = ""
+    vehicle: str = ""

@@ -292,6 +292,7 @@ class Calibrator(Node):
             method=settings.method,
             magnetometer_frame=known_as(field.frame),
             imu_frame=known_as(imu.frame),
+            vehicle=self._travel.words,
         )
         return self._reporter.begin(settings.report_folder, subject, settings.reports_kept)
 

@@ -80,6 +80,11 @@ class Travel:
             return kept
         return found
 
+    @property
+    def words(self) -> str:
+        """How the IMU sits in the vehicle, for people; empty while it is not known."""
+        return "" if self.yaw is None else self.yaw.words
+
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
         self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)

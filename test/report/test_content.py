@@ -270,3 +270,9 @@ def test_turns_that_were_put_together_have_a_section(tmp_path):
     assert outcome.several.advice_in_words in words
     assert "installation yaw (±1σ)" in words
     assert "every sample of the newest turn" in words
+
+
+def test_how_the_imu_sits_in_the_vehicle_is_told_where_driving_showed_it(tmp_path):
+    words = "the IMU looks 4.1° ± 0.6° to the left of the vehicle's front, by course"
+    assert words in words_of(text_of(tmp_path / "told", replace(good(), vehicle=words)))
+    assert "in the vehicle" not in words_of(text_of(tmp_path / "untold", good()))

