@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 import rclpy
-from support import ROBOT
+from support import PATIENCE, ROBOT
 
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation.ride import Ride
@@ -33,7 +33,7 @@ class Patient:
         reader = threading.Thread(target=lambda: self.said.extend(process.stderr), daemon=True)
         reader.start()
         began, doing, since, ticks = time.monotonic(), "", 0.0, 0
-        while process.poll() is None and time.monotonic() - began < 60.0:
+        while process.poll() is None and time.monotonic() - began < 3.0 * PATIENCE:
             asked = "".join(self.said).rsplit("[ ]", 1)[-1].strip()[:4]
             if asked != doing:
                 doing, since = asked, self.ride.stamp
@@ -42,7 +42,7 @@ class Patient:
                 self.source.publish(self.spoil(sample))
             ticks += 1
             time.sleep(max(0.0, began + ticks * self.ride.period - time.monotonic()))
-        reader.join(2.0)
+        reader.join(PATIENCE)
         self.node.destroy_node()
 
     def moves(self, doing, gone):

@@ -112,6 +112,31 @@ def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
     assert keeper.calibration is None
 
 
+def test_what_is_reset_while_it_is_read_is_not_used(met):
+    meetings, files, keeper, _ = met
+    meetings.meet("left")
+    meetings.forget()
+    files.go()
+    assert keeper.calibration is None
+    meetings.meet("")
+    meetings.meet("left")
+    assert keeper.calibration is None
+
+
+def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
+    chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
+    keeper, files = Keeper("/", "calibrator", lambda *_: None), Elsewhere()
+    meetings = Meetings(keeper, files, lambda: str(chosen), print, print)
+    meetings.begin()
+    files.go()
+    meetings.forget()
+    keeper.reset()
+    meetings.meet("left")
+    while files.waiting:
+        files.go()
+    assert keeper.calibration is None
+
+
 def test_a_turn_that_is_faster_than_the_disk_wins(met):
     meetings, files, keeper, _ = met
     meetings.meet("left")

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 import pytest
+from support import PATIENCE
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts data memory so")
 
@@ -53,7 +54,7 @@ def test_the_executable_bounds_itself(graph):
         process.wait()
 
 
-def soft_limit(pid, patience_s=30.0):
+def soft_limit(pid, patience_s=PATIENCE):
     """Return the bound on a process's data memory in bytes, once it is there."""
     deadline = time.monotonic() + patience_s
     while time.monotonic() < deadline:

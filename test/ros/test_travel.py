@@ -12,7 +12,8 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 from std_msgs.msg import String
-from support import REFERENCE, store_calibration
+from support import PATIENCE, REFERENCE, store_calibration
+from theatre import FARTHEST_AHEAD, LOST_AFTER
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
@@ -45,15 +46,15 @@ class Car:
         (PositionSample, NavSatFix, "gps/fix"),
     )
 
-    def __init__(self):
-        self.node = rclpy.create_node("car")
+    def __init__(self, audience):
+        self.node, self._inputs = rclpy.create_node("car"), audience._inputs
         self.status = {}
         self.node.create_subscription(String, "calibrator/status", self._on_status, LATCHED)
         self.outs = {
             kind: self.node.create_publisher(message, topic, qos_profile_sensor_data)
             for kind, message, topic in self.KINDS
         }
-        self.run(5.0, stop=lambda: all(o.get_subscription_count() for o in self.outs.values()))
+        self.run(PATIENCE, stop=lambda: all(o.get_subscription_count() for o in self.outs.values()))
 
     def _on_status(self, message):
         self.status = json.loads(message.data)
@@ -64,10 +65,24 @@ class Car:
             rclpy.spin_once(self.node, timeout_sec=0.002)
 
     def drive(self, samples):
+        self._under_way, self._arrived = 0, self._count()
         for count, sample in enumerate(samples):
             self.publish(sample)
             if count % 10 == 0:
                 self.run(0.003)
+            self._under_way += isinstance(sample, (ImuSample, FieldSample))
+            if self._is_ahead_by(FARTHEST_AHEAD):
+                self.run(LOST_AFTER, stop=lambda: not self._is_ahead_by(FARTHEST_AHEAD // 2))
+                if self._is_ahead_by(FARTHEST_AHEAD // 2):
+                    self._under_way = 0
+
+    def _count(self):
+        return self._inputs.imu.messages + self._inputs.field.messages
+
+    def _is_ahead_by(self, messages):
+        before, self._arrived = self._arrived, self._count()
+        self._under_way = max(0, self._under_way - (self._arrived - before))
+        return self._under_way > messages
 
     def publish(self, sample):
         message = getattr(self, "_" + type(sample).__name__.lower())(sample)
@@ -120,8 +135,7 @@ def car(start_node, tmp_path):
     def set_up(lines=""):
         path = store_calibration(tmp_path / "calibration.yaml")
         path.write_text(path.read_text() + lines)
-        start_node({**REFERENCE, "calibration_file": str(path)})
-        cars.append(Car())
+        cars.append(Car(start_node({**REFERENCE, "calibration_file": str(path)})))
         cars[0].path = path
         return cars[0]
 
@@ -132,16 +146,16 @@ def car(start_node, tmp_path):
 
 def test_the_front_is_found_by_odometry_told_and_kept(car, drive):
     car = car()
-    car.run(5.0, stop=lambda: car.status)
+    car.run(PATIENCE, stop=lambda: car.status)
     assert car.status["vehicle_yaw_offset"] is None
     assert car.status["drive"] is None
     car.drive(drive.samples())
-    car.run(8.0, stop=lambda: car.status["vehicle_yaw_offset"])
+    car.run(PATIENCE, stop=lambda: car.status["vehicle_yaw_offset"])
     told = car.status["vehicle_yaw_offset"]
     assert told["deg"] == pytest.approx(8.0, abs=3.0 * told["sigma_deg"])
     assert told["by"].startswith("accelerations")
     assert car.status["drive"]["speed_from"] == "/odom"
-    car.run(4.0, stop=lambda: read_calibration(car.path)[1].vehicle_yaw)
+    car.run(PATIENCE, stop=lambda: read_calibration(car.path)[1].vehicle_yaw)
     kept = read_calibration(car.path)[1].vehicle_yaw
     assert kept.offset == pytest.approx(8.0 * DEGREE, abs=3.0 * kept.sigma)
 
@@ -158,12 +172,13 @@ def test_bad_messages_do_no_harm_and_are_named(car):
     world.child_frame_id = "odom"
     for message in (absent, world):
         car.outs[SpeedSample].publish(message)
-    car.run(1.5)
+    car.run(PATIENCE, stop=lambda: car.status.get("state") == "calibrated")
+    car.run(0.5)
     assert car.status["state"] == "calibrated"
     assert car.status["vehicle_yaw_offset"] is None
 
 
 def test_what_was_kept_is_told_at_the_next_start(car):
     car = car("vehicle_yaw_offset: {yaw: 0.1, sigma: 0.01, source: course}\n")
-    car.run(5.0, stop=lambda: car.status.get("vehicle_yaw_offset"))
+    car.run(PATIENCE, stop=lambda: car.status.get("vehicle_yaw_offset"))
     assert car.status["vehicle_yaw_offset"]["deg"] == pytest.approx(5.73, abs=0.01)
