@@ -17,11 +17,12 @@ import numpy as np
 from recorded_truth import Drive, Score, peers, read_drive, windows
 
 from magcal_ros.core.assessment.verdict import Grade
-from magcal_ros.core.calibrate import Outcome, calibrate
+from magcal_ros.core.calibrate import Outcome, calibrate, calibrate_drive
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import MagcalError, Refusal
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoothing.log import log_of
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 PEERS = ("minmax2", "minmax3", "sphere", "circle", "ellipsoid")
@@ -73,7 +74,7 @@ def main() -> None:
     parser.add_argument("folders", type=Path, nargs="*", default=[DEFAULT])
     parser.add_argument("--only", default="", help="recordings whose name holds this")
     parser.add_argument("--reference", type=float, nargs=2, metavar=("UT", "DIP_DEG"))
-    parser.add_argument("--window", default="", help="whole, circles or live")
+    parser.add_argument("--window", default="", help="whole, circles, live or drive")
     parser.add_argument("--reasons", action="store_true", help="print each verdict's summary")
     arguments = parser.parse_args()
     lines = []
@@ -99,16 +100,28 @@ def is_recording(folder: Path) -> bool:
 def run(drive: Drive, only: str) -> list[Line]:
     floor = drive.floor()
     found = []
-    for name, window in windows(drive):
+    for name, window in windows(drive) if only != "drive" else ():
         if only in name:
             found.append(fitted(drive, name, window, floor))
+    if only in "drive" and drive.everything.angular_rate is not None:
+        # All of it by the smoother, whatever turns are in it.
+        log = log_of(drive.everything)
+        found.append(
+            fitted(drive, "drive", log.window, floor, calibrate_drive(log, drive.knowledge))
+        )
     return found
 
 
-def fitted(drive: Drive, name: str, window: Window | MagcalError, floor: Score | None) -> Line:
+def fitted(
+    drive: Drive,
+    name: str,
+    window: Window | MagcalError,
+    floor: Score | None,
+    outcome: Outcome | None = None,
+) -> Line:
     if isinstance(window, MagcalError):
         return Line(drive.name, name, 0.0, "-", str(window), math.nan, None, (), floor)
-    outcome = outcome_of(window, drive)
+    outcome = outcome or outcome_of(window, drive)
     sigma, ours = math.nan, None
     if outcome.estimate is not None:
         sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))

