@@ -166,15 +166,46 @@ def crossed(size: float) -> Spoil:
     )
 
 
+def together(*effects: Spoil) -> Spoil:
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        for effect in effects:
+            scene = effect(rng, scene)
+        return scene
+
+    return spoil
+
+
+def even(_: np.random.Generator, time: FloatArray) -> FloatArray:
+    return time / time[-1] - 0.5
+
+
+def switched(_: np.random.Generator, time: FloatArray) -> FloatArray:
+    return (time % 4.0 < 2.5).astype(float)
+
+
+TYPICAL = together(
+    axes(0.005),
+    over_time(even, 0.3e-6),
+    over_time(switched, 0.15e-6),
+    coloured(0.15e-6, 3.0),
+    late(0.01),
+    lever_arm(0.1),
+    off(0.05),
+    biased(0.1),
+    crossed(0.01),
+)
+"""A MEMS set on a robot that turns in the open; what each part does alone stands below."""
+
 EFFECTS: dict[str, Spoil] = {
     "none": lambda _, scene: scene,
+    "all that is typical": TYPICAL,
     "axes 1 %": axes(0.01),
     "axes 3 %": axes(0.03),
     "soft iron 10 %": axes(0.1, iron=True),
-    "drift 1 µT": over_time(lambda _, t: t / t[-1] - 0.5, 1e-6),
-    "drift 3 µT": over_time(lambda _, t: t / t[-1] - 0.5, 3e-6),
-    "motor 1 µT": over_time(lambda _, t: (t % 4.0 < 2.5).astype(float), 1e-6),
-    "motor 3 µT": over_time(lambda _, t: (t % 4.0 < 2.5).astype(float), 3e-6),
+    "drift 1 µT": over_time(even, 1e-6),
+    "drift 3 µT": over_time(even, 3e-6),
+    "motor 1 µT": over_time(switched, 1e-6),
+    "motor 3 µT": over_time(switched, 3e-6),
     "aliased hum 1 µT": over_time(
         lambda rng, t: np.sin(math.tau * rng.uniform(0.05, 0.3) * t + rng.uniform(0.0, 6.0)), 1e-6
     ),

@@ -10,11 +10,11 @@ from typing import cast
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import blamed_on_axes, wrong_axes
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept

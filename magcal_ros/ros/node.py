@@ -354,7 +354,9 @@ class Calibrator(Node):
         self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
-        self._keeping.follow(self._table.settings.self_calibration, self._travel.swing)
+        settings = self._table.settings
+        wanted = settings.self_calibration, settings.report_folder
+        self._keeping.follow(*wanted, self._travel.swing)
         news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
             self._shelf.save(lambda _: None)

@@ -6,6 +6,8 @@ import contextlib
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,15 +19,18 @@ from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import DriveJob, Findings, run
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.keeping.story import DriveStory
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.former import keep_former
 from magcal_ros.files.reading import promptly
 from magcal_ros.ros.aside import Aside
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.travel import Travel
 
@@ -79,6 +84,7 @@ class SelfKeeping:
         self._aside = Aside()
         self._sensors = ""
         self._idle = 0
+        self._reports = NO_REPORTS
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
@@ -100,17 +106,18 @@ class SelfKeeping:
             self._machine.forget()
         self._sensors = sensors
 
-    def follow(self, mode: str, course: CourseSwing | None) -> None:
+    def follow(self, mode: str, reports: str, course: CourseSwing | None) -> None:
         """Look after the rest, once a second.
 
         Parameters
         ----------
-        mode : str
-            The parameter.
+        mode, reports : str
+            The parameters self_calibration and report_folder.
         course : CourseSwing or None
             How the compass in force swings against course.
         """
         self._jobs.deliver()
+        self._reports = reports
         self._machine.note_course(course)
         self._idle += 1
         if self._machine.mode is not Mode(mode):
@@ -171,16 +178,34 @@ class SelfKeeping:
                 f"self-calibration: {decision.verb.value.replace('_', ' ')}: {decision.words}"
             )
             if decision.calibration is not None:
+                self._leave_page(decision.calibration)
                 self._act(decision, decision.calibration)
 
     def _act(self, decision: Decision, calibration: Calibration) -> None:
         if decision.verb is Verb.PROPOSED:
             self._say("self-calibration: call ~/accept to put it in force")
         else:
-            self.put_in_force(calibration, self._tell_log)
+            self.put_in_force(calibration, lambda done: self._tell(done.message))
 
-    def _tell_log(self, done: Conclusion) -> None:
-        self._say(f"self-calibration: {done.message}")
+    def _tell(self, words: str) -> None:
+        self._say(f"self-calibration: {words}")
+
+    def _leave_page(self, calibration: Calibration) -> None:
+        """Have a page written on what was driven, believed and decided."""
+        if self._reports == NO_REPORTS:
+            return
+        machine = self._machine
+        told = tuple((made.clock, made) for made in machine.decisions)
+        before = self._keeper.calibration
+        story = DriveStory(
+            told, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
+        )
+        log, reports = machine.log(), self._reports
+        self._jobs.run(
+            lambda: self._aside.run(write_page, reports_of(reports), story, log),
+            lambda page: self._tell(f"report: {page}"),
+            lambda error: self._tell(f"no report: {error}"),
+        )
 
     def put_in_force(self, calibration: Calibration, tell: Tell) -> None:
         """Apply a calibration and store it; what was in force before is kept beside it."""
@@ -207,3 +232,15 @@ def run_kindly(job: DriveJob) -> Findings:
     if hasattr(os, "setpriority"):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
     return run(job)
+
+
+def write_page(parent: Path, story: DriveStory, log: DriveLog) -> Path:
+    """Draw the page on a decision, with the map of what is remembered; returns it."""
+    from magcal_ros.core.keeping.story import path_of_log
+    from magcal_ros.report import new_folder
+    from magcal_ros.report.drive_page import write_drive_page
+
+    assert story.ended is not None
+    folder = new_folder(parent, datetime.now(timezone.utc))
+    whole = replace(story, path=path_of_log(log, story.ended))
+    return write_drive_page(folder, whole, "decided while driving")

@@ -21,7 +21,9 @@ from slope_turns import (
 )
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Misuse, Reason
+from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import heading_errors
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
@@ -209,3 +211,19 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
     assert calibrate_turns(windows, KNOWN, "ellipsoid").several is None
     with pytest.raises(Misuse, match="takes one turn; maximum_likelihood joins"):
         calibrate_turns(windows, KNOWN, "design_tip")
+
+
+def test_what_lasts_in_the_sensors_is_not_averaged_out_by_turns():
+    windows = windows_on([LEVEL, EAST, NORTH], 5)
+    field, axes = 0.2e-6, math.radians(0.5)
+    none = replace(KNOWN, systematics=Systematics.none())
+    with_them = replace(none, systematics=Systematics(axes, field, 0.0, 0.0))
+    clean, honest = (
+        calibrate_turns(windows, knowledge).estimate for knowledge in (none, with_them)
+    )
+    np.testing.assert_array_equal(clean.correction.parameters, honest.correction.parameters)
+    level = ROBOT.strength * math.cos(ROBOT.inclination)
+    added = honest.figures[Figure.HEADING_SIGMA] ** 2 - clean.figures[Figure.HEADING_SIGMA] ** 2
+    assert math.sqrt(added) == pytest.approx(field / level, rel=0.2)
+    yaws = [each.figures[Figure.INSTALLATION_YAW_SIGMA] for each in (clean, honest)]
+    assert math.sqrt(yaws[1] ** 2 - yaws[0] ** 2) == pytest.approx(axes, rel=0.01)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (
     LARGEST_FILE,
@@ -455,3 +456,30 @@ def test_a_large_file_of_somebody_else_is_not_parsed(tmp_path, monkeypatch):
     monkeypatch.setattr(yaml, "load", None)
     with pytest.raises(FileTrouble, match="does not say 'format: magcal_ros/calibration'"):
         read_calibration(path)
+
+
+class TestVehicleYaw:
+    """How the IMU sits in the vehicle lies beside the calibration, and never in its matrix."""
+
+    ORIGIN = replace(ORIGIN, vehicle_yaw=VehicleYaw(0.123456789, 0.01, "course"))
+
+    def test_it_comes_back_to_the_last_bit_and_changes_nothing_else(self, tmp_path, written):
+        path = tmp_path / "with.yaml"
+        write_calibration(path, example(), self.ORIGIN)
+        calibration, origin = read_calibration(path)
+        assert origin == self.ORIGIN
+        assert everything(calibration) == everything(read_calibration(written)[0])
+
+    def test_files_from_before_have_none(self, written):
+        assert "vehicle_yaw_offset" not in written.read_text()
+        assert read_calibration(written)[1].vehicle_yaw is None
+
+    @pytest.mark.parametrize(
+        "entry",
+        ["3", "{yaw: .nan, sigma: 0.1, source: course}", "{yaw: 0.1}", "[1, 2]",
+         "{yaw: 70.0, sigma: 0.1, source: course}", "{yaw: 0.1, sigma: -1.0, source: course}"],
+    )  # fmt: skip
+    def test_nonsense_is_trouble(self, written, entry):
+        written.write_text(written.read_text() + f"vehicle_yaw_offset: {entry}\n")
+        with pytest.raises(FileTrouble):
+            read_calibration(written)

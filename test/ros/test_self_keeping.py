@@ -78,11 +78,15 @@ def test_an_ordinary_drive_puts_a_calibration_in_force(start_node, tmp_path):
     robot = Robot(strength=48e-6, inclination=np.radians(65.0), noise_force=0.05, noise_rate=2e-3)
     drive = simulated_drive(travel(city(rng, 400.0), rng, rate=25.0), rng, Vehicle(robot))
     path = tmp_path / "calibration.yaml"
-    parameters = {**REFERENCE, "calibration_file": str(path), "self_calibration": "apply"}
-    car = Car(start_node(parameters))
+    chosen = {"self_calibration": "apply", "report_folder": str(tmp_path / "reports")}
+    car = Car(start_node({**REFERENCE, "calibration_file": str(path), **chosen}))
     car.drive(drive.samples())
     car.run(PATIENCE, stop=lambda: car.status.get("state") == "calibrated")
     assert car.status["state"] == "calibrated"
     assert car.status["calibration"]["method"] == "smoother"
     assert path.exists()
+    car.run(20.0, stop=lambda: list(tmp_path.glob("reports/*/report.html")))
+    page = next(tmp_path.glob("reports/*/report.html")).read_text()
+    assert "<circle" in page
+    assert "put in force" in page
     car.node.destroy_node()

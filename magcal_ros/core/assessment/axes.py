@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 from magcal_ros.core.geometry.signed_axes import (
@@ -19,9 +19,7 @@ from magcal_ros.core.geometry.signed_axes import (
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import FIELD, UP
-from magcal_ros.core.samples.gyro_signs import gyro_contradicts
 from magcal_ros.core.samples.stretch import stretch_of
-from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
 
@@ -40,7 +38,10 @@ class AxesTuning:
     times : float
         So many times the best's residual they must leave, too.
     lift : float
-        Radians RMS of movement beside the turn from which the misfit alone decides.
+        Radians RMS of movement beside the turn from which less than that is asked for.
+    times_lifted : float
+        So many times the best's residual, then: on a long drive the gyro's own wandering passes for
+        movement, and a linear acceleration for another inclination, and neither shows in it.
     worst_fit : float
         Residual over the changing field beyond which even the best explains nothing.
     least_turn : float
@@ -66,6 +67,7 @@ class AxesTuning:
     wrong: float = 50.0
     times: float = 2.0
     lift: float = math.radians(3.0)
+    times_lifted: float = 1.25
     worst_fit: float = 0.3
     least_turn: float = math.radians(60.0)
     fewest: int = 20
@@ -271,13 +273,20 @@ def _decide(
     pose = knowledge.mounting.pose
     if rms[best] > tuning.worst_fit:
         return AxesFound(np.zeros((0, 3, 3)), False, pose, dip_known)
-    plainly = lifted or rms[given] > tuning.times * rms[best]
+    times = tuning.times_lifted if lifted else tuning.times
+    upside_down = misfit[given] - misfit[_opposite(given)] > tuning.wrong
+    plainly = rms[given] > times * rms[best] or (lifted and upside_down)
     wrong = misfit[given] > tuning.wrong and plainly
     order = {axes.tobytes(): rank for rank, axes in enumerate(signed_permutations())}
     remaining = [k for k in range(len(axes)) if misfit[k] < tuning.remains]
     remaining = [k for k in remaining if not (wrong and k == given)]
     remaining.sort(key=lambda k: (misfit[k] > tuning.likely, order[(axes[k] + 0.0).tobytes()]))
     return AxesFound(axes[remaining], not wrong, pose, dip_known)
+
+
+def _opposite(k: int) -> int:
+    """Return where the opposite of candidate k stands: in the other half, at the same place."""
+    return (k + 24) % 48
 
 
 def inclination_misfit(
@@ -315,20 +324,3 @@ def inclination_misfit(
         return 0.0
     allowed = tuning.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)
-
-
-def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
-    # The field's axes are measured against the gyro's.
-    if gyro_contradicts(window):
-        return Refusal(Reason.AXES_DISAGREE, GYRO_IS_WRONG)
-    found = find_axes(window, knowledge)
-    if found is None or found.right or found.meant is None:
-        return None
-    return Refusal(Reason.AXES_DISAGREE, found.words)
-
-
-def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return a method's refusal, or that of the wrong axes behind it."""
-    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
-    return explained(refusal, window) if wrong is None else wrong

@@ -10,7 +10,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HEADING_SIGMA,
         0.7,
-        6.0,
+        12.0,
         "predicted heading error on the level (1σ)",
         "see the full circle or all orientations, more slowly",
         excellent=0.3,

@@ -19,7 +19,12 @@ from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOU
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures, sideways_pull
+from magcal_ros.core.calibration.heading_sigma import (
+    axis_share,
+    common_figures,
+    sideways_pull,
+    usual_lean,
+)
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Knowledge
@@ -42,8 +47,14 @@ class VerdictTuning:
         Of the reference field's own belief, which its radius may be off before it counts.
     several : float
         Times the heading's sigma from which soft iron that was not shown is worth a word.
+    rough : float
+        Radians of heading sigma from which a calibration is called a rough one: in a car full of
+        steel it may be the best there is, and who reads only the first word should know.
     nearly_full : float
         Radians of arc from which a steady sideways pull can be told from a slope.
+    one_axis : float
+        Share of the gyro's squares about one axis from which a turn has one; a sensor that is
+        turned over by hand has none, and what counts is how it usually lies.
     on_its_side : float
         Radians that a turn's axis leans from the body's z, from which that is the trouble.
     costly : float
@@ -67,7 +78,9 @@ class VerdictTuning:
     chance_with_soft_iron: float = 8.0
     allowed_sigmas: float = 2.0
     several: float = 2.0
+    rough: float = math.radians(5.0)
     nearly_full: float = math.radians(300.0)
+    one_axis: float = 0.7
     on_its_side: float = math.radians(45.0)
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
@@ -180,8 +193,11 @@ def judge(
     """
     figures = judged_figures(estimate, tuning)
     has_gyro = window is not None and window.angular_rate is not None
-    if window is not None and has_gyro and estimate.arc > tuning.nearly_full:
-        figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
+    if window is not None and has_gyro:
+        if axis_share(window) < tuning.one_axis:
+            figures[Figure.AXIS_LEAN] = usual_lean(window)
+        elif estimate.arc > tuning.nearly_full:
+            figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
     is_drive = Figure.HEADINGS_DRIVEN in figures
     bounds = tuning.drive_bounds if is_drive else tuning.bounds
     checks = [_check(b, figures, knowledge, tuning) for b in bounds if b.figure in figures]
@@ -339,7 +355,8 @@ def _summary(
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
     warnings = _reasons(verdict, Grade.WARN, tuning)
-    return f"Calibrated{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
+    rough = " roughly" if figures[Figure.HEADING_SIGMA] > tuning.rough else ""
+    return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:

@@ -83,7 +83,8 @@ class Figure(str, Enum):
     MISALIGNMENT = "misalignment"
     """Radians between the corrected field's axes and the IMU's as gravity shows it."""
     AXIS_LEAN = "axis_lean"
-    """Radians between the turn's axis and the body's z."""
+    """Radians between the turn's axis and the body's z; of a robot that turned about all axes,
+    between its usual up and the body's z."""
 
     GYRO_CARRIED = "gyro_carried"
     """One where the gyro carried the attitude from sample to sample, else zero; absent without a

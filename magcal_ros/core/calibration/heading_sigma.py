@@ -114,3 +114,18 @@ def sideways_pull(window: Window) -> float:
     axis = unit(np.sign(rate @ along) @ rate)
     mean = unit(np.abs(rate @ axis) @ unit(window.specific_force))
     return math.acos(min(abs(float(axis @ mean)), 1.0))
+
+
+def axis_share(window: Window) -> float:
+    """Return the share of the squared turn rates that is about one axis; one without a gyro."""
+    rate = window.angular_rate
+    if rate is None or not rate.any():
+        return 1.0
+    squares = np.linalg.svd(rate, compute_uv=False) ** 2
+    return float(squares[0] / squares.sum())
+
+
+def usual_lean(window: Window) -> float:
+    """Return the angle between the usual specific force and the body's z, radians."""
+    usual = unit(np.median(window.specific_force, axis=0))
+    return math.acos(min(max(float(usual[2]), -1.0), 1.0))

@@ -9,6 +9,7 @@ import numpy as np
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 
 
@@ -18,8 +19,6 @@ class HealthTuning:
 
     Parameters
     ----------
-    burst : tuple of float
-        Share of the time that passes in gaps, and how many usual gaps such a one lasts.
     jitter : float
         RMS deviation of the gaps over the usual gap that is worth a look.
     repeats : float
@@ -37,7 +36,6 @@ class HealthTuning:
         Samples below which nothing is said of a stream.
     """
 
-    burst: tuple[float, float] = (0.5, 5.0)
     jitter: float = 0.5
     repeats: float = 0.05
     coarse: float = 0.5e-6
@@ -50,13 +48,6 @@ class HealthTuning:
 TUNING = HealthTuning()
 
 
-def in_bursts(time: FloatArray, tuning: HealthTuning = TUNING) -> bool:
-    """Return whether most time passes in long gaps between stamps; at least two, increasing."""
-    gaps = np.diff(time)
-    long = gaps > tuning.burst[1] * float(np.median(gaps))
-    return float(gaps[long].sum()) > tuning.burst[0] * float(time[-1] - time[0])
-
-
 def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
     """Look at a stream's stamps, seconds, increasing; at least two."""
     gaps = np.diff(time)
@@ -66,13 +57,9 @@ def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -
         f"{len(gaps) / span:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
         f"at most {gaps.max():.2f} s"
     )
-    if in_bursts(time, tuning):
-        apart = float(np.median(gaps[gaps > tuning.burst[1] * usual]))
-        remedy = (
-            f"the stamps come in bursts, {apart:.2f} s apart: stamp each sample when it is "
-            "measured, not when a buffer is read"
-        )
-        return wrong("bursts", f"{name}: stamps", evidence, remedy)
+    long = long_gaps(time)
+    if len(long):
+        return wrong("bursts", f"{name}: stamps", evidence, bursts_in_words(long))
     remedy = (
         "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
         "sensor's own clock"

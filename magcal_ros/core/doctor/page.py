@@ -17,6 +17,10 @@ from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import Window
+
+PAIRED = ("bursts", "stamps", "repeats")
+"""Lines of which paired samples show nothing."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,16 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
     if axes is not None and not axes.right and len(axes.candidates) == 1:
         mount = axes.mount_rpy_deg
     return Page(tuple(lines), mount)
+
+
+def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
+    """Look at what the samples of a turn show, which are paired and cleaned already."""
+    nothing = np.full((len(window), 3), np.nan)
+    rate = nothing if window.angular_rate is None else window.angular_rate
+    log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
+    page = examine(log, knowledge)
+    kept = [f for f in page.findings if f.key not in PAIRED]
+    return replace(page, findings=tuple(kept))
 
 
 def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:

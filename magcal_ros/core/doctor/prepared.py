@@ -13,7 +13,6 @@ from magcal_ros.core.doctor.health import (
     alive_finding,
     field_findings,
     gravity_size_finding,
-    in_bursts,
     in_long_runs,
     repeats,
     repeats_finding,
@@ -23,6 +22,7 @@ from magcal_ros.core.doctor.health import (
 )
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.stamps import long_gaps
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def prepare(
             continue
         increasing = np.unique(time)
         findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing, health))
-        if in_bursts(increasing, health):
+        if len(long_gaps(increasing)):
             burst = True
             log = replace(log, **{f"{name}_time": _even(time)})
     if len(log.field) > health.fewest:

@@ -29,6 +29,7 @@ from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.keeping.modes import Mode, Trial, is_same
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 
 TRIAL = "trial"
@@ -84,6 +85,10 @@ class SelfCalibration:
     def seconds(self) -> float:
         """Movement that is remembered."""
         return self._recorder.seconds
+
+    def log(self) -> DriveLog:
+        """Return what is remembered of the drive."""
+        return self._recorder.log()
 
     @property
     def in_words(self) -> str:

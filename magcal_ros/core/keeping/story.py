@@ -29,11 +29,14 @@ from magcal_ros.core.samples.travel_samples import (
     TravelSample,
     VelocitySample,
 )
+from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
 from magcal_ros.core.up import UpFollower
 
 EVERY = 0.5
 """Seconds between points of the map."""
+MAP_ROWS = 5
+"""The same in rows of a log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,23 +186,58 @@ class DriveTeller:
             return None
         time = np.array([point.stamp for point in self._points])
         up = np.array([point.up for point in self._points])
-        field = calibration.correction.apply(np.array([point.field for point in self._points]))
-        rise = np.sum(field * up, axis=1)
-        level = np.linalg.norm(field - rise[:, None] * up, axis=1)
-        dip = calibration.inclination
-        disturbance = np.hypot(
-            level - calibration.strength * math.cos(dip),
-            rise + calibration.strength * math.sin(dip),
-        )
+        field = np.array([point.field for point in self._points])
         speed = np.array([point.speed for point in self._points])
-        has_speed = bool(np.isfinite(speed).any())
-        measured = len(self._fixes) > 2
-        if measured:
-            stamps, east, north = np.array(self._fixes)[:, :3].T
-            place = np.column_stack([np.interp(time, stamps, east), np.interp(time, stamps, north)])
-        else:
-            yaw = yaw_from_up_and_field(up, field)
-            steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * EVERY)
-            steps *= np.where(np.isfinite(speed), speed, TUNING.usual_speed)
-            place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
-        return DrivePath(time - time[0], place - place[0], disturbance, measured, has_speed)
+        fixes = np.array(self._fixes)[:, :3] if len(self._fixes) > 2 else None
+        return path_along(calibration, time, field, up, speed, fixes)
+
+
+def path_along(
+    calibration: Calibration,
+    time: FloatArray,
+    raw: FloatArray,
+    up: FloatArray,
+    speed: FloatArray,
+    fixes: FloatArray | None = None,
+) -> DrivePath:
+    """Return where was driven, and how the field was there.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    time : ndarray, shape (n,)
+        Seconds.
+    raw, up : ndarray, shape (n, 3)
+        Raw field (tesla) and up in body axes.
+    speed : ndarray, shape (n,)
+        m/s; NaN where nobody measured it.
+    fixes : ndarray, shape (k, 3), optional
+        Stamps, metres east and north; without them places are reckoned.
+    """
+    field = calibration.correction.apply(raw)
+    rise = np.sum(field * up, axis=1)
+    level = np.linalg.norm(field - rise[:, None] * up, axis=1)
+    dip = calibration.inclination
+    disturbance = np.hypot(
+        level - calibration.strength * math.cos(dip), rise + calibration.strength * math.sin(dip)
+    )
+    known = np.isfinite(speed)
+    if fixes is not None:
+        stamps, east, north = fixes.T
+        place = np.column_stack([np.interp(time, stamps, east), np.interp(time, stamps, north)])
+    else:
+        yaw = yaw_from_up_and_field(up, field)
+        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * EVERY)
+        steps *= np.where(known, speed, TUNING.usual_speed)
+        place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    is_measured = fixes is not None
+    return DrivePath(time - time[0], place - place[0], disturbance, is_measured, bool(known.any()))
+
+
+def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
+    """Return the path of what is remembered of a drive; None of less than a few seconds."""
+    if len(log) < 2 * MAP_ROWS:
+        return None
+    up = log.up()[::MAP_ROWS]
+    time, field, speed = (values[::MAP_ROWS] for values in (log.time, log.field, log.speed))
+    return path_along(calibration, time, field, up, speed)

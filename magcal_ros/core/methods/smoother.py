@@ -1,4 +1,4 @@
-"""A calibration from a drive without a turn: the smoother (doc/estimator.md, section 12)."""
+"""A calibration from a drive without a turn: the smoother (doc/estimator.md, section 13)."""
 
 from __future__ import annotations
 

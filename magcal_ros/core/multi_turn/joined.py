@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.estimation import parameters as p
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.estimation.systematic_errors import Turning, systematic_covariance
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Knowledge, Systematics
 from magcal_ros.core.methods.maximum_likelihood.diagnostics import pulls
 from magcal_ros.core.methods.maximum_likelihood.report import EstimateParts, build_estimate
 from magcal_ros.core.methods.maximum_likelihood.screening import seen_arc
@@ -58,14 +60,35 @@ def joint_estimate(fit: JointFit, turns: Sequence[Turn], knowledge: Knowledge) -
     prepared = [turn.own_fit.prepared for turn in turns]
     axis = last.choice.fit.shared.body_axis[:, 2]
     arc = max(seen_arc(turn.block) for turn in turns)
-    figures = _figures(fit, turns, knowledge)
+    covariance = fit.covariance + lasting_covariance(fit, turns, knowledge.systematics)
+    figures = _figures(fit, turns, knowledge, covariance)
     return build_estimate(
-        fit.best, EstimateParts(prepared, fit.covariance, axis, arc, figures, last.swing)
+        fit.best, EstimateParts(prepared, covariance, axis, arc, figures, last.swing)
     )
 
 
-def _figures(fit: JointFit, turns: Sequence[Turn], knowledge: Knowledge) -> dict[Figure, float]:
-    best, scale, covariance = fit.best, fit.scale, fit.covariance
+def lasting_covariance(
+    fit: JointFit, turns: Sequence[Turn], systematics: Systematics
+) -> FloatArray:
+    """Return what errors that last add to the covariance of the twelve numbers, shape (12, 12).
+
+    They are the sensors' and the robot's own, so turns do not average them out: the mean of what
+    each turn alone would have.
+    """
+    each = []
+    for turn in turns:
+        axis = turn.block.place.state.shared.body_axis
+        turning = Turning.of(turn.window, seen_arc(turn.block))
+        shared, seen = replace(fit.best.shared, body_axis=axis), turn.own_fit.seen(systematics)
+        mounting, scale = fit.best.mounting, fit.scale
+        each.append(systematic_covariance(shared, mounting, scale, systematics, turning, seen))
+    return np.asarray(np.mean(each, axis=0))
+
+
+def _figures(
+    fit: JointFit, turns: Sequence[Turn], knowledge: Knowledge, covariance: FloatArray
+) -> dict[Figure, float]:
+    best, scale = fit.best, fit.scale
     level, tilted = heading_jacobians(best.shared, best.mounting, scale)
     worst = max(fit.agreements, key=lambda agreement: -agreement.chance)
     figures = _worst_of(turns) | {
@@ -81,7 +104,7 @@ def _figures(fit: JointFit, turns: Sequence[Turn], knowledge: Knowledge) -> dict
     }
     if fit.shows_yaw:
         sigma = math.sqrt(fit.widening * float(best.covariance[p.YAW, p.YAW]))
-        figures[Figure.INSTALLATION_YAW_SIGMA] = sigma
+        figures[Figure.INSTALLATION_YAW_SIGMA] = math.hypot(sigma, knowledge.systematics.axes)
     return figures | pulls(best.shared, knowledge.reference, scale)
 
 

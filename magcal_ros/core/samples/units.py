@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.window import Window
 
 FIELD_UNITS: tuple[tuple[float, float, str, str], ...] = (
@@ -74,7 +75,7 @@ LEAST_UPRIGHT = 0.5
 
 
 def explained(refusal: Refusal, window: Window) -> Refusal:
-    """Add the field's likely unit, or axes that point down, to a refusal.
+    """Add the field's likely unit, axes that point down, or stamps in bursts, to a refusal.
 
     Either upsets every check before it shows by itself.
     """
@@ -84,4 +85,5 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
     if not hint and refusal.reason in MISLED_BY_AXES:
         force = window.specific_force.mean(axis=0)
         hint = Z_NOT_UP if force[2] < LEAST_UPRIGHT * float(np.linalg.norm(force)) else ""
+        hint = hint or bursts_of_a_turn(window.time)
     return Refusal(refusal.reason, f"{str(refusal).rstrip('.')}; {hint}") if hint else refusal

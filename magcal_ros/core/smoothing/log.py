@@ -56,18 +56,24 @@ class DriveLog:
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
         return DriveLog(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
-        """Return the nodes of all of it; `to_body` as for `nodes_of`."""
+    def up(self, tuning: SmootherTuning = TUNING) -> FloatArray:
+        """Return up at each row, unit, body axes, shape (m, 3)."""
         up = np.empty_like(self.force)
         edges = np.flatnonzero(np.diff(self.time) > LONGEST_GYRO_STEP) + 1
         for start, end in zip([0, *edges], [*edges, len(self)], strict=True):
             piece = slice(start, end)
             up[piece] = level_up(self.time[piece], self.force[piece], self.rate[piece], tuning)
+        return up
+
+    def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
+        """Return the nodes of all of it; `to_body` as for `nodes_of`."""
         known = np.isfinite(self.speed)
         speed = None
         if known.mean() > 0.5:
             speed = np.interp(self.time, self.time[known], self.speed[known])
-        return nodes_of(Track(self.time, self.field, up, self.rate, speed), to_body, tuning)
+        return nodes_of(
+            Track(self.time, self.field, self.up(tuning), self.rate, speed), to_body, tuning
+        )
 
 
 def log_of(

@@ -120,7 +120,7 @@ def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes):
     for outcome in (calibrate(window, knowledge), calibrate_turns([window], knowledge)):
         assert not outcome.verdict.accepted
         assert outcome.reason is Reason.AXES_DISAGREE
-        assert found.words in outcome.verdict.summary
+        assert found.said in outcome.verdict.summary
 
 
 def test_a_gyro_that_belongs_to_nothing_is_said():

@@ -49,7 +49,17 @@ def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recordi
 
 def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recording):
     outcome, ours, sigma, best = judged(recording("car_neu2024_rohx"), "whole")
+    assert outcome.verdict.accepted
+    assert outcome.verdict.summary.startswith("Calibrated roughly")
     assert ours < 0.6 * best
     assert ours < 2.0 * sigma
     assert any("lets through" in check.words for check in outcome.verdict.checks)
     assert "axes belong together" not in outcome.verdict.summary
+
+
+@pytest.mark.nightly
+def test_a_car_that_sways_is_not_told_that_its_axes_are_wrong(recording):
+    drive = read_drive(recording("car_neu2022_rahul"), None)
+    for _, window in windows(drive):
+        assert isinstance(window, Window)
+        assert "axes do not belong" not in calibrate(window, drive.knowledge).verdict.summary

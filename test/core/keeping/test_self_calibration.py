@@ -221,7 +221,7 @@ def heading_error(correction, robot):
 
 def test_an_ordinary_drive_calibrates_from_nothing():
     machine = SelfCalibration(Mode.APPLY)
-    drive = driven(1, city(np.random.default_rng(1), 300.0))
+    drive = driven(5, city(np.random.default_rng(5), 360.0))
     made = follow(drive, machine)
     applied = [decision for _, decision in made if decision.verb is Verb.APPLIED]
     assert len(applied) == 1

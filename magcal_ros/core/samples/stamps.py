@@ -1,0 +1,76 @@
+"""Stamps of a buffer that is read now and then, in place of those of the measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class BurstTuning:
+    """When stamps come in bursts.
+
+    Parameters
+    ----------
+    share : float
+        Of the time that passes in gaps.
+    longer : float
+        How many usual gaps such a one lasts.
+    fewest : int
+        Gaps of a turn from which they are more than pauses that were thinned out of it.
+    alike, apart : float
+        Share of them that are no further than this off the usual one, relative: a buffer is read
+        by the clock.
+    """
+
+    share: float = 0.5
+    longer: float = 5.0
+    fewest: int = 10
+    alike: float = 0.4
+    apart: float = 0.05
+
+
+def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray:
+    """Return the gaps between bursts, seconds; empty where most of the time passes otherwise.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Stamps in their order, at least two.
+    tuning : BurstTuning
+    """
+    gaps = np.diff(time)
+    long = gaps[gaps > tuning.longer * float(np.median(gaps))]
+    return long if long.sum() > tuning.share * float(time[-1] - time[0]) else long[:0]
+
+
+def bursts_in_words(long: FloatArray) -> str:
+    """Say what is wrong with stamps that leave such gaps, and what mends it."""
+    return (
+        f"the stamps come in bursts, {float(np.median(long)):.2f} s apart: stamp each sample when "
+        "it is measured, not when a buffer is read"
+    )
+
+
+def bursts_of_a_turn(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> str:
+    """Say that the stamps of a turn come in bursts; empty where they do not.
+
+    Pauses are thinned out of a turn before it is fitted, which leaves gaps of all lengths.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Stamps in their order.
+    tuning : BurstTuning
+    """
+    if len(time) < tuning.fewest:
+        return ""
+    long = long_gaps(time, tuning)
+    if len(long) < tuning.fewest:
+        return ""
+    usual = float(np.median(long))
+    alike = float(np.mean(np.abs(long - usual) < tuning.apart * usual))
+    return bursts_in_words(long) if alike > tuning.alike else ""
