@@ -20,6 +20,7 @@ LIBRARIES = {
 
 TEST_TOOLS = ["pytest>=6.2.5", "pytest-timeout", "hypothesis>=6.36"]
 PACKAGE = ".[bags,live,report,wmm]"
+COLCON = "colcon-common-extensions==0.3.0"
 
 nox.options.reuse_venv = "yes"
 nox.options.error_on_missing_interpreters = False
@@ -72,7 +73,7 @@ def types(session: nox.Session) -> None:
 @nox.parametrize("extra", ["ros", "ros-kilted"], ids=["jazzy", "kilted"])
 def ros(session: nox.Session, extra: str) -> None:
     """Run the node's tests and the demo, on the wheels of a distribution."""
-    session.install("--editable", f".[bags,live,report,wmm,{extra}]", *TEST_TOOLS)
+    session.install("--editable", f".[bags,live,report,wmm,{extra}]", COLCON, *TEST_TOOLS)
     session.run("python", "-m", "pytest", "test/ros", *session.posargs)
     session.run("magcal", "demo")
 

@@ -30,7 +30,8 @@ def installed(tmp_path_factory):
     ignored = shutil.ignore_patterns(".*", "build", "install", "log", "__pycache__", "*.egg-info")
     shutil.copytree(CHECKOUT, source, ignore=ignored)
     environment = {**os.environ, "AMENT_PREFIX_PATH": sys.prefix, "PYTHONWARNINGS": "ignore"}
-    colcon = Path(sys.executable).with_name("colcon")
+    colcon = shutil.which("colcon", path=f"{Path(sys.executable).parent}{os.pathsep}{os.defpath}")
+    assert colcon, "colcon is neither beside this Python nor in the system"
     built = subprocess.run(
         [colcon, "--log-base", "log", "build", "--base-paths", "src"],
         cwd=place,
