@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from street import Street, city_drive
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
@@ -25,8 +24,11 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
+from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 
@@ -135,9 +137,12 @@ def ramps(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
 
 def streets(ride: Ride) -> Iterator[list[ImuSample | FieldSample]]:
     """Stand, then drive for four minutes through streets that bend the field by 3 µT an axis."""
-    yield from moved(ride, 3.0)
     rng = np.random.default_rng(int(1e6 * abs(ride.magnetic_yaw)))
-    yield from city_drive(ride, Street(rng), 240.0, rng)
+    truth = travel(city(rng, 240.0), rng, rate=1.0 / ride.period, start=ride.stamp)
+    drive = simulated_drive(truth, rng, Vehicle(ROBOT), wheels=None, receiver=None)
+    samples = drive.samples()
+    for ride.stamp, ride.attitude in zip(truth.time.tolist(), truth.attitude, strict=True):
+        yield [next(samples), next(samples)]  # type: ignore[list-item]
 
 
 def moved(ride: Ride, seconds: float, **motion: object) -> Iterator[list[ImuSample | FieldSample]]:

@@ -107,17 +107,21 @@ ORDER_OF_ROOMS = (
     "knowledge",
     "calibration",
     "assessment",
+    "doctor",
     "earth_field",
     "messages",
     "up",
+    "driving",
     "simulation",
     "heading",
     "estimation",
+    "smoothing",
     "methods",
     "multi_turn",
     "calibrate",
     "session",
     "monitoring",
+    "keeping",
 )
 """The rooms of core from the ground up: each imports only what lies below it."""
 

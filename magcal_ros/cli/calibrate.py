@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import signal
-import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
 from magcal_ros.cli.calibrators import find_calibrator, node_name
 from magcal_ros.cli.common import Exit
-from magcal_ros.cli.graph import joined
+from magcal_ros.cli.graph import interrupts_noted, joined
 from magcal_ros.cli.live_view import View, best_view, progress_of, turns_itself
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.plain import plain
@@ -99,7 +95,7 @@ class _Turn:
                 "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
             )
         future = self._clients["calibrate"].call_async(self._request)
-        with _interrupts_noted() as interrupted:
+        with interrupts_noted() as interrupted:
             with view:
                 while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
@@ -144,14 +140,3 @@ class _Turn:
         begin = f"{self._calibrator.lstrip('/')}: "
         if any(status.name.startswith(begin) for status in message.status):
             self._heard = time.monotonic()
-
-
-@contextlib.contextmanager
-def _interrupts_noted() -> Iterator[threading.Event]:
-    """Note Ctrl-C instead of raising it wherever the program stands, which may be inside rclpy."""
-    noted = threading.Event()
-    before = signal.signal(signal.SIGINT, lambda *_: noted.set())
-    try:
-        yield noted
-    finally:
-        signal.signal(signal.SIGINT, before)

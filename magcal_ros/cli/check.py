@@ -10,13 +10,16 @@ from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
 from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
+from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.plain import plain
+from magcal_ros.files.sources import open_recording
 from magcal_ros.report import Subject, write_report
 
 
@@ -51,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
     notes += [elsewhere] if elsewhere else []
+    course = _course(options, calibration)
+    notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     try:
         window = gathered.gathering.window()
         result = check(window, calibration)
@@ -63,8 +68,18 @@ def run(options: argparse.Namespace) -> int:
     report = write_report(folder, _subject(window, outcome, options, gathered))
     reference = gathered.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
+    facts["course"] = None if course is None else course.facts()
     print(document(facts) if options.json else f"{_words(result, notes)}\n\nReport: {report}")
     return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
+
+
+def _course(options: argparse.Namespace, calibration: Calibration) -> RecordedCourse | None:
+    """Compare the compass with course, where the recording has fixes."""
+    chosen = {"imu": options.imu, "field": options.mag}
+    span = {"start": options.start, "stop": options.stop}
+    with open_recording(options.recording, **chosen, **span) as source:
+        travel = source.travel()
+        return recorded_course(calibration, source.readings(), travel) if travel else None
 
 
 def _subject(

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, metadata
 
 from magcal_ros import __version__
-from magcal_ros.cli import calibrate, check, demo, doctor, export, fit, replay
+from magcal_ros.cli import calibrate, check, demo, doctor, drive, export, fit, replay
 from magcal_ros.cli.common import Exit
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 
-COMMANDS = (calibrate, fit, check, doctor, export, replay, demo)
+COMMANDS = (calibrate, fit, check, drive, doctor, export, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

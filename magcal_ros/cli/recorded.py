@@ -55,7 +55,9 @@ class Gathered:
         return [*self.gathering.complaints(), *self.reference.complaints]
 
 
-def add_recording_options(parser: argparse.ArgumentParser, *, several: bool = False) -> None:
+def add_recording_options(
+    parser: argparse.ArgumentParser, *, several: bool = False, optional: bool = False
+) -> None:
     """Add the recording, or several as `recordings`, and which part of it to read."""
     kinds = "rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv"
     if several:
@@ -67,7 +69,8 @@ def add_recording_options(parser: argparse.ArgumentParser, *, several: bool = Fa
             help=f"{kinds}; turns of several recordings are joined",
         )
     else:
-        parser.add_argument("recording", type=Path, help=kinds)
+        many = "?" if optional else None
+        parser.add_argument("recording", type=Path, nargs=many, help=kinds)
     parser.add_argument("--imu", default="", metavar="TOPIC", help="the Imu topic of a bag")
     parser.add_argument("--mag", default="", metavar="TOPIC", help="its MagneticField topic")
     parser.add_argument(

@@ -10,27 +10,32 @@ from typing import cast
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import blamed_on_axes, wrong_axes
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoothing.log import DriveLog
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("maximum_likelihood", "design_tip", "ellipsoid", "min_max")
+METHODS = ("maximum_likelihood", "smoother", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
 
+DRIVES = METHODS[1]
+"""The method that takes a drive without a turn."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
 
+CLEARLY = 12.0
+"""Independent units of minus log likelihood by which a drive contradicts a turn's calibration."""
 PAUSE = 1.0
 """Seconds between turns whose samples are pooled."""
 
@@ -111,6 +116,50 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     verdict = judge(estimate, knowledge, window)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
     return Outcome(verdict, calibration, estimate)
+
+
+def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
+    """Fit the log of a drive and judge the result; its samples are the rows of the log."""
+    # A node that never drives loads nothing of this.
+    from magcal_ros.core.methods.smoother import fit_log
+
+    if not len(log):
+        words = "nothing was driven: no samples with a gyro in which the robot moved"
+        return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
+    try:
+        return judged(fit_log(log, knowledge), knowledge, log.window)
+    except Refusal as refusal:
+        return Outcome.refused(refusal)
+
+
+def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: Knowledge) -> bool:
+    """Whether a recording is told better as a drive than as a turn.
+
+    A good turn stays with the turn's model. Where that refuses, or warns, the drive's answers if it
+    is more certain, or if along the road its calibration is by far the likelier.
+
+    Parameters
+    ----------
+    turn, drive : Outcome
+        Of the same recording.
+    log : DriveLog
+        Of which `drive` came.
+    known : Knowledge
+    """
+    if drive.estimate is None or not drive.verdict.accepted:
+        return False
+    if turn.estimate is None or not turn.verdict.accepted:
+        return True
+    if turn.verdict.is_good:
+        return False
+    sigmas = [predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)]
+    if sigmas[1] < sigmas[0]:
+        return True
+    from magcal_ros.core.smoothing.fit import favour
+
+    nodes = log.nodes(known.mounting.to_body)
+    corrections = turn.estimate.correction, drive.estimate.correction
+    return favour(nodes, *corrections, known) > CLEARLY
 
 
 def calibrate_turns(

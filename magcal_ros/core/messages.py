@@ -1,4 +1,4 @@
-"""The two sensor messages become numbers: of rclpy and of a bag alike, they have the same names."""
+"""The messages become numbers: of rclpy and of a bag alike, they have the same names."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
@@ -69,3 +70,36 @@ def fix_of(message: Any) -> Fix:
         message.altitude,
         seconds(message.header.stamp),
     )
+
+
+RECEIVER_SPEED_SIGMA = 0.1
+"""m/s per axis of a receiver's velocity; a TwistStamped carries no covariance."""
+
+
+def speed_of(message: Any) -> SpeedSample | str:
+    """Return the signed speed of a nav_msgs/Odometry, or why it has none.
+
+    REP-105 and nav_msgs have the twist in `child_frame_id`, the vehicle's own frame.
+    """
+    child, world = message.child_frame_id, message.header.frame_id
+    if child and child == world:
+        return (
+            f"its child_frame_id {child!r} is its frame_id, so that its twist is no speed along "
+            "the vehicle: name the vehicle's frame there"
+        )
+    if message.twist.covariance[0] == ABSENT:
+        return "its twist is marked absent (covariance -1)"
+    linear = message.twist.twist.linear
+    if not math.isfinite(linear.x + linear.y):
+        return "its twist is not finite"
+    # What lies across belongs to the way as well: frames sit askew by little.
+    speed = math.copysign(math.hypot(linear.x, linear.y), linear.x)
+    return SpeedSample(seconds(message.header.stamp), speed)
+
+
+def velocity_of(message: Any) -> VelocitySample | str:
+    """Return the velocity of a geometry_msgs/TwistStamped in ENU, or why it has none."""
+    linear = message.twist.linear
+    if not math.isfinite(linear.x + linear.y):
+        return "its velocity is not finite"
+    return VelocitySample(seconds(message.header.stamp), linear.x, linear.y, RECEIVER_SPEED_SIGMA)

@@ -9,10 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from magcal_ros.core.driving.local_plane import LocalPlane
 from magcal_ros.core.earth_field.position import place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.messages import field_sample, fix_of, imu_sample
+from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of
+from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+ODOM_TYPE = "nav_msgs/msg/Odometry"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FIXES = 10_000
 """Messages without a fix after which none is looked for any more."""
@@ -119,6 +122,35 @@ class Bag:
                 if isinstance(found, Place):
                     return found
         return None
+
+    def begun(self) -> float:
+        """Return when the span begins by the bag's own clock, seconds."""
+        return self._first * 1e-9
+
+    def travel(self) -> list[TravelSample]:
+        """Return what receiver and wheels said, by stamp; empty if nothing.
+
+        Raises
+        ------
+        FileTrouble
+            Where the bag is damaged.
+        """
+        heard = [
+            c for c in self._reader.connections if c.msgtype in (FIX_TYPE, ODOM_TYPE) and c.msgcount
+        ]
+        plane, found = LocalPlane(), list[TravelSample]()
+        if not heard:
+            return found
+        with _damage_in_words(self._path):
+            for connection, _, data in self._reader.messages(heard, self._first, self._end):
+                message = self._reader.deserialize(data, connection.msgtype)
+                if connection.msgtype == FIX_TYPE:
+                    sample: TravelSample | str | None = plane.position(fix_of(message))
+                else:
+                    sample = speed_of(message)
+                if sample is not None and not isinstance(sample, str):
+                    found.append(sample)
+        return sorted(found, key=lambda sample: sample.stamp)
 
     def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
         """Let the library take apart what is not in the usual byte order."""

@@ -15,6 +15,7 @@ import yaml
 from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.claims import require_possible
 from magcal_ros.files.places import known_as
@@ -55,18 +56,28 @@ class Origin:
         ISO 8601, UTC.
     node : str
         Fully qualified name of the node that made it; empty where there was none.
+    vehicle_yaw : VehicleYaw or None
+        How the IMU sits in the vehicle, as drives have shown it; no part of the calibration.
     """
 
     magnetometer_frame: str
     imu_frame: str
     created: str
     node: str = ""
+    vehicle_yaw: VehicleYaw | None = None
 
     @classmethod
-    def now(cls, magnetometer_frame: str, imu_frame: str, node: str = "") -> Origin:
+    def now(
+        cls,
+        magnetometer_frame: str,
+        imu_frame: str,
+        node: str = "",
+        vehicle_yaw: VehicleYaw | None = None,
+    ) -> Origin:
         """Return the origin of a calibration made at this moment."""
         stamp = datetime.now(timezone.utc).isoformat(timespec="seconds")
-        return cls(known_as(magnetometer_frame), known_as(imu_frame), stamp, node)
+        frames = known_as(magnetometer_frame), known_as(imu_frame)
+        return cls(*frames, stamp, node, vehicle_yaw)
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -224,6 +235,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
             "inclination": "radian",
         },
         "frames": {"field_raw": origin.magnetometer_frame, "field_body": origin.imu_frame},
+        **_vehicle_entry(origin.vehicle_yaw),
         "magnetometer_bias_x": hard_iron[0],
         "magnetometer_bias_y": hard_iron[1],
         "magnetometer_bias_z": hard_iron[2],
@@ -247,6 +259,25 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
             "figures": {name: float(value) for name, value in evidence.figures.items()},
         },
     }
+
+
+def _vehicle_entry(yaw: VehicleYaw | None) -> dict[str, Any]:
+    if yaw is None:
+        return {}
+    entry = {"yaw": float(yaw.offset), "sigma": float(yaw.sigma), "source": yaw.source}
+    return {"vehicle_yaw_offset": entry}
+
+
+def _vehicle_yaw(document: Mapping[str, Any]) -> VehicleYaw | None:
+    """Return how the IMU sits in the vehicle; files from before have nothing of it."""
+    entry = document.get("vehicle_yaw_offset")
+    if entry is None:
+        return None
+    offset = _finite(entry["yaw"], "vehicle_yaw_offset.yaw")
+    sigma = _positive(entry["sigma"], "vehicle_yaw_offset.sigma")
+    if abs(offset) > math.tau:
+        raise ValueError("vehicle_yaw_offset.yaw must be in radians, within a turn")
+    return VehicleYaw(offset, sigma, str(entry["source"]))
 
 
 def _calibration(document: Mapping[str, Any]) -> Calibration:
@@ -286,7 +317,8 @@ def _origin(document: Mapping[str, Any]) -> Origin:
     frames = document["frames"]
     node = str(document.get("node", ""))
     created = str(document["created"])
-    return Origin(str(frames["field_raw"]), str(frames["field_body"]), created, node)
+    raw, body = str(frames["field_raw"]), str(frames["field_body"])
+    return Origin(raw, body, created, node, _vehicle_yaw(document))
 
 
 def _number(value: Any) -> float:

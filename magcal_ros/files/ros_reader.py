@@ -24,6 +24,10 @@ HEADER = Struct("<iII")
 
 PLACE = Struct("<3d")
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+ODOM_TYPE = "nav_msgs/msg/Odometry"
+TWIST, NUMBER = Struct("<3d"), Struct("<d")
+POSE_SIZE = 8 * (7 + 36)
+"""Bytes of an Odometry's pose with its covariance; of the twist the covariance follows six."""
 
 
 class Channel(NamedTuple):
@@ -81,13 +85,15 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, data: bytes, msgtype: str) -> Any:
-        """Return a NavSatFix; the sensors' own messages are read from their bytes.
+        """Return a NavSatFix or an Odometry; the sensors' own messages are read from their bytes.
 
         Raises
         ------
         FileTrouble
             For anything else, and for a foreign byte order.
         """
+        if msgtype == ODOM_TYPE and is_plain_cdr(data):
+            return _odometry(data)
         if msgtype != FIX_TYPE or not is_plain_cdr(data):
             raise FileTrouble(
                 f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
@@ -138,4 +144,26 @@ def _fix(data: bytes) -> SimpleNamespace:
         latitude=latitude,
         longitude=longitude,
         altitude=altitude,
+    )
+
+
+def _odometry(data: bytes) -> SimpleNamespace:
+    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
+    at = CDR_START + HEADER.size
+    frame = data[at : at + length - 1].decode("utf-8", "replace")
+    at += length
+    # Lengths are aligned to four bytes, numbers to eight.
+    at += (CDR_START - at) % 4
+    size = int.from_bytes(data[at : at + 4], "little")
+    child = data[at + 4 : at + 4 + size - 1].decode("utf-8", "replace")
+    at += 4 + size
+    at += (CDR_START - at) % 8 + POSE_SIZE
+    x, y, z = TWIST.unpack_from(data, at)
+    (first,) = NUMBER.unpack_from(data, at + 6 * 8)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame),
+        child_frame_id=child,
+        twist=SimpleNamespace(
+            covariance=[first], twist=SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
+        ),
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
@@ -46,6 +47,12 @@ class Source(Protocol):
     def place(self) -> Place | None:
         """Return where it was recorded, by its first good fix; None if it holds none."""
 
+    def begun(self) -> float:
+        """Return when it was recorded, seconds: its beginning."""
+
+    def travel(self) -> list[TravelSample]:
+        """Return what receiver and wheels said, by stamp; empty if nothing."""
+
     def readings(self) -> Iterator[Reading]:
         """Yield what the sensors said in the order in which it was recorded."""
 
@@ -76,6 +83,15 @@ class CsvDrive:
     def place(self) -> Place | None:
         """Return None: a CSV folder holds no fixes."""
         return None
+
+    def begun(self) -> float:
+        """Return the stamp of the first sample, seconds."""
+        imu = self._recording.imu
+        return float(imu[0, 0]) if len(imu) else 0.0
+
+    def travel(self) -> list[TravelSample]:
+        """Return nothing: a CSV folder holds sensors alone."""
+        return []
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both sensors in the order of their stamps."""

@@ -12,6 +12,8 @@ import scipy
 from magcal_ros import __version__
 from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.doctor.finding import Finding
+from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.figures.gallery import Picture
 from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
@@ -51,6 +53,7 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     parts.append('<div class="tables">')
     parts.append(_not_shown(outcome.verdict, estimate is not None))
     parts.append(_checks(outcome.verdict.checks))
+    parts.append(_sensors(turn.sensors))
     if estimate is not None:
         parts.append(_twelve(matrix_rows(estimate)))
         parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate), 'numbers')}")
@@ -150,6 +153,33 @@ def _checks(checks: Sequence[Check]) -> str:
         "<tr><th>grade</th><th>speaks for</th><th>what</th></tr>"
         f"{rows}</table>"
     )
+
+
+def _sensors(page: Page) -> str:
+    """Return what is wrong with the sensors, and folded away all that was looked at."""
+    wrong = [finding for finding in page.findings if finding.is_wrong]
+    rest = [finding for finding in page.findings if not finding.is_wrong]
+    return (
+        f'<section id="sensors" class="{"wrong" if wrong else "fine"}"><h2>The sensors</h2>'
+        f"{_lines(wrong) if wrong else ''}"
+        f"<details><summary>{'What else' if wrong else 'Nothing is wrong with them: what'} was "
+        f"looked at</summary>{_lines(rest)}</details></section>"
+    )
+
+
+def _lines(findings: Sequence[Finding]) -> str:
+    rows = "".join(
+        f"<tr><td>{'not shown' if f.grade is Grade.GOOD else _chip(f.grade)}</td>"
+        f"<td>{escape(f.name)}</td><td>{escape(_said(f))}</td></tr>"
+        for f in sorted(findings, key=lambda finding: -finding.grade.rank)
+    )
+    head = "<tr><th>grade</th><th>what</th><th>evidence, and what to change</th></tr>"
+    return f'<table class="checks">{head}{rows}</table>'
+
+
+def _said(finding: Finding) -> str:
+    evidence = finding.evidence.removeprefix("not shown: ")
+    return f"{evidence}. {finding.remedy}" if finding.remedy else evidence
 
 
 def _twelve(lines: Sequence[Sequence[str]]) -> str:

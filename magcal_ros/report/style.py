@@ -87,5 +87,6 @@ pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); ove
   code, pre { font-size: 6pt; line-height: 1.15; }
   pre { padding: 3pt; white-space: pre-wrap; }
   .scroll, pre { overflow: visible; }
+  #sensors.fine, #sensors details { display: none; }
 }
 """

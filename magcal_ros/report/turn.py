@@ -11,6 +11,7 @@ from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.doctor.page import Page, examine_window
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
@@ -98,6 +99,8 @@ class Turn:
         Which part of the turn was seen.
     corrected : Corrected or None
         None if nothing could be found.
+    sensors : Page
+        What the samples show of the sensors themselves.
     swing_bound : float or None
         Degrees rms up to which the compass's swing against the gyro is called good; None where
         it was not judged.
@@ -112,6 +115,7 @@ class Turn:
     believed: BoolArray
     coverage: Coverage
     corrected: Corrected | None
+    sensors: Page
     swing_bound: float | None = None
 
     @classmethod
@@ -145,6 +149,7 @@ class Turn:
             believed=believed,
             coverage=Coverage.nothing() if progress is None else Coverage.of(progress),
             corrected=corrected,
+            sensors=examine_window(window, subject.knowledge),
             swing_bound=_swing_bound(subject.outcome.verdict),
         )
 

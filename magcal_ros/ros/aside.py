@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from threading import Lock
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from magcal_ros.ros import memory_limit
+
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
     from multiprocessing.process import BaseProcess
@@ -89,6 +91,7 @@ class Aside:
 def _serve(line: Connection) -> None:
     """Answer calls until nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    memory_limit.unbound()
     with contextlib.suppress(EOFError, OSError):
         while True:
             function, arguments = line.recv()

@@ -50,12 +50,14 @@ class Guard:
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         command = [sys.executable, "-m", __name__, "--topic", topic, "--frame", frame]
+        command += ["--silence", str(SILENCE)]
         self._process = subprocess.Popen(
             [*command, "--stamped"] if stamped else command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             # Ctrl-C in the node's terminal is not meant for the guard.
             start_new_session=True,
+            env={**os.environ, **_without_shared_memory()},
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -104,6 +106,16 @@ class Guard:
                 os.write(self._line, word)
 
 
+def _without_shared_memory() -> dict[str, str]:
+    """Return the environment in which the guard's messages share no memory with the node's.
+
+    A process that is stopped while it writes to the memory of Fast DDS keeps the lock of the
+    base's port there, and all who write to it wait for seconds. Who chose transports keeps them.
+    """
+    name = "FASTDDS_BUILTIN_TRANSPORTS"
+    return {name: os.environ.get(name, "UDPv4")}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Watch standard input; returns 0 if dismissed and 1 if the base was stopped."""
     for name in HANDLED:
@@ -112,6 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--topic", required=True)
     parser.add_argument("--frame", default="")
     parser.add_argument("--stamped", action="store_true")
+    parser.add_argument("--silence", type=float, default=SILENCE)
     options = parser.parse_args(arguments)
     brake = Brake(options.topic, options.stamped, options.frame)
     brake.wait_for_base()
@@ -119,7 +132,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
     _answer(READY)
-    if not is_needed(sys.stdin.fileno()):
+    if not is_needed(sys.stdin.fileno(), options.silence):
         return 0
     brake.stop_base(lambda: _answer(STOPPED))
     return 1
@@ -131,17 +144,19 @@ def _answer(word: bytes) -> None:
         os.write(sys.stdout.fileno(), word)
 
 
-def is_needed(line: int) -> bool:
+def is_needed(line: int, silence: float = SILENCE) -> bool:
     """Wait for the node's last word; returns whether it went while the robot may be moving.
 
     Parameters
     ----------
     line : int
         File descriptor that the node writes to.
+    silence : float
+        Seconds without a word after which the node counts as gone.
     """
     may_move = False
     while True:
-        heard, _, _ = select.select([line], [], [], SILENCE if may_move else None)
+        heard, _, _ = select.select([line], [], [], silence if may_move else None)
         words = os.read(line, 4096) if heard else b""
         if DISMISSED in words:
             return False

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as
@@ -82,6 +83,13 @@ class Keeper:
         """Use a calibration from now on."""
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
+
+    def keep_vehicle_yaw(self, yaw: VehicleYaw) -> bool:
+        """Lay a yaw beside the calibration in force; returns whether there is one to save."""
+        if self.calibration is None or self.origin is None:
+            return False
+        self.origin = replace(self.origin, vehicle_yaw=yaw)
+        return True
 
     def reset(self) -> None:
         """Use none."""

@@ -9,6 +9,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
+from magcal_ros.ros import memory_limit
 from magcal_ros.ros.end_signals import EndSignals
 from magcal_ros.ros.node import Calibrator
 from magcal_ros.threads import use_one
@@ -36,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     node = None
     try:
         node = Calibrator()
+        memory_limit.bound(node.get_parameter("memory_limit_mb").value)
         _spin(node, signals)
     except ExternalShutdownException:
         pass

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from pathlib import Path
 
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.ros.control import Runner
@@ -42,6 +43,9 @@ class Meetings:
         self._wanted: deque[str] = deque(maxlen=MOST_KNOWN)
         self._is_reading = False
         self._found: OrderedDict[str, Loaded | None] = OrderedDict()
+        self._used: Path | None = None
+        self._dismissed: Path | None = None
+        self._resets = 0
 
     def begin(self) -> None:
         """Load a file that was chosen by its name, before any sensor is met."""
@@ -66,8 +70,10 @@ class Meetings:
             self._check(frame)
 
     def forget(self) -> None:
-        """Load nothing by itself any more that was found so far."""
+        """Load nothing by itself any more that was found, or begun to be read, so far."""
         self._found = OrderedDict.fromkeys(self._found)
+        self._dismissed = self._used
+        self._resets += 1
 
     def _go(self) -> None:
         if self._keeper.calibration is not None:
@@ -77,10 +83,10 @@ class Meetings:
 
     def _read(self, frame: str, is_met: bool) -> None:
         self._is_reading = True
-        chosen = self._chosen()
+        chosen, resets = self._chosen(), self._resets
         self._files.run(
             lambda: self._keeper.read_if_there(chosen, frame),
-            lambda loaded: self._note(frame, loaded, is_met),
+            lambda loaded: self._note(frame, loaded if resets == self._resets else None, is_met),
             self._fail,
         )
 
@@ -95,6 +101,10 @@ class Meetings:
     def _use(self, loaded: Loaded | None) -> None:
         if loaded is None or self._keeper.calibration is not None:
             return
+        # A chosen file is the same for a sensor that is met only after the reset.
+        if loaded.path == self._dismissed:
+            return
+        self._used = loaded.path
         self._info(self._keeper.use(loaded))
         self._check(self._current)
 

@@ -18,6 +18,7 @@ from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
@@ -25,7 +26,6 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.places import known_as
 from magcal_ros.ros.announcer import Announcer
@@ -42,8 +42,10 @@ from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.spinner import Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
@@ -55,6 +57,7 @@ from magcal_ros.ros.status import (
     watch_diagnostic,
 )
 from magcal_ros.ros.straight import StraightGroup
+from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
@@ -92,9 +95,12 @@ class Calibrator(Node):
         self._outputs = Outputs(self, self._seat)
         self._fused = FusedOutput(self, self._up, self._seat)
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
+        self._travel = Travel(self, self._fits)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
+        self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
+        self._keeping = SelfKeeping(self, self, self._keeper, self._files, self._path, log.info)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
         self._reporter = Reporter(log.error)
@@ -107,7 +113,7 @@ class Calibrator(Node):
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
-        slow = {"accept": self._accept, "save": self._save, "load": self._load}
+        slow = {"accept": self._accept, "save": self._shelf.save, "load": self._shelf.load}
         Services(self, self._control, self._start, {"reset": self._reset}, slow)
         self._sensor_group = StraightGroup()
         self._sensor_subscriptions = [
@@ -133,6 +139,7 @@ class Calibrator(Node):
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self.stop_robot()
         self._control.shut_down()
+        self._keeping.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""
@@ -159,7 +166,7 @@ class Calibrator(Node):
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
-            self._up.add(sample)
+            self._up.add(sample, self._travel.on_imu(sample, self._up))
             self._control.hear(sample)
             reference = self._whereabouts.reference.field
             self._fused.on_imu(sample.stamp, stamp, self._body_frame(), reference)
@@ -177,21 +184,18 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         self._up.add_field(sample.stamp, sample.field)
+        self._keeping.on_field(sample, streams.newest_imu, self._travel)
         if self._compass is not None:
             up = self._up.at(sample.stamp, streams.max_gap)
             moment = Moment.of(self._compass, sample, up, streams.newest_rate)
             reference = self._whereabouts.reference.field
             self._outputs.publish(moment, arrived, self._body_frame(), reference)
             self._fused.on_field(moment)
-            self._look_on(moment)
+            self._travel.on_moment(moment)
+            if self._watch is not None:
+                self._watch.take(moment)
         if not streams.is_repeated:
             self._control.add(sample)
-
-    def _look_on(self, moment: Moment) -> None:
-        stamp, field, up, heading, rate = moment
-        if self._watch is None or up is None or heading is None or rate is None:
-            return
-        self._watch.add(stamp, field, up.direction, heading.yaw, rate)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
@@ -207,6 +211,7 @@ class Calibrator(Node):
         """Take note of sensors that are heard for the first time, or under another name."""
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(f"{field.frame} {imu.frame}")
+        self._keeping.meet(f"{field.frame} {imu.frame}")
         self._seat.meet(imu.frame, field.frame)
         if field.last_heard is not None:
             self._meetings.meet(field.frame)
@@ -228,57 +233,40 @@ class Calibrator(Node):
         self._fused.begin_anew(calibration)
         self._watch = None if calibration is None else Watch(calibration)
         self._whereabouts.use(calibration)
+        self._keeping.use(calibration)
+        self._travel.use(self._keeper.origin.vehicle_yaw if self._keeper.origin else None)
         self._publish_status()
 
     def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
         frames = (self._inputs.field.frame, self._inputs.imu.frame)
-        origin = Origin.now(*frames, self.get_fully_qualified_name())
+        origin = Origin.now(*frames, self.get_fully_qualified_name(), self._travel.yaw)
         self._keeper.put_in_force(calibration, origin)
         return self._keeper.store(self._path)
 
+    def _sensor_file(self) -> tuple[str, str]:
+        return self._chosen(), self._inputs.field.frame
+
     def _path(self) -> Path:
-        return self._keeper.path(self._chosen(), self._inputs.field.frame)
+        return self._keeper.path(*self._sensor_file())
 
     def _accept(self, tell: Tell) -> None:
         outcome = self._control.turn.last_outcome
         if self._control.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
+        elif self._keeping.proposal is not None:
+            self._keeping.accept(tell)
         elif outcome is None or outcome.calibration is None:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
         else:
             self._reporter.put_in_force()
-            work = self.put_in_force(outcome.calibration.on_users_word())
-            self._files.run(
-                work,
-                lambda words: tell(Conclusion(True, words)),
-                lambda error: tell(Conclusion(True, f"In force, but not saved: {error!r}")),
-            )
+            self._keeping.put_in_force(outcome.calibration.on_users_word(), tell)
 
-    def _save(self, tell: Tell) -> None:
-        try:
-            work = self._keeper.store(self._path)
-        except FileTrouble as error:
-            tell(Conclusion(False, str(error)))
-            return
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
-            lambda error: tell(Conclusion(False, f"not saved: {error!r}")),
-        )
-
-    def _load(self, tell: Tell) -> None:
-        chosen, frame = self._chosen(), self._inputs.field.frame
-
-        def fail(error: Exception) -> None:
-            self._keeper.trouble = str(error)
-            tell(Conclusion(False, str(error)))
-
-        self._files.run(
-            lambda: self._keeper.read(chosen, frame),
-            lambda loaded: tell(Conclusion(True, self._keeper.use(loaded))),
-            fail,
-        )
+    def drive_knowledge(self) -> Knowledge | None:
+        """Return what is known beforehand of a drive; None while a turn is under way."""
+        if self._control.state is not TurnState.IDLE:
+            return None
+        return self._seat.settled(self._whereabouts.settings).knowledge
 
     def _reset(self) -> Conclusion:
         self._control.forget_turns()
@@ -366,7 +354,13 @@ class Calibrator(Node):
         self._fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
-        complaints = self._inputs.complaints() + self._seat.complaints
+        settings = self._table.settings
+        wanted = settings.self_calibration, settings.report_folder
+        self._keeping.follow(*wanted, self._travel.swing)
+        news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
+        if news is not None and self._keeper.keep_vehicle_yaw(news):
+            self._shelf.save(lambda _: None)
+        complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
         self._announcer.complain(complaints)
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
@@ -376,6 +370,7 @@ class Calibrator(Node):
             field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
             self._fused.diagnostic(name),
             watch_diagnostic(name, self._watch),
+            *self._travel.diagnostics(name),
             inputs_diagnostic(
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),
@@ -388,10 +383,9 @@ class Calibrator(Node):
         answer = self._control.turn.last_conclusion
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(self._control.state is not TurnState.IDLE, answer, words)
-        reference, rotation = self._whereabouts.reference, self._table.settings.rotation
-        status = status_json(
-            self._control, self._keeper, self._inputs, reference, self._watch, rotation.enabled
-        )
+        reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
+        told = self._control, self._keeper, self._inputs, reference, self._watch, turns
+        status = status_json(*told, self._travel, self._keeping)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

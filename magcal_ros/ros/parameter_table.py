@@ -5,6 +5,7 @@ from __future__ import annotations
 from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.earth_field.wmm import ALTITUDES
 from magcal_ros.core.heading.disturbance import PATIENCE
+from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
@@ -34,12 +35,29 @@ PARAMETERS: tuple[Spec, ...] = (
         1,
         100_000,
     ),
+    Spec(
+        "memory_limit_mb",
+        1024,
+        "How much more memory than at its start the node may take; a request that claims to hold "
+        "millions of values ends there. Read when the node starts; fits are not bounded",
+        256,
+        1_000_000,
+        "MB",
+    ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
         "accumulate",
         False,
         "Join the next turns, made on different tilts, into one estimate of the full correction, "
         "installation yaw included; false: each turn starts afresh",
+    ),
+    Spec(
+        "self_calibration",
+        "propose",
+        "What is done with a calibration that ordinary driving has shown and proved better: "
+        "proposed (call ~/accept), applied (and taken back where it was worse), or nothing looked "
+        "for",
+        choices=tuple(mode.value for mode in Mode),
     ),
     Spec(
         "reference.strength_ut",
@@ -124,6 +142,15 @@ PARAMETERS: tuple[Spec, ...] = (
         "",
         "Frame that the attitudes are published for, told by the fixed joints of "
         "robot_description or the static transforms. Empty: the IMU's own",
+    ),
+    Spec(
+        "vehicle_yaw_deg",
+        UNSET,
+        "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
+        "what the robot's description says, mended by up to 15° by what driving shows",
+        -360.0,
+        360.0,
+        "°",
     ),
     Spec(
         "mount_rpy_deg",

@@ -28,8 +28,8 @@ from magcal_ros.ros.sensor_source import SensorSource
 TURN_RATE = 0.5
 SAMPLES_PER_HEADING = 20
 
-PATIENCE = 5.0
-"""Seconds within which an answer of the node must come."""
+PATIENCE = 30.0
+"""Seconds within which an answer of the node must come, on the slowest machine."""
 
 SETTLE = 0.8
 """Seconds of the robot's time until what is published speaks of a new pose alone. The yaw comes
@@ -88,7 +88,7 @@ class Rehearsal:
     def _on_attitude(self, message: Imu) -> None:
         self._answered = seconds(message.header.stamp)
 
-    def wait_for_node(self, patience: float = 20.0) -> None:
+    def wait_for_node(self, patience: float = PATIENCE) -> None:
         """Wait until the node listens to the sensors and has told its state."""
         deadline = time.monotonic() + patience
         while not (self.source.listeners and self.status):
@@ -99,11 +99,11 @@ class Rehearsal:
     def call(self, service: str) -> Any:
         """Call a service and return the future of its answer."""
         client: Any = self.node.create_client(Trigger, f"{self._calibrator}/{service}")
-        if not client.wait_for_service(10.0):
+        if not client.wait_for_service(PATIENCE):
             raise MagcalError(f"the service {self._calibrator}/{service} does not answer")
         return client.call_async(Trigger.Request())
 
-    def answer(self, future: Any, patience: float = 10.0) -> Any:
+    def answer(self, future: Any, patience: float = PATIENCE) -> Any:
         """Let the robot stand until a service has answered; returns the answer."""
         self.run(patience, stop=future.done)
         if not future.done():

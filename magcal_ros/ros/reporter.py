@@ -63,7 +63,7 @@ class Reporter:
         from magcal_ros.report import new_folder, remove_old
 
         try:
-            place = chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
+            place = reports_of(parent)
             folder = self._newest = new_folder(place, subject.created)
             if subject.outcome.verdict.accepted:
                 self.put_in_force()
@@ -118,6 +118,17 @@ class Reporter:
                 return self._draw(*waiting)
             except OSError as error:
                 self._say(f"no report in {waiting[0]}: {error.strerror or error}")
+
+
+def reports_of(parent: str) -> Path:
+    """Return where reports go, by the parameter report_folder.
+
+    Raises
+    ------
+    FileTrouble
+        If it lies in a home that does not exist.
+    """
+    return chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
 
 
 def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.estimate import Installation
+from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.geometry.sensor_poses import (
     Frames,
     SensorPoses,
@@ -17,6 +18,7 @@ from magcal_ros.core.geometry.sensor_poses import (
     sensor_poses,
 )
 from magcal_ros.core.heading.base_view import BaseView
+from magcal_ros.core.heading.mended_pose import MendedPose, mend
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.description import Description
 from magcal_ros.ros.settings import Settings
@@ -45,6 +47,8 @@ class Seat:
         self._view: BaseView | None = BaseView(np.eye(3))
         self._contradiction = ""
         self._found: Installation | None = None
+        self._vehicle_yaw: VehicleYaw | None = None
+        self._mended = MendedPose(None)
 
     def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors name."""
@@ -85,11 +89,17 @@ class Seat:
         estimate = None if outcome is None else outcome.estimate
         self._found = None if estimate is None else estimate.installation
 
+    def note_vehicle_yaw(self, yaw: VehicleYaw | None) -> None:
+        """Take how the IMU sits in the vehicle, as drives show it."""
+        if yaw != self._vehicle_yaw:
+            self._vehicle_yaw = yaw
+            self._look()
+
     @property
     def complaints(self) -> list[str]:
         """What is missing or contradicts the samples, in words."""
         poses = self.poses
-        words = [*poses.complaints, self._contradiction]
+        words = [*poses.complaints, self._contradiction, self._mended.contradiction]
         if self._frames.base:
             words.append(self._description.trouble)
         if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
@@ -110,6 +120,10 @@ class Seat:
         given = settings.knowledge.mounting.pose if settings.mount_is_given else None
         self._poses = sensor_poses(self._frames, self._description.tree, given)
         self._contradiction = ""
-        view = None if self._poses.imu is None else BaseView(self._poses.imu)
+        by_hand, found = settings.vehicle_yaw, self._vehicle_yaw
+        imu = self._poses.imu
+        mended = self._mended = mend(imu if settings.base_frame else None, by_hand, found)
+        pose = imu if mended.pose is None else mended.pose
+        view = None if pose is None else BaseView(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

@@ -42,6 +42,7 @@ class Settings:
     `knowledge` is what was given by hand; `place`, `local` and the World Magnetic Model fill in
     what its reference field lacks. `half_place` tells that only one of two coordinates was given,
     `mount_is_given` that the magnetometer's pose was. An empty `base_frame` is the IMU's.
+    `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without.
     """
 
     calibration_file: str
@@ -59,6 +60,8 @@ class Settings:
     rotation: Rotation
     base_frame: str
     mount_is_given: bool
+    self_calibration: str
+    vehicle_yaw: float | None
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -77,6 +80,7 @@ class Settings:
         )
         spot = (values["reference.latitude_deg"], values["reference.longitude_deg"])
         unset = [math.isnan(angle) for angle in spot]
+        by_hand = values["vehicle_yaw_deg"]
         return cls(
             values["calibration_file"],
             values["report_folder"],
@@ -106,4 +110,6 @@ class Settings:
             ),
             values["base_frame"],
             mount_is_given,
+            values["self_calibration"],
+            None if math.isnan(by_hand) else math.radians(by_hand),
         )

@@ -22,6 +22,8 @@ from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.outputs import Outputs
+from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.travel import Travel
 
 
 def status_json(
@@ -31,6 +33,8 @@ def status_json(
     reference: Reference,
     watch: Watch | None,
     turns_itself: bool,
+    travel: Travel,
+    keeping: SelfKeeping,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = control.state.value
@@ -54,6 +58,9 @@ def status_json(
             else outcome.several.facts(),
             "calibration": _calibration(keeper),
             "watch": None if watch is None else _watch(watch.watched),
+            "vehicle_yaw_offset": _vehicle_yaw(travel),
+            "drive": travel.facts(),
+            "self_calibration": keeping.facts(),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},
@@ -101,6 +108,18 @@ def _watch(watched: Watched) -> Mapping[str, Any]:
         "stale": watched.is_stale,
         "summary": watched.summary,
         "findings": {f.key: round(f.value or 0.0, 2) for f in watched.findings},
+    }
+
+
+def _vehicle_yaw(travel: Travel) -> Mapping[str, Any] | None:
+    yaw = travel.yaw
+    if yaw is None:
+        return None
+    return {
+        "deg": round(math.degrees(yaw.offset), 2),
+        "sigma_deg": round(math.degrees(yaw.sigma), 2),
+        "by": yaw.source,
+        "words": yaw.words,
     }
 
 

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from drives import drive, write_csv
@@ -18,6 +19,20 @@ LONG = "x" * 5000
 def run(*arguments, **options):
     given = {"capture_output": True, "timeout": 120, "check": False, **options}
     return subprocess.run([*COMMAND, *arguments], **given)
+
+
+@pytest.fixture
+def call(capfdbinary):
+    """Run a command in this process; returns what a shell would see."""
+
+    def run_here(*arguments):
+        try:
+            status = main([os.fsdecode(each) for each in arguments])
+        except SystemExit as left:
+            status = left.code
+        return SimpleNamespace(returncode=status, stderr=capfdbinary.readouterr().err)
+
+    return run_here
 
 
 def is_one_line(done):
@@ -45,8 +60,8 @@ def rewrite(path, row, column, value):
         ["export", LONG, "--to", "px4"], ["replay", LONG],
     ],
 )  # fmt: skip
-def test_a_name_too_long_is_file_trouble(arguments):
-    done = run(*arguments)
+def test_a_name_too_long_is_file_trouble(call, arguments):
+    done = call(*arguments)
     assert done.returncode == Exit.FILE_TROUBLE
     assert is_one_line(done)
     assert len(done.stderr) < 6000
@@ -54,26 +69,26 @@ def test_a_name_too_long_is_file_trouble(arguments):
 
 @pytest.mark.parametrize("table", ["imu.csv", "mag.csv"])
 @pytest.mark.parametrize("command", ["fit", "replay"])
-def test_an_endless_device_as_a_table_is_not_read(folder, table, command):
+def test_an_endless_device_as_a_table_is_not_read(call, folder, table, command):
     (folder / table).unlink()
     (folder / table).symlink_to("/dev/zero")
-    done = run(command, str(folder))
+    done = call(command, str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
     assert b"not a regular file" in done.stderr
     assert is_one_line(done)
 
 
-def test_a_line_without_end_is_damage(folder):
+def test_a_line_without_end_is_damage(call, folder):
     (folder / "mag.csv").write_text("t,mx,my,mz\n" + "1" * 50_000)
-    done = run("fit", str(folder))
+    done = call("fit", str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
     assert b"a line has 10000 characters or more" in done.stderr
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may go anywhere")
-def test_a_folder_that_may_not_be_entered_is_file_trouble(folder):
+def test_a_folder_that_may_not_be_entered_is_file_trouble(call, folder):
     folder.chmod(0o600)
-    done = run("fit", str(folder))
+    done = call("fit", str(folder))
     folder.chmod(0o700)
     assert done.returncode == Exit.FILE_TROUBLE
     assert is_one_line(done)
@@ -81,33 +96,33 @@ def test_a_folder_that_may_not_be_entered_is_file_trouble(folder):
 
 @pytest.mark.parametrize("stamp", ["1e300", "-1e300", "1e12"])
 @pytest.mark.parametrize("command", ["fit", "replay"])
-def test_stamps_that_are_no_times_are_damage(folder, stamp, command):
+def test_stamps_that_are_no_times_are_damage(call, folder, stamp, command):
     rewrite(folder / "mag.csv", 5, 0, stamp)
-    done = run(command, str(folder))
+    done = call(command, str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
     assert b"must be seconds" in done.stderr
     assert is_one_line(done)
 
 
 @pytest.mark.parametrize("stamp", ["nan", "inf", "4e9"])
-def test_stamps_that_no_message_holds_are_not_replayed(folder, stamp):
+def test_stamps_that_no_message_holds_are_not_replayed(call, folder, stamp):
     rewrite(folder / "imu.csv", 7, 0, stamp)
-    done = run("replay", str(folder))
+    done = call("replay", str(folder))
     assert done.returncode == Exit.FILE_TROUBLE
     assert b"sample 7 has the stamp" in done.stderr
     assert is_one_line(done)
 
 
 @pytest.mark.parametrize("option", ["--imu-frame", "--mag-frame"])
-def test_a_frame_that_is_no_text_is_misuse(folder, option):
-    done = run("replay", str(folder), option, b"\xff\xfe")
+def test_a_frame_that_is_no_text_is_misuse(call, folder, option):
+    done = call("replay", str(folder), option, b"\xff\xfe")
     assert done.returncode == Exit.USAGE
     assert b"is no UTF-8 text" in done.stderr
 
 
 @pytest.mark.parametrize("rate", ["nan", "inf", "0", "-1", "fast"])
-def test_a_rate_that_is_none_is_misuse(folder, rate):
-    assert run("replay", str(folder), f"--rate={rate}").returncode == Exit.USAGE
+def test_a_rate_that_is_none_is_misuse(call, folder, rate):
+    assert call("replay", str(folder), f"--rate={rate}").returncode == Exit.USAGE
 
 
 class TestRos:
@@ -177,3 +192,12 @@ def test_an_os_error_without_a_name_is_ours_and_with_one_the_users(monkeypatch, 
     capsys.readouterr()
     assert main(["check", "x", "--calibration", "y"]) == Exit.FILE_TROUBLE
     assert capsys.readouterr().err == "magcal: cannot use /secret: Denied\n"
+
+
+@pytest.mark.parametrize("name", ["", "/", "/x//y", "x\x1b[2J", "a b", "/x/", "1a", "x" * 5000])
+def test_a_name_that_no_node_can_have_is_said(name, capsys):
+    with pytest.raises(SystemExit, match=f"{Exit.USAGE:d}"):
+        main(["calibrate", "--node", name])
+    said = capsys.readouterr().err
+    assert "is no name of a node" in said
+    assert "\x1b" not in said

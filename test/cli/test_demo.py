@@ -14,7 +14,7 @@ def magcal(*arguments, **options):
         capture_output=True,
         text=True,
         check=False,
-        timeout=90,
+        timeout=280,
         **options,
     )
 

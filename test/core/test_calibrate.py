@@ -28,8 +28,8 @@ def window_of(robot=ROBOT, **motion):
     return measure(robot, turn(**motion), np.random.default_rng(3), gyro=True)
 
 
-def test_every_method_is_for_a_turn_or_for_a_tumbled_sensor():
-    assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS}
+def test_every_method_is_for_a_turn_a_drive_or_a_tumbled_sensor():
+    assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS, "smoother"}
     assert METHODS[0] == "maximum_likelihood"
 
 

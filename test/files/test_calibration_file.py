@@ -2,7 +2,6 @@ import math
 import os
 import re
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (
     LARGEST_FILE,
@@ -437,13 +437,11 @@ class TestBombs:
         ],
         ids=["lists", "maps", "dashes", "keys", "indents", "many"],
     )
-    def test_nesting_is_refused_at_once(self, tmp_path, bomb):
+    def test_nesting_is_refused_and_not_followed_for_ever(self, tmp_path, bomb):
         path = tmp_path / "mag.yaml"
         path.write_text("format: magcal_ros/calibration\nx: " + bomb)
-        began = time.monotonic()
         with pytest.raises(FileTrouble, match="is not a usable calibration"):
             read_calibration(path)
-        assert time.monotonic() - began < 10.0
 
 
 def test_the_node_that_made_it_is_remembered(tmp_path):
@@ -452,11 +450,36 @@ def test_the_node_that_made_it_is_remembered(tmp_path):
     assert read_calibration(path)[1] == origin
 
 
-def test_a_large_file_of_somebody_else_takes_no_time(tmp_path):
+def test_a_large_file_of_somebody_else_is_not_parsed(tmp_path, monkeypatch):
     path = tmp_path / "params.yaml"
     path.write_text("x: [" + "1.0, " * ((LARGEST_FILE - 100) // 5) + "1.0]\n")
-    began = time.monotonic()
-    for _ in range(20):
-        with pytest.raises(FileTrouble, match="does not say 'format: magcal_ros/calibration'"):
-            read_calibration(path)
-    assert time.monotonic() - began < 2.0
+    monkeypatch.setattr(yaml, "load", None)
+    with pytest.raises(FileTrouble, match="does not say 'format: magcal_ros/calibration'"):
+        read_calibration(path)
+
+
+class TestVehicleYaw:
+    """How the IMU sits in the vehicle lies beside the calibration, and never in its matrix."""
+
+    ORIGIN = replace(ORIGIN, vehicle_yaw=VehicleYaw(0.123456789, 0.01, "course"))
+
+    def test_it_comes_back_to_the_last_bit_and_changes_nothing_else(self, tmp_path, written):
+        path = tmp_path / "with.yaml"
+        write_calibration(path, example(), self.ORIGIN)
+        calibration, origin = read_calibration(path)
+        assert origin == self.ORIGIN
+        assert everything(calibration) == everything(read_calibration(written)[0])
+
+    def test_files_from_before_have_none(self, written):
+        assert "vehicle_yaw_offset" not in written.read_text()
+        assert read_calibration(written)[1].vehicle_yaw is None
+
+    @pytest.mark.parametrize(
+        "entry",
+        ["3", "{yaw: .nan, sigma: 0.1, source: course}", "{yaw: 0.1}", "[1, 2]",
+         "{yaw: 70.0, sigma: 0.1, source: course}", "{yaw: 0.1, sigma: -1.0, source: course}"],
+    )  # fmt: skip
+    def test_nonsense_is_trouble(self, written, entry):
+        written.write_text(written.read_text() + f"vehicle_yaw_offset: {entry}\n")
+        with pytest.raises(FileTrouble):
+            read_calibration(written)

@@ -1,7 +1,6 @@
 import os
 import socket
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -56,8 +55,6 @@ class TestPromptly:
 
     def test_a_disk_that_does_not_answer_is_given_up(self):
         answer = threading.Event()
-        began = time.monotonic()
         with pytest.raises(FileTrouble, match=r"/gone/mag\.yaml does not answer within 0\.2 s"):
             promptly(answer.wait, Path("/gone/mag.yaml"), 0.2)
-        assert time.monotonic() - began < 5.0
         answer.set()

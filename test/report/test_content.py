@@ -30,6 +30,13 @@ def page_of(folder, subject):
     return PAGES[id(subject)][1]
 
 
+def text_of(folder, subject):
+    """The page on a subject without its pictures."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(sys.modules, "matplotlib", None)
+        return write_report(folder, subject).read_text(encoding="utf-8")
+
+
 def words_of(page):
     """The text a reader sees, style and tags left out."""
     body = page[page.index("<body>") :]
@@ -74,7 +81,7 @@ def test_an_unknown_figure_is_shown_in_si(tmp_path):
     subject = good()
     estimate = replace(subject.outcome.estimate, figures={"odd_thing": 0.25})
     outcome = replace(subject.outcome, estimate=estimate)
-    words = words_of(page_of(tmp_path, replace(subject, outcome=outcome)))
+    words = words_of(text_of(tmp_path, replace(subject, outcome=outcome)))
     assert "odd thing 0.25 (SI)" in words
 
 
@@ -101,9 +108,8 @@ def test_without_a_gyro_it_says_so(tmp_path):
 
 @pytest.mark.parametrize("make", [good, troubled, refused])
 def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
-    path = write_report(tmp_path, make())
-    page = path.read_text(encoding="utf-8")
-    assert path.stat().st_size < LARGEST_PAGE
+    page = page_of(tmp_path, make())
+    assert len(page.encode()) < LARGEST_PAGE
     assert "://" not in page
     assert not re.search(r"\b(src|srcset|action|data|poster)\s*=", page)
     assert not re.findall(r'href="(?!#)', page)
@@ -125,7 +131,7 @@ def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
 )
 def test_foreign_text_stays_text(tmp_path, place):
     evil = "<script>alert('x')</script>\"&<img src=x>"
-    page = page_of(tmp_path, replace(good(), **{place: evil}))
+    page = text_of(tmp_path, replace(good(), **{place: evil}))
     assert "<script" not in page
     assert "<img" not in page
     assert "&lt;script&gt;" in page
@@ -141,6 +147,7 @@ def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
     assert names_of(page) == ["views", "around"]
     assert page.count("<svg") == 2
     assert ">corrected field<" not in page
+    text_of(tmp_path, subject)
     assert (tmp_path / "samples.csv").read_text().count("\n") == 501
 
 
@@ -148,7 +155,7 @@ def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
 def test_hardly_any_samples_are_reported_too(tmp_path, samples):
     nothing = np.zeros((samples, 3))
     window = Window(np.arange(samples), nothing, nothing)
-    words = words_of(page_of(tmp_path, subject_of(window, ROBOT.knowledge())))
+    words = words_of(text_of(tmp_path, subject_of(window, ROBOT.knowledge())))
     assert f"Only {samples} samples" in words
 
 
@@ -163,7 +170,7 @@ def test_a_calibration_accepted_by_a_person_says_so(tmp_path):
     subject = good()
     calibration = subject.outcome.calibration.on_users_word()
     outcome = replace(subject.outcome, calibration=calibration)
-    words = words_of(page_of(tmp_path, replace(subject, outcome=outcome)))
+    words = words_of(text_of(tmp_path, replace(subject, outcome=outcome)))
     assert "A person put it in force against this verdict." in words
 
 
@@ -217,7 +224,7 @@ print(write_report(Path({folder!r}), good()))
 def test_without_matplotlib_the_report_is_still_written(tmp_path, request):
     tests = str(request.path.parent)
     code = WITHOUT_MATPLOTLIB.format(tests=tests, folder=str(tmp_path))
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=240)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     words = words_of(page)
     assert "<svg" not in page
@@ -231,11 +238,11 @@ def test_matplotlib_is_imported_only_when_a_picture_is_drawn():
         "import sys, magcal_ros.report, magcal_ros.files.samples\n"
         "assert not {'matplotlib', 'rclpy'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=240)
 
 
 def test_pyplot_is_never_loaded(tmp_path):
-    write_report(tmp_path, good())
+    page_of(tmp_path, good())
     assert "matplotlib.pyplot" not in sys.modules
 
 
@@ -244,7 +251,7 @@ def test_all_thresholds_at_once_still_make_a_page(tmp_path):
     figures = {t.figure: 3.0 * t.good / t.scale for t in TURN_BOUNDS}
     estimate = replace(subject.outcome.estimate, figures=figures)
     verdict = judge(estimate, subject.knowledge)
-    page = page_of(tmp_path, replace(subject, outcome=Outcome(verdict, None, estimate)))
+    page = text_of(tmp_path, replace(subject, outcome=Outcome(verdict, None, estimate)))
     assert page.count('class="grade refused"') > 3
 
 
@@ -257,7 +264,7 @@ def test_turns_that_were_put_together_have_a_section(tmp_path):
     knowledge = robot.knowledge(1e-6, math.radians(1.0))
     outcome = calibrate_turns([*windows, windows[0]], knowledge, names=names)
     subject = subject_of(windows[1], knowledge, outcome, method="maximum_likelihood")
-    words = words_of(page_of(tmp_path, subject))
+    words = words_of(text_of(tmp_path, subject))
     assert "Turns put together" in words
     assert "it holds the same samples as <first>" in words
     assert outcome.several.advice_in_words in words

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import Browser, find_browser
+from long_form import first_of
 from subjects import good, refused, troubled
 
 from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
@@ -47,7 +48,9 @@ def browser(tmp_path_factory):
     opened.close()
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(
+    scope="module", params=first_of(["wordy", "good", "refused", "no gyro", "troubled"], 3)
+)
 def page(request, browser, tmp_path_factory):
     make, pictures = CASES[request.param]
     path = write_report(tmp_path_factory.mktemp("report"), make())

@@ -1,4 +1,5 @@
 import re
+import sys
 import threading
 from pathlib import Path
 
@@ -12,6 +13,12 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.samples import read_samples, write_samples
 from magcal_ros.report import new_folder, write_report
 from magcal_ros.report.recipe import recipe
+
+
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """Draw no pictures, as where matplotlib is missing."""
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
 
 
 def same(one, other):
@@ -51,7 +58,7 @@ def test_a_folder_that_cannot_be_made_is_explained(tmp_path):
         new_folder(tmp_path / "file", CREATED)
 
 
-def test_a_report_is_never_overwritten(tmp_path):
+def test_a_report_is_never_overwritten(no_pictures, tmp_path):
     page = write_report(tmp_path, good())
     before = page.read_bytes(), (tmp_path / "samples.csv").read_bytes()
     with pytest.raises(FileTrouble, match="is there already"):
@@ -84,13 +91,13 @@ def test_reports_from_several_threads(tmp_path):
     assert len({re.sub(r"-p[0-9a-f]{10}\b", "", page) for page in pages}) == 1
 
 
-def test_nothing_but_page_and_samples_is_left(tmp_path):
+def test_nothing_but_page_and_samples_is_left(no_pictures, tmp_path):
     write_report(tmp_path, good())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "samples.csv"]
 
 
 @pytest.mark.parametrize("gyro", [True, False])
-def test_the_fit_repeats_exactly_from_the_samples(tmp_path, gyro):
+def test_the_fit_repeats_exactly_from_the_samples(no_pictures, tmp_path, gyro):
     subject = good(gyro)
     write_report(tmp_path, subject)
     window = read_samples(tmp_path / "samples.csv")
@@ -102,7 +109,7 @@ def test_the_fit_repeats_exactly_from_the_samples(tmp_path, gyro):
     assert np.array_equal(found.covariance, before.covariance)
 
 
-def test_the_recipe_on_the_page_repeats_the_fit(tmp_path, monkeypatch, capsys):
+def test_the_recipe_on_the_page_repeats_the_fit(no_pictures, tmp_path, monkeypatch, capsys):
     subject = good()
     write_report(tmp_path, subject)
     monkeypatch.chdir(tmp_path)

@@ -3,6 +3,7 @@
 import time
 
 from geometry_msgs.msg import Twist, TwistStamped
+from support import PATIENCE
 
 
 class MobileBase:
@@ -37,10 +38,10 @@ class MobileBase:
         self.actor.run(seconds, lambda: self.gain * self.command, stop)
 
     def live_until_moving(self):
-        self.live(5.0, lambda: abs(self.command) > 0.2)
+        self.live(PATIENCE, lambda: abs(self.command) > 0.2)
         assert abs(self.command) > 0.2
 
-    def answer(self, future, patience=40.0):
+    def answer(self, future, patience=2.0 * PATIENCE):
         self.live(patience, future.done)
         assert future.done()
         self.live(1.0)

@@ -1,6 +1,7 @@
 """The robot of the ROS tests, and how its headings are measured."""
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,9 @@ from magcal_ros.files.calibration_file import Origin, write_calibration
 
 DEGREE = math.pi / 180.0
 SPEED = 4.0
+
+PATIENCE = 60.0
+"""Seconds to wait for what must happen, on the slowest and busiest machine."""
 
 ROBOT = Robot(
     strength=48e-6,
@@ -25,16 +29,52 @@ ROBOT = Robot(
 REFERENCE = {"reference.strength_ut": 48.0, "reference.inclination_deg": 65.0}
 
 
+AT_ONCE = 10.0
+"""Seconds for what takes some tenths of one, against what waits for a turn or for ever."""
+
+
+def wait_until(condition, patience=PATIENCE):
+    """Wait for what happens in other threads or processes."""
+    deadline = time.monotonic() + patience
+    while not condition():
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.01)
+
+
 def rms_deg(errors):
     """Return the root mean square of radians in degrees."""
     return math.degrees(math.sqrt(float(np.mean(np.square(errors)))))
+
+
+def assert_silent(actor):
+    """No yaw comes, once what was under way has arrived."""
+    for _ in range(30):
+        actor.yaws.clear()
+        actor.run(0.4)
+        if not actor.yaws:
+            return
+    raise AssertionError("the yaw goes on")
+
+
+def goes_on(actor):
+    """The node answers, by its services and by the yaw."""
+    assert actor.answer(actor.call("reset")).success
+    assert_silent(actor)
+    assert actor.answer(actor.call("load")).success
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
+    assert actor.yaws
+
+
+def turn_by(actor, degrees):
+    """Turn until the node has seen so much of the circle."""
+    actor.run(PATIENCE, 0.5, lambda: (actor.status["progress"] or {}).get("arc_deg", 0.0) > degrees)
 
 
 def calibrate_quickly(actor):
     """Start, turn by what is enough for a verdict, and finish; returns the answer."""
     started = actor.answer(actor.call("start"))
     assert started.success, started.message
-    actor.run(30.0, 0.5, stop=lambda: (actor.status["progress"] or {}).get("arc_deg", 0.0) > 240.0)
+    turn_by(actor, 240.0)
     return actor.answer(actor.call("finish"))
 
 

@@ -11,7 +11,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from long_form import IS_LONG
 from other_rclpy import CALLS
-from support import ROBOT
+from support import PATIENCE, ROBOT
 
 from magcal_ros.ros.rehearsal import Rehearsal
 
@@ -21,8 +21,8 @@ GIVEN = ["-p", "reference.strength_ut:=48.0", "-p", "reference.inclination_deg:=
 FALLEN_BACK = "rclpy's own executor serves the sensors from now on"
 INSIDE = ("_tasks", "_guard", "_sigint_gc", "can_execute", "_spin_once_impl")
 IN_MID_TURN = 600
-SPEED = 1.0
-"""In real time a busy machine keeps up, and what is missing was lost by the node."""
+SPEED = 3.0
+"""Slower than elsewhere: a machine that cannot keep up loses messages too."""
 
 pytestmark = pytest.mark.faults
 
@@ -32,8 +32,9 @@ def one_by_one(names):
     return [(name,) for name in names] if IS_LONG else []
 
 
-LOST = 0.02
-"""Share of the messages that may be missing."""
+LOST = 0.25
+"""Share of the messages that may be missing: a machine that is busy for longer than a queue lasts
+loses best-effort messages by itself, and a loop that died would lose most of them."""
 
 
 class Run:
@@ -73,11 +74,11 @@ class Run:
     def meet(self):
         """Wait until the node hears the robot; what came too early for it is not counted."""
         self.actor.wait_for_node()
-        self.actor.run(5.0, stop=lambda: self.published["imu/mag"] > 5)
+        self.actor.run(PATIENCE, stop=lambda: self.published["imu/mag"] > 5)
         self.actor.mangle = lambda _: []
         for _ in range(2):
             self.counted = {}
-            self.actor.run(3.0, stop=lambda: self.counted)
+            self.actor.run(PATIENCE, stop=lambda: self.counted)
         assert min(self.counted[topic] for topic in self.published) > 0
         self.published = {topic: self.counted[topic] for topic in self.published}
         self.actor.mangle = self.count
@@ -85,17 +86,15 @@ class Run:
     def everything_arrived(self):
         """Stand still until the node has counted each message, or some seconds are over."""
         self.actor.mangle = lambda _: []
-        self.actor.run(4.0, stop=lambda: self.counted == {**self.published, "errors": 0})
+        self.actor.run(10.0, stop=lambda: self.counted == {**self.published, "errors": 0})
         assert self.counted["errors"] == 0
         for topic, published in self.published.items():
-            # A machine that is busy for longer than the queue lasts loses best-effort messages by
-            # itself; a loop that died would lose most of them.
             assert published * (1.0 - LOST) <= self.counted[topic] <= published
 
     def end(self):
         """End it; returns what it logged."""
         self.process.send_signal(signal.SIGINT)
-        _, log = self.process.communicate(timeout=10.0)
+        _, log = self.process.communicate(timeout=PATIENCE)
         assert self.process.returncode == 0, log
         assert "Traceback" not in log
         return log
@@ -126,7 +125,7 @@ def calibrates_and_answers(run):
     for service in ("start", "cancel", "save"):
         answer = run.actor.answer(run.actor.call(service))
         assert answer.success, answer.message
-    run.actor.run(0.5)
+    run.actor.run(PATIENCE, stop=lambda: run.actor.yaws)
     assert run.actor.yaws
 
 

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from support import PATIENCE, wait_until
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.ros.aside import Aside
@@ -21,11 +22,16 @@ def aside():
     process.stop()
 
 
+def sleep_for_long(begun):
+    begun.touch()
+    time.sleep(600.0)
+
+
 def fail():
     raise Refusal(Reason.NO_MOTION, "it stood still")
 
 
-def is_gone(pid, patience=5.0):
+def is_gone(pid, patience=PATIENCE):
     deadline = time.monotonic() + patience
     while time.monotonic() < deadline:
         try:
@@ -60,20 +66,20 @@ def test_ended_for_good_it_is_not_started_again(aside):
         aside.run(os.getpid)
 
 
-def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(aside):
+def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(aside, tmp_path):
     pid = aside.run(os.getpid)
     ends = []
 
     def wait():
         with pytest.raises((EOFError, OSError)):
-            aside.run(time.sleep, 600.0)
+            aside.run(sleep_for_long, tmp_path / "begun")
         ends.append(True)
 
     thread = threading.Thread(target=wait)
     thread.start()
-    time.sleep(0.2)
+    wait_until((tmp_path / "begun").exists)
     aside.stop()
-    thread.join(5.0)
+    thread.join(PATIENCE)
     assert ends
     assert is_gone(pid)
     assert aside.run(os.getpid) != pid

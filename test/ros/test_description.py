@@ -8,6 +8,7 @@ import pytest
 import rclpy
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import String
+from support import PATIENCE
 
 from magcal_ros.core.geometry.frame_tree import FrameTree
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
@@ -25,7 +26,7 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
     description = Description(node, lambda: news.append(True))
 
     def wait_for(count):
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + PATIENCE
         while len(news) < count and time.monotonic() < deadline:
             rclpy.spin_once(node, timeout_sec=0.05)
         assert len(news) == count

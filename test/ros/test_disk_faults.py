@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 import yaml
-from support import REFERENCE, store_calibration
+from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.ros.keeper import Keeper
@@ -50,7 +50,7 @@ def test_a_full_and_a_read_only_disk_leave_what_was_there_and_say_so(stage, smal
     assert answer.success, answer.message
     assert f"In force, but not saved: cannot write {path}: No space left" in answer.message
     assert path.read_bytes() == before
-    actor.run(0.3)
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws
     (small_disk / "filler").unlink()
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)

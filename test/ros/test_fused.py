@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Imu
-from support import REFERENCE
+from support import PATIENCE, REFERENCE
 
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.samples.streams import FieldSample
@@ -22,7 +22,7 @@ def fused(loaded):
     heard, reports = [], []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
-    actor.run(1.5)
+    actor.run(PATIENCE, stop=lambda: len(heard) > 50 and reports)
     return actor, heard, reports
 
 
@@ -71,6 +71,6 @@ def test_without_a_gyro_nothing_comes_and_that_is_said(loaded):
     heard, reports = [], []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", heard.append, 100)
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, 10)
-    actor.run(2.5, stop=lambda: len(reports) > 1)
+    actor.run(PATIENCE, stop=lambda: len(reports) > 1)
     assert not heard
     assert "no gyro" in diagnostic(reports).message

@@ -3,11 +3,12 @@
 import json
 
 import pytest
-from support import REFERENCE, calibrate_quickly
+from support import PATIENCE, REFERENCE, calibrate_quickly
 
 from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.places import LONGEST_FRAME
+from magcal_ros.files.samples import read_samples
 from magcal_ros.ros.preflight import Heard, _describe, _note
 
 pytestmark = pytest.mark.faults
@@ -43,9 +44,13 @@ def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
     loaded = actor.answer(actor.call("load"))
     assert loaded.success, loaded.message
     (folder,) = (ros_home / "magcal" / "reports").iterdir()
-    actor.run(30.0, stop=(folder / "report.html").exists)
+    assert f"Report: {folder}/report.html." in answer.message
+    actor.run(PATIENCE, stop=(folder / "report.html").exists)
     page = (folder / "report.html").read_text()
+    assert "/imu/mag and /imu/data_raw" in page
+    assert "<svg" in page
     assert "<script" not in page
+    assert len(read_samples(folder / "samples.csv")) > 200
     assert len(page) < 1_000_000
     inside = {p for p in ros_home.rglob("*") if p.is_file() and p.suffix != ".log"}
     left = ("report.html", "samples.csv", "in_force.txt")

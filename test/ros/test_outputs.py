@@ -7,12 +7,22 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, MagneticField
-from support import REFERENCE, store_calibration
+from support import PATIENCE, REFERENCE, store_calibration
+from theatre import open_theatre
 
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.ros.outputs import LATCHED
 
 DECLINATION = math.radians(7.0)
+
+TOPICS = {
+    "field": (MagneticField, "imu/mag_unbiased"),
+    "magnetic": (Imu, "compass/mag/enu/imu"),
+    "true": (Imu, "compass/true/enu/imu"),
+}
+
+SETTLED_WITHIN = 3.0
+"""Seconds of the robot's time until the leap to another pose no longer widens the variance."""
 
 
 @pytest.fixture
@@ -27,29 +37,31 @@ def listen():
     return subscribe
 
 
-@pytest.fixture
-def calibrated(loaded, listen):
-    """Return an actor whose node is calibrated, and what it publishes."""
-    actor = loaded(parameters={**REFERENCE, "reference.declination_deg": 7.0})
-    actor.sent = set()
+@pytest.fixture(scope="module")
+def recorded(calibration_of_the_robot, tmp_path_factory):
+    """Return a robot that has left the graph, and what its calibrated node published."""
+    parameters = {**REFERENCE, "reference.declination_deg": 7.0}
+    with open_theatre() as theatre:
+        folder = tmp_path_factory.mktemp("recorded")
+        actor = theatre.loaded(calibration_of_the_robot, folder, parameters=parameters)
+        actor.sent = set()
 
-    def remember(sample):
-        actor.sent.add(round(sample.stamp * 1e9))
-        return [sample]
+        def remember(sample):
+            actor.sent.add(round(sample.stamp * 1e9))
+            return [sample]
 
-    actor.mangle = remember
-    heard = {
-        "field": listen(actor, MagneticField, "imu/mag_unbiased"),
-        "magnetic": listen(actor, Imu, "compass/mag/enu/imu"),
-        "true": listen(actor, Imu, "compass/true/enu/imu"),
-    }
-    actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
-    actor.run(0.3)
-    actor.yaws.clear()
-    for messages in heard.values():
-        messages.clear()
-    actor.run(1.0)
-    return actor, heard
+        actor.mangle = remember
+        heard = {name: [] for name in TOPICS}
+        for name, (kind, topic) in TOPICS.items():
+            actor.node.create_subscription(kind, topic, heard[name].append, 10)
+        actor.ride.stand(math.radians(5.0), math.radians(-3.0), 0.7)
+        settled = 1e9 * (actor.ride.stamp + SETTLED_WITHIN)
+        actor.run(PATIENCE, stop=lambda: any(_nanoseconds(m) > settled for m in heard["true"]))
+        actor.yaws.clear()
+        for messages in heard.values():
+            messages.clear()
+        actor.run(PATIENCE, stop=lambda: min(len(actor.yaws), *map(len, heard.values())) >= 100)
+        return actor, heard
 
 
 def quaternion(message):
@@ -57,8 +69,8 @@ def quaternion(message):
     return [q.x, q.y, q.z, q.w]
 
 
-def test_the_outputs_agree_with_the_truth_and_with_each_other(calibrated):
-    actor, heard = calibrated
+def test_the_outputs_agree_with_the_truth_and_with_each_other(recorded):
+    actor, heard = recorded
     body_to_enu = Rotation.from_quat([quaternion(m) for m in heard["magnetic"]]).mean()
     yaw, pitch, roll = body_to_enu.as_euler("ZYX")
     truth = actor.ride.magnetic_yaw
@@ -76,28 +88,28 @@ def test_the_outputs_agree_with_the_truth_and_with_each_other(calibrated):
     assert mean_yaw == pytest.approx(float(wrap_angle(yaw - DECLINATION)), abs=2e-3)
 
 
-def test_stamps_are_the_fields_and_frames_are_the_imus(calibrated):
-    actor, heard = calibrated
+def test_stamps_are_the_fields_and_frames_are_the_imus(recorded):
+    actor, heard = recorded
     for topic in ("field", "magnetic", "true"):
         assert heard[topic]
         assert {message.header.frame_id for message in heard[topic]} == {"imu_link"}
         assert {_nanoseconds(message) for message in heard[topic]} <= actor.sent
 
 
-def test_the_compensated_field_is_the_earths_in_body_axes(calibrated):
-    actor, heard = calibrated
+def test_the_compensated_field_is_the_earths_in_body_axes(recorded):
+    actor, heard = recorded
     field = np.mean([_vector(message.magnetic_field) for message in heard["field"]], axis=0)
     truth = actor.ride.attitude @ actor.robot.field_enu
     assert np.linalg.norm(field - truth) < 0.6e-6
     assert not np.any(heard["field"][0].magnetic_field_covariance)
 
 
-def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(calibrated):
-    actor, heard = calibrated
-    first = heard["magnetic"][0]
-    assert first.angular_velocity_covariance[0] == -1.0
-    assert first.linear_acceleration_covariance[0] == -1.0
-    covariance = np.array(first.orientation_covariance).reshape(3, 3)
+def test_the_published_variance_is_the_scatter_and_rates_are_marked_absent(recorded):
+    actor, heard = recorded
+    last = heard["magnetic"][-1]
+    assert last.angular_velocity_covariance[0] == -1.0
+    assert last.linear_acceleration_covariance[0] == -1.0
+    covariance = np.array(last.orientation_covariance).reshape(3, 3)
     assert np.allclose(covariance, covariance.T)
     assert (np.linalg.eigvalsh(covariance) > 0.0).all()
     scatter = float(np.std(actor.yaws))
@@ -110,7 +122,7 @@ def test_a_covariance_of_the_field_is_carried_into_body_axes(loaded, listen):
     actor.source._field.magnetic_field_covariance = sigma.ravel()
     heard = listen(actor, MagneticField, "imu/mag_unbiased")
     bias = listen(actor, MagneticField, "imu/mag_bias", LATCHED)
-    actor.run(0.5)
+    actor.run(PATIENCE, stop=lambda: bias and heard)
     a = np.array(bias[-1].magnetic_field_covariance).reshape(3, 3)
     carried = np.array(heard[-1].magnetic_field_covariance).reshape(3, 3)
     assert np.allclose(carried, a @ sigma @ a.T, rtol=1e-9)
@@ -119,12 +131,11 @@ def test_a_covariance_of_the_field_is_carried_into_body_axes(loaded, listen):
 def test_the_bias_is_latched_for_late_joiners_and_repeated(loaded, listen):
     actor = loaded()
     late = listen(actor, MagneticField, "imu/mag_bias", LATCHED)
-    actor.run(0.3)
-    assert len(late) >= 1
+    actor.run(PATIENCE, stop=lambda: late)
     hard_iron = _vector(late[0].magnetic_field)
     assert np.allclose(hard_iron, actor.robot.hard_iron, atol=0.3e-6)
     assert late[0].header.frame_id == "mag_link"
-    actor.run(2.3)
+    actor.run(PATIENCE, stop=lambda: len(late) >= 3)
     assert len(late) >= 3
 
 
@@ -132,7 +143,7 @@ def test_who_joins_late_is_served_at_once(loaded, listen):
     robot = loaded()
     for kind, topic in ((MagneticField, "imu/mag_unbiased"), (Imu, "compass/mag/enu/imu")):
         late = listen(robot, kind, topic)
-        robot.run(10.0, stop=lambda heard=late: len(heard) > 20)
+        robot.run(PATIENCE, stop=lambda heard=late: len(heard) > 20)
         assert len(late) > 20
 
 
@@ -140,7 +151,7 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
     actor = loaded()
     true = listen(actor, Imu, "compass/true/enu/imu")
     magnetic = listen(actor, Imu, "compass/mag/enu/imu")
-    actor.run(1.5)
+    actor.run(PATIENCE, stop=lambda: len(magnetic) > 50)
     assert magnetic
     assert not true
     assert actor.status["north"] == "magnetic"
@@ -149,7 +160,7 @@ def test_without_declination_there_is_no_true_north(loaded, listen):
 def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, listen, ros_home):
     actor = stage()
     heard = listen(actor, DiagnosticArray, "/diagnostics")
-    actor.run(1.5)
+    actor.run(PATIENCE, stop=lambda: heard and actor.source.listeners)
     parts = {status.name: status for status in heard[-1].status}
     assert set(parts) == {
         "calibrator: Calibration",
@@ -162,10 +173,12 @@ def test_diagnostics_tell_the_state_of_calibration_field_and_inputs(stage, liste
     assert "not calibrated" in parts["calibrator: Calibration"].message
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     assert actor.answer(actor.call("load")).success
-    heard.clear()
-    actor.run(2.5, stop=lambda: len(heard) > 1)
-    levels = {status.level for status in heard[-1].status}
-    assert levels == {DiagnosticStatus.OK}
+
+    def levels():
+        return {status.level for status in heard[-1].status}
+
+    actor.run(PATIENCE, stop=lambda: levels() == {DiagnosticStatus.OK})
+    assert levels() == {DiagnosticStatus.OK}
     field = next(s for s in heard[-1].status if s.name == "calibrator: Field")
     assert float(field.message.split(" ")[0]) == pytest.approx(48.0, abs=1.5)
 

@@ -14,6 +14,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue, SetParametersResult
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.parameter import Parameter
+from support import PATIENCE, wait_until
 
 from magcal_ros.ros.parameter_table import PARAMETERS, as_yaml
 
@@ -62,9 +63,9 @@ class Tools:
 
     def call(self, kind, service, **request):
         client = self.node.create_client(kind, f"{self.name}/{service}")
-        assert client.wait_for_service(timeout_sec=20.0)
+        assert client.wait_for_service(timeout_sec=PATIENCE)
         future = client.call_async(kind.Request(**request))
-        rclpy.spin_until_future_complete(self.node, future, timeout_sec=20.0)
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=PATIENCE)
         return future.result()
 
     def load(self, document):
@@ -166,11 +167,7 @@ def test_without_that_callback_it_is_in_effect_a_moment_later(start_node, tools,
     monkeypatch.delattr(Node, "add_post_set_parameters_callback")
     node = start_node({})
     assert tools.load({"x": {"ros__parameters": {"reports_kept": 9}}}) == []
-    for _ in range(100):
-        if node._table.settings.reports_kept == 9:
-            break
-        rclpy.spin_once(tools.node, timeout_sec=0.05)
-    assert node._table.settings.reports_kept == 9
+    wait_until(lambda: node._table.settings.reports_kept == 9)
     refusal = SetParametersResult(successful=False, reason="not today")
     node._on_set_parameters_callbacks.append(lambda _: refusal)
     assert tools.load({"x": {"ros__parameters": {"reports_kept": 11}}}) == ["not today"]

@@ -4,22 +4,32 @@ import math
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 from mobile_base import MobileBase
 from rclpy.parameter import Parameter
-from support import REFERENCE
+from support import AT_ONCE, PATIENCE, REFERENCE
 
+from magcal_ros.core.session import leash, self_turn
+from magcal_ros.ros import guard
 from magcal_ros.ros.end_signals import SIGNALS
 
-TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.5}
+TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.8}
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-preflight"]
 
 
 @pytest.fixture
-def base(stage):
+def leisure(monkeypatch):
+    """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
+    for name in ("SILENCE", "GYRO_SILENCE", "LONGEST_LOOK", "LISTENERS_WITHIN", "GUARDED_WITHIN"):
+        monkeypatch.setattr(self_turn, name, PATIENCE)
+    monkeypatch.setattr(guard, "SILENCE", PATIENCE)
+    monkeypatch.setattr(leash, "FARTHEST_BEYOND", math.pi)
+
+
+@pytest.fixture
+def base(stage, leisure):
     """Return a function that starts the node, a robot and its base."""
 
     def set_up(parameters=TURNING, gain=1.0, stamped=False, **options):
@@ -30,7 +40,7 @@ def base(stage):
 
 def test_it_turns_once_each_way_and_stands_where_it_stood(base):
     parameters = {**TURNING, "rotate.stamped": True, "rotate.frame_id": "chassis"}
-    # Slower than elsewhere: to a robot that lives four times as fast commands come late.
+    # Slower than elsewhere: to a robot that lives many times as fast commands come late.
     robot = base(parameters, stamped=True, speed=2.0)
     robot.live(0.5)
     assert robot.commands == []
@@ -38,12 +48,13 @@ def test_it_turns_once_each_way_and_stands_where_it_stood(base):
     assert answer.success, answer.message
     robot.assert_stopped_and_silent()
     rates = np.array(robot.rates)
-    assert (rates.max(), rates.min()) == (0.5, -0.5)
+    assert (rates.max(), rates.min()) == (0.8, -0.8)
     assert np.abs(np.diff(rates)).max() < 0.12
     assert np.all(np.diff(np.sign(rates[rates != 0.0])) <= 0.0), "left first, then right"
     assert {m.header.frame_id for m in robot.messages} == {"chassis"}
     periods = np.diff([moment for moment, _ in robot.commands])
-    assert 0.03 < np.median(periods) < 0.08
+    # Many a base stops by itself after a quarter of a second without a word.
+    assert 0.03 < np.median(periods) < 0.25
 
 
 def test_it_does_not_move_unless_it_is_asked_to(base):
@@ -56,17 +67,18 @@ def test_it_does_not_move_unless_it_is_asked_to(base):
     assert robot.commands == []
 
 
-def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor):
+def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure):
     node = start_node(TURNING)
     robot = MobileBase(actor())
     future = robot.actor.call("calibrate")
     robot.live_until_moving()
     node.set_parameters([Parameter("rotate.enabled", value=False)])
-    assert "rotate.enabled was switched off" in robot.answer(future, 5.0).message
+    assert "rotate.enabled was switched off" in robot.answer(future).message
     robot.assert_stopped_and_silent()
 
 
-def test_a_base_that_does_not_listen_is_said_with_the_topic(stage):
+def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
+    monkeypatch.setattr(self_turn, "LISTENERS_WITHIN", 0.3)
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
     assert "nobody listens to /cmd_vel" in answer.message
@@ -75,9 +87,9 @@ def test_a_base_that_does_not_listen_is_said_with_the_topic(stage):
 def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
     robot = base()
     command = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, text=True)
-    robot.live(10.0, lambda: robot.moves)
+    robot.live(PATIENCE, lambda: robot.moves)
     command.send_signal(signal.SIGINT)
-    robot.live(5.0, lambda: command.poll() is not None)
+    robot.live(PATIENCE, lambda: command.poll() is not None)
     robot.live(0.8)
     assert "The robot will turn itself" in command.communicate()[0]
     robot.assert_stopped_and_silent()
@@ -127,11 +139,8 @@ def test_a_process_that_ends_in_mid_turn_leaves_a_robot_that_stands(process, act
     robot.actor.call("calibrate")
     robot.live_until_moving()
     process.send_signal(how)
-    told = time.monotonic()
-    robot.live(10.0, lambda: process.poll() is not None)
+    robot.live(AT_ONCE, lambda: process.poll() is not None)
     robot.live(0.2)
-    stood = next(moment for moment, rate in reversed(robot.commands) if rate != 0.0)
-    assert stood - told < 1.0
     assert robot.rates[-3:] == [0.0] * 3
     assert process.returncode == 0
     assert math.isclose(robot.command, 0.0)
@@ -143,12 +152,12 @@ def test_a_fault_in_a_callback_stops_the_robot_and_the_node_goes_on(process, act
     robot.live_until_moving()
     process.stdin.write("now\n")
     process.stdin.flush()
-    answer = robot.answer(future, 5.0)
+    answer = robot.answer(future)
     assert not answer.success
     assert "the robot was stopped: an error in a callback of the node" in answer.message
     robot.assert_stopped_and_silent()
     assert process.poll() is None
     process.send_signal(signal.SIGINT)
-    _, log = process.communicate(timeout=10.0)
+    _, log = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     assert log.count("a fault of ours") == 1

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String
-from support import REFERENCE, ROBOT, rms_deg
+from support import PATIENCE, REFERENCE, ROBOT, rms_deg
 
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
@@ -30,7 +30,7 @@ def describe(actor, magnetometer=ORIGIN, imu="0 0 1.5707963267948966"):
     <origin rpy="{magnetometer}"/></joint></robot>"""
     out = actor.node.create_publisher(String, "robot_description", LATCHED)
     out.publish(String(data=text))
-    actor.run(5.0, stop=out.get_subscription_count)
+    actor.run(PATIENCE, stop=out.get_subscription_count)
     actor.run(0.5)
     return out
 
@@ -43,31 +43,29 @@ def complaints(actor, words):
         said.extend(status.message for status in message.status if "Inputs" in status.name)
 
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 10)
-    actor.run(10.0, stop=lambda: words in said[-1])
+    actor.run(PATIENCE, stop=lambda: words in said[-1])
     return said[-1]
 
 
 def test_the_description_tells_the_mounting_and_whose_attitude_it_is(stage):
-    actor = stage(UPSIDE_DOWN, DESCRIBED)
+    actor = stage(UPSIDE_DOWN, DESCRIBED, speed=8.0)
     describe(actor)
     attitudes = []
     actor.node.create_subscription(Imu, "compass/mag/enu/imu", attitudes.append, 10)
     answer = actor.calibrate()
     assert answer.success, answer.message
     assert "warn" not in answer.message
-    errors = actor.published_errors([(0.0, 0.0)], 6)
+    errors = actor.published_errors([(0.0, 0.0)], 3)
     assert rms_deg([float(wrap_angle(error + QUARTER)) for error in errors]) < 1.0
     assert {message.header.frame_id for message in attitudes} == {"base_link"}
 
 
-def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(stage, tmp_path):
-    actor = stage(ROBOT, DESCRIBED)
-    assert actor.calibrate().success
-    actor.yaws.clear()
+def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(loaded):
+    actor = loaded(ROBOT, DESCRIBED)
     assert "how 'imu_link' sits in 'base_link'" in complaints(actor, "sits in")
     assert not actor.yaws
     out = describe(actor, "0 0 0", "0 0 0")
-    actor.run(5.0, stop=lambda: actor.yaws)
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws
     assert out.get_subscription_count()
 

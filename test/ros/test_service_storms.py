@@ -8,7 +8,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
-from support import REFERENCE
+from support import PATIENCE, REFERENCE
 
 pytestmark = pytest.mark.faults
 
@@ -24,7 +24,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
         for name in SERVICES
     }
     for client in clients.values():
-        assert client.wait_for_service(10.0)
+        assert client.wait_for_service(PATIENCE)
     futures = []
     for _ in range(rounds(4, 200)):
         futures += [clients[str(name)].call_async(Trigger.Request())
@@ -32,7 +32,7 @@ def test_a_storm_of_calls_is_answered_call_by_call(stage, ros_home):
         actor.run(0.2, 0.5)
     for _ in range(3):
         futures.append(clients["cancel"].call_async(Trigger.Request()))
-        actor.run(20.0, 0.5, stop=lambda: all(future.done() for future in futures))
+        actor.run(PATIENCE, 0.5, stop=lambda: all(future.done() for future in futures))
     assert all(future.result().message for future in futures)
     answer = actor.calibrate()
     assert answer.success, answer.message
@@ -43,12 +43,12 @@ def test_a_caller_that_leaves_takes_nothing_along(stage):
     actor = stage(speed=8.0)
     caller = rclpy.create_node("caller")
     client = caller.create_client(Trigger, "/calibrator/calibrate")
-    assert client.wait_for_service(10.0)
+    assert client.wait_for_service(PATIENCE)
     client.call_async(Trigger.Request())
     actor.run(0.5, 0.5)
     assert actor.status["state"] == "collecting"
     caller.destroy_node()
-    actor.run(20.0, 0.5, stop=lambda: actor.status["answer"])
+    actor.run(PATIENCE, 0.5, stop=lambda: actor.status["answer"])
     assert actor.status["answer"]["success"], actor.status["answer"]
 
 
@@ -56,7 +56,7 @@ def test_a_caller_that_leaves_takes_nothing_along(stage):
 def test_parameters_changed_during_a_turn_wait_for_the_next(stage, tmp_path):
     actor = stage()
     setting = actor.node.create_client(SetParameters, "/calibrator/set_parameters")
-    assert setting.wait_for_service(10.0)
+    assert setting.wait_for_service(PATIENCE)
     future = actor.call("calibrate")
     actor.run(1.0, 0.5)
     changes = {
@@ -73,7 +73,7 @@ def test_parameters_changed_during_a_turn_wait_for_the_next(stage, tmp_path):
         ]
     )
     done = setting.call_async(request)
-    actor.run(60.0, 0.5, stop=lambda: future.done() and done.done())
+    actor.run(PATIENCE, 0.5, stop=lambda: future.done() and done.done())
     assert all(result.successful for result in done.result().results)
     answer = future.result()
     assert answer.success, answer.message

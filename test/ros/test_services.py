@@ -1,7 +1,14 @@
 """Every service in every state that a user can bring it into."""
 
 import pytest
-from support import REFERENCE, calibrate_quickly, store_calibration
+from support import (
+    PATIENCE,
+    REFERENCE,
+    assert_silent,
+    calibrate_quickly,
+    store_calibration,
+    turn_by,
+)
 
 pytestmark = pytest.mark.faults
 
@@ -41,14 +48,13 @@ def test_cancel_answers_the_waiting_call_and_leaves_the_calibration_in_force(sta
 
 
 def test_start_and_finish_are_calibrate_in_two_steps(stage):
-    actor = stage()
+    actor = stage(speed=8.0)
     too_early = actor.answer(actor.call("finish"))
     assert not too_early.success
     assert "~/start" in too_early.message
     assert actor.answer(actor.call("start")).success
-    actor.run(2.4, 0.5)
-    done = actor.call("finish")
-    answer = actor.answer(done)
+    turn_by(actor, 240.0)
+    answer = actor.answer(actor.call("finish"))
     assert answer.success, answer.message
     assert "finished by hand" in answer.message
     assert actor.status["state"] == "calibrated"
@@ -57,23 +63,20 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
 def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
     actor = loaded()
     assert actor.answer(actor.call("reset")).success
-    actor.run(0.3)
-    actor.yaws.clear()
-    actor.run(0.3)
-    assert actor.yaws == []
+    assert_silent(actor)
     nothing = actor.answer(actor.call("save"))
     assert not nothing.success
     assert "no calibration in force" in nothing.message
     loaded = actor.answer(actor.call("load"))
     assert loaded.success, loaded.message
-    actor.run(0.3)
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws
     assert actor.answer(actor.call("save")).success
 
 
 def test_accept_applies_what_the_verdict_refused(stage):
     # A reference a third too strong: the circle's radius contradicts it.
-    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0})
+    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0}, speed=8.0)
     assert "no fitted calibration" in actor.answer(actor.call("accept")).message
     refused = calibrate_quickly(actor)
     assert not refused.success
@@ -82,7 +85,7 @@ def test_accept_applies_what_the_verdict_refused(stage):
     assert not actor.status["verdict"]["accepted"]
     accepted = actor.answer(actor.call("accept"))
     assert accepted.success
-    actor.run(1.5)
+    actor.run(PATIENCE, stop=lambda: actor.yaws and actor.status["state"] == "calibrated")
     assert actor.status["state"] == "calibrated"
     assert actor.yaws
 
@@ -90,5 +93,5 @@ def test_accept_applies_what_the_verdict_refused(stage):
 def test_a_calibration_of_the_sensor_that_is_met_is_used(stage, ros_home):
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     actor = stage()
-    actor.run(5.0, stop=lambda: actor.status["state"] == "calibrated")
+    actor.run(PATIENCE, stop=lambda: actor.status["state"] == "calibrated")
     assert actor.status["calibration"]["magnetometer_frame"] == "mag_link"

@@ -1,4 +1,4 @@
-"""Two loops, one callback at a time: nothing starved, nothing overtaken, nothing awake for long."""
+"""Two loops, one callback at a time: nothing starved, nothing overtaken, nothing awake idly."""
 
 import contextlib
 import threading
@@ -12,7 +12,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
-from test_straight import Served, wait_until
+from support import PATIENCE, wait_until
+from test_straight import Served
 
 
 @pytest.fixture
@@ -41,14 +42,14 @@ def ask(outside):
 
     def call(name):
         client = outside.create_client(Trigger, name)
-        assert client.wait_for_service(5.0)
+        assert client.wait_for_service(PATIENCE)
         if not thread.is_alive():
             thread.start()
         return client.call_async(Trigger.Request())
 
     yield call
     executor.shutdown()
-    thread.join(5.0)
+    thread.join(PATIENCE)
 
 
 def flood(served):
@@ -66,17 +67,15 @@ def flood(served):
 
 
 def test_timers_and_services_have_their_turn_under_a_flood(served, ask):
+    """The flood never ends, so whoever waits for its end waits for ever."""
     ticks = []
-    served.node.create_timer(0.02, lambda: ticks.append(time.monotonic()))
+    served.node.create_timer(0.02, lambda: ticks.append(len(served.heard)))
     served.node.create_service(Trigger, "answer", lambda _, response: response)
     flood(served)
     for _ in range(10):
-        begun = time.monotonic()
-        answer = ask("answer")
-        wait_until(answer.done)
-        assert time.monotonic() - begun < 1.0
+        wait_until(ask("answer").done)
     wait_until(lambda: len(ticks) > 20)
-    assert len(served.heard) > 500
+    wait_until(lambda: len(served.heard) > max(500, ticks[20]))
 
 
 def test_never_two_callbacks_at_once(served):
@@ -138,11 +137,7 @@ def test_what_is_created_and_destroyed_while_it_waits_is_noticed(served, outside
     for _ in range(5):
         heard.clear()
         subscription = served.node.create_subscription(Float64, "late", heard.append, 10)
-        deadline = time.monotonic() + 5.0
-        while not heard and time.monotonic() < deadline:
-            publisher.publish(Float64())
-            time.sleep(0.02)
-        assert heard
+        wait_until(lambda: publisher.publish(Float64()) or heard)
         served.node.destroy_subscription(subscription)
 
 
@@ -221,10 +216,10 @@ def test_the_end_of_the_context_ends_the_spin(graph):
     thread.start()
     time.sleep(0.2)
     rclpy.shutdown()
-    thread.join(5.0)
+    thread.join(PATIENCE)
     assert ended
     assert not served.errors
-    assert served.spinner.shutdown(timeout_sec=5.0)
+    assert served.spinner.shutdown(timeout_sec=PATIENCE)
 
 
 def test_end_returns_from_a_spin_that_waits_for_nothing(graph):
@@ -232,22 +227,34 @@ def test_end_returns_from_a_spin_that_waits_for_nothing(graph):
         served = Served()
         served.thread.start()
         time.sleep(0.01)
-        begun = time.monotonic()
         served.close()
-        assert time.monotonic() - begun < 1.0
 
 
-def test_nothing_is_awake_while_nothing_happens(served):
+@pytest.fixture
+def awakenings(monkeypatch):
+    """Return a list that grows each time something in this process has waited for rclpy."""
+    wait, times = rclpy_implementation.WaitSet.wait, []
+
+    def counted(*arguments):
+        times.append(0)
+        return wait(*arguments)
+
+    monkeypatch.setattr(rclpy_implementation.WaitSet, "wait", counted)
+    return times
+
+
+def test_nothing_is_awake_while_nothing_happens(served, awakenings):
+    time.sleep(0.3)
+    awakenings.clear()
     time.sleep(0.5)
-    used = time.process_time()
-    time.sleep(2.0)
-    assert time.process_time() - used < 0.1
+    assert len(awakenings) < 10
 
 
-def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, ask):
-    never = Future(executor=served.node.executor)
+def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, ask, awakenings):
+    never, is_held = Future(executor=served.node.executor), []
 
     async def hold(_, response):
+        is_held.append(True)
         await never
         return response
 
@@ -255,9 +262,11 @@ def test_what_waits_for_its_group_does_not_keep_the_executor_awake(served, ask):
     ticks = []
     served.node.create_timer(0.01, lambda: ticks.append(0))
     ask("hold")
-    time.sleep(0.5)
+    wait_until(lambda: is_held)
+    time.sleep(0.3)
     ticks.clear()
-    used = time.process_time()
-    time.sleep(1.0)
-    assert time.process_time() - used < 0.25
+    awakenings.clear()
+    time.sleep(0.5)
+    # An executor that finds the timer ready again and again comes here hundreds of times.
+    assert len(awakenings) < 10
     assert not ticks

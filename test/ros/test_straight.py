@@ -7,7 +7,9 @@ import time
 import other_rclpy
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from std_msgs.msg import Float64
+from support import PATIENCE, wait_until
 
 from magcal_ros.ros import straight
 from magcal_ros.ros.spinner import Spinner
@@ -31,9 +33,9 @@ class Served:
         self.on_number(message.data)
 
     def close(self):
-        assert self.spinner.shutdown(timeout_sec=5.0)
+        assert self.spinner.shutdown(timeout_sec=PATIENCE)
         if self.thread.ident:
-            self.thread.join(5.0)
+            self.thread.join(PATIENCE)
         assert not self.thread.is_alive()
         self.node.destroy_node()
 
@@ -48,19 +50,18 @@ def served(graph):
 
 @pytest.fixture
 def number(served):
-    """Return a publisher of numbers that is heard."""
+    """Return a function that publishes numbers and waits until they lie before the node."""
     node = rclpy.create_node("outside")
     publisher = node.create_publisher(Float64, "number", 100)
     wait_until(publisher.get_subscription_count)
-    yield lambda value: publisher.publish(Float64(data=float(value)))
+
+    def publish(*values):
+        for value in values:
+            publisher.publish(Float64(data=float(value)))
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+
+    yield publish
     node.destroy_node()
-
-
-def wait_until(condition, patience=5.0):
-    deadline = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -75,8 +76,7 @@ def warnings(served, monkeypatch):
 
 def test_every_message_comes_once_and_in_order(served, number):
     served.thread.start()
-    for k in range(80):
-        number(k)
+    number(*range(80))
     wait_until(lambda: len(served.heard) >= 80)
     time.sleep(0.05)
     assert served.heard == list(range(80))
@@ -125,8 +125,7 @@ def test_an_error_in_the_callback_is_noted_and_no_fault_of_rclpys(served, number
 
     served.on_number = fail_at_odd_numbers
     served.thread.start()
-    for k in range(40):
-        number(k)
+    number(*range(40))
     wait_until(lambda: len(served.heard) == 20)
     assert len(served.errors) == 20
     assert not warnings
@@ -147,13 +146,11 @@ def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
     loop = straight.StraightLoop(
         served.node, [served.subscription], served.group, Lock(), served.errors.append, print
     )
-    for k in range(90):
-        number(k)
-    time.sleep(0.3)
+    number(*range(90))
     loop.start()
     wait_until(lambda: len(served.heard) == 90)
     loop.end()
-    assert loop.join(5.0)
+    assert loop.join(PATIENCE)
     assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
 
 
@@ -168,7 +165,7 @@ def test_a_node_that_nobody_took_over_is_served_by_any_executor(served, number):
 def test_what_ends_before_it_begins_ends(served, number):
     served.spinner.end()
     served.thread.start()
-    served.thread.join(2.0)
+    served.thread.join(PATIENCE)
     assert not served.thread.is_alive()
     number(1)
     time.sleep(0.1)

@@ -3,7 +3,7 @@
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
-from support import REFERENCE
+from support import PATIENCE, REFERENCE, assert_silent
 
 from magcal_ros.core.samples.streams import FieldSample
 
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.faults
 def calibrated(loaded):
     """Return a robot whose node has loaded a calibration."""
     actor = loaded()
-    actor.run(0.3)
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
     assert actor.yaws
     return actor
 
@@ -23,19 +23,18 @@ def test_simulated_time_that_has_not_begun_or_is_paused_holds_nothing_up(loaded)
     actor = loaded(parameters={**REFERENCE, "use_sim_time": True})
     heard = []
     actor.node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
-    actor.run(2.5, stop=lambda: bool(heard))
+    actor.run(PATIENCE, stop=lambda: bool(heard))
     assert heard
     clock = actor.node.create_publisher(Clock, "/clock", 10)
     paused = Clock()
     paused.clock.sec = 777
+    actor.run(PATIENCE, stop=clock.get_subscription_count)
     clock.publish(paused)
-    actor.run(0.2)
+    actor.run(PATIENCE, stop=lambda: heard[-1].header.stamp.sec == 777)
     heard.clear()
     actor.yaws.clear()
-    clock.publish(paused)
-    actor.run(2.3)
-    assert len(heard) >= 2
-    assert heard[-1].header.stamp.sec == 777
+    actor.run(PATIENCE, stop=lambda: len(heard) >= 2 and actor.yaws)
+    assert {message.header.stamp.sec for message in heard} == {777}
     assert actor.yaws
 
 
@@ -44,7 +43,7 @@ def test_a_bag_that_loops_is_followed_each_time(calibrated):
         calibrated.ride.stamp -= 1000.0
         calibrated.run(0.3)
         calibrated.yaws.clear()
-        calibrated.run(0.3)
+        calibrated.run(PATIENCE, stop=lambda: len(calibrated.yaws) > 10)
         assert len(calibrated.yaws) > 10
 
 
@@ -55,14 +54,10 @@ def test_a_field_stamped_by_another_clock_is_said_with_the_offset(calibrated, ah
         return [sample._replace(stamp=sample.stamp + ahead) if late else sample]
 
     calibrated.mangle = shift
-    for _ in range(10):
-        # What was sent before may still be under way.
-        calibrated.yaws.clear()
-        calibrated.run(0.4)
-        if not calibrated.yaws:
-            break
-    calibrated.run(1.3)
+    assert_silent(calibrated)
+    words = "field and IMU are "
+    calibrated.run(PATIENCE, stop=lambda: words in " ".join(calibrated.status["complaints"]))
     assert not calibrated.yaws
     said = " ".join(calibrated.status["complaints"])
-    offset = float(said.partition("field and IMU are ")[2].partition(" s apart")[0])
+    offset = float(said.partition(words)[2].partition(" s apart")[0])
     assert offset == pytest.approx(ahead, abs=0.15)

@@ -16,18 +16,18 @@ LEVEL = [(0.0, 0.0)]
 SLOPES = [(8.0, 0.0), (0.0, -8.0)]
 
 
-def assert_heading_is_right(actor, headings=6):
+def assert_heading_is_right(actor, headings=3):
     assert rms_deg(actor.published_errors(LEVEL, headings)) <= 0.7
     assert rms_deg(actor.published_errors(SLOPES, headings)) <= 1.0
 
 
 def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
-    actor = stage()
+    actor = stage(speed=8.0)
     actor.run(0.5)
     assert actor.yaws == []
     answer = actor.calibrate()
     assert answer.success, answer.message
-    assert_heading_is_right(actor, headings=6)
+    assert_heading_is_right(actor, headings=3)
 
 
 @pytest.mark.nightly

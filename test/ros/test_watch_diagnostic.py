@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from support import REFERENCE, ROBOT, store_calibration
+from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 
 from magcal_ros.core.monitoring.watch import Watched
 
@@ -19,26 +19,31 @@ def scene(start_node, actor):
         heard.update({status.name: status for status in message.status})
 
     robot.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
-    return node, robot, lambda: heard["calibrator: Watch"]
+    return node, robot, lambda: heard.get("calibrator: Watch")
 
 
 def test_it_is_told_and_cleared_by_a_new_calibration(scene, ros_home):
     node, robot, said = scene
-    robot.run(1.3)
+
+    def wait_for(words):
+        robot.run(PATIENCE, stop=lambda: words in said().message)
+        assert words in said().message
+
+    robot.run(PATIENCE, stop=lambda: said() is not None)
     assert "before a calibration is in force" in said().message
     assert robot.status["watch"] is None
     store_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
     assert robot.answer(robot.call("load")).success
-    robot.run(1.3, 0.5)
+    wait_for("Not judged yet")
     assert said().level == DiagnosticStatus.OK
-    assert said().message.startswith("Not judged yet")
+    robot.run(PATIENCE, 0.5, lambda: len(node._watch._records) > 3)
     assert len(node._watch._records) > 3, "field messages reach the watch"
     node._watch._watched = dataclasses.replace(Watched(), is_stale=True, minutes=4.0)
-    robot.run(1.3)
+    wait_for("has not held for about 4 min")
     assert said().level == DiagnosticStatus.WARN
-    assert "has not held for about 4 min" in said().message
-    assert robot.status["watch"]["stale"]
+    robot.run(PATIENCE, stop=lambda: robot.status["watch"]["stale"])
     assert robot.answer(robot.call("load")).success
-    robot.run(1.3)
+    wait_for("Not judged yet")
     assert said().level == DiagnosticStatus.OK
+    robot.run(PATIENCE, stop=lambda: not robot.status["watch"]["stale"])
     assert not robot.status["watch"]["stale"]

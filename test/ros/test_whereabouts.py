@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Imu, NavSatFix
-from support import REFERENCE
+from support import PATIENCE, REFERENCE
 
 from magcal_ros.core.earth_field.wmm import Place, decimal_year, model_field
 from magcal_ros.core.geometry.attitude import wrap_angle
@@ -26,7 +26,7 @@ class Receiver:
     def __init__(self, actor):
         self.actor = actor
         self.out = actor.node.create_publisher(NavSatFix, "gps/fix", qos_profile_sensor_data)
-        actor.run(3.0, stop=lambda: self.out.get_subscription_count() > 0)
+        actor.run(PATIENCE, stop=lambda: self.out.get_subscription_count() > 0)
 
     def say(self, place=HOME, times=1, status=0, stamp=None, **wrong):
         message = NavSatFix()
@@ -41,7 +41,7 @@ class Receiver:
             self.actor.run(0.1)
         return self.reference(lambda _: True)
 
-    def reference(self, is_there, patience=4.0):
+    def reference(self, is_there, patience=PATIENCE):
         """Wait until the status says something of the reference, and return it."""
         self.actor.run(patience, stop=lambda: is_there(self.actor.status["reference"]))
         return self.actor.status["reference"]
@@ -152,7 +152,7 @@ def test_a_far_move_is_followed_once_confirmed_and_said_in_the_diagnostics(recei
     assert reference["declination_deg"] == pytest.approx(-12.5, abs=1.0)
     assert "gps/fix has moved by 64" in reference["complaints"][0]
     heard.clear()
-    receiver.actor.run(2.5, stop=lambda: bool(heard))
+    receiver.actor.run(PATIENCE, stop=lambda: bool(heard))
     field = next(s for s in heard[-1].status if s.name == "calibrator: Field")
     assert field.level == DiagnosticStatus.WARN
     assert "gps/fix has moved by 64" in field.message

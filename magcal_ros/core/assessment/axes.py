@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rpy_from_rotation
 from magcal_ros.core.geometry.signed_axes import (
@@ -17,10 +17,9 @@ from magcal_ros.core.geometry.signed_axes import (
     spoken,
 )
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import FIELD, UP, Alignment, align, stretch_of
-from magcal_ros.core.samples.gyro_signs import gyro_contradicts
-from magcal_ros.core.samples.stamps import bursts_of_a_turn
-from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.alignment import Alignment, align
+from magcal_ros.core.samples.alignment_fit import FIELD, UP
+from magcal_ros.core.samples.stretch import stretch_of
 from magcal_ros.core.samples.window import Window
 
 
@@ -150,6 +149,13 @@ class AxesFound:
     @property
     def words(self) -> str:
         """What is wrong and the line to change; empty if nothing is."""
+        if self.right or self.meant is None:
+            return self.said
+        return f"{self.said}. {IF_THE_GYRO_IS_RIGHT}"
+
+    @property
+    def said(self) -> str:
+        """The same where gyro and accelerometer are known to be right."""
         if self.right:
             return ""
         if self.meant is None:
@@ -165,7 +171,7 @@ class AxesFound:
             left = len(self.candidates) - 1 - len(others)
             words += f"; or {left} more" if left else ""
             words += f". To tell which, {self.movement}"
-        return f"{words}. {IF_THE_GYRO_IS_RIGHT}"
+        return words
 
     @property
     def movement(self) -> str:
@@ -235,14 +241,16 @@ def find_axes(
             window.angular_rate,
         )
     )
-    if np.ptp(np.cumsum(stretch.turn, axis=0), axis=0).max() < tuning.least_turn:
+    if np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max() < tuning.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
     proper = np.array([axes for axes in every if not is_mirrored(axes)])
     found = align(stretch, proper)
     dip = knowledge.reference.inclination
-    pulls = np.array([[_pull(found, k, s, dip, tuning) for k in range(24)] for s in (1.0, -1.0)])
+    pulls = np.array(
+        [[inclination_misfit(found, k, s, dip, tuning) for k in range(24)] for s in (1.0, -1.0)]
+    )
     axes = np.concatenate([proper, -proper])
     misfit = np.concatenate([found.misfit, found.misfit]) + pulls.ravel()
     misfit -= misfit.min()
@@ -281,8 +289,23 @@ def _opposite(k: int) -> int:
     return (k + 24) % 48
 
 
-def _pull(found: Alignment, k: int, sign: float, dip: Belief, tuning: AxesTuning) -> float:
-    """Return the chi-square of a candidate's inclination against the reference."""
+def inclination_misfit(
+    found: Alignment, k: int, sign: float, dip: Belief, tuning: AxesTuning = TUNING
+) -> float:
+    """Return the chi-square of a candidate's inclination against the reference.
+
+    Parameters
+    ----------
+    found : Alignment
+        The fit.
+    k : int
+        Which of its candidates.
+    sign : float
+        -1 where the opposite of all its axes is meant.
+    dip : Belief
+        The reference inclination; one that is not known weighs nothing.
+    tuning : AxesTuning, optional
+    """
     given_up = not np.isfinite(found.covariance[k]).all()
     if dip.is_unknown or abs(dip.value) < tuning.least_dip or given_up:
         return 0.0
@@ -301,23 +324,3 @@ def _pull(found: Alignment, k: int, sign: float, dip: Belief, tuning: AxesTuning
         return 0.0
     allowed = tuning.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)
-
-
-def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
-    # The field's axes are measured against the gyro's.
-    if gyro_contradicts(window):
-        return Refusal(Reason.AXES_DISAGREE, GYRO_IS_WRONG)
-    found = find_axes(window, knowledge)
-    if found is None or found.right or found.meant is None:
-        return None
-    bursts = bursts_of_a_turn(window.time)
-    if bursts:
-        return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
-    return Refusal(Reason.AXES_DISAGREE, found.words)
-
-
-def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return a method's refusal, or that of the wrong axes behind it."""
-    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
-    return explained(refusal, window) if wrong is None else wrong

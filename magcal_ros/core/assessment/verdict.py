@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import DoubtTuning, check_reference
 from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOUNDS
@@ -37,8 +38,8 @@ class VerdictTuning:
 
     Parameters
     ----------
-    bounds : tuple of Bound
-        The bounds of the grades, the weightiest first.
+    bounds, drive_bounds : tuple of Bound
+        The bounds of the grades of a turn and of a drive, the weightiest first.
     chance, chance_with_soft_iron : float
         Heading sigmas of the whole turn by which its halves may differ; a half hardly shows
         iron.
@@ -72,6 +73,7 @@ class VerdictTuning:
     """
 
     bounds: tuple[Bound, ...] = TURN_BOUNDS
+    drive_bounds: tuple[Bound, ...] = DRIVE_BOUNDS
     chance: float = 3.0
     chance_with_soft_iron: float = 8.0
     allowed_sigmas: float = 2.0
@@ -120,6 +122,11 @@ class Verdict:
     def accepted(self) -> bool:
         """Whether the calibration may be put in force without asking a person."""
         return Grade.REFUSED not in (self.quality, self.confidence)
+
+    @property
+    def is_good(self) -> bool:
+        """Whether nothing is refused or warned of."""
+        return max(self.quality.rank, self.confidence.rank) < Grade.WARN.rank
 
     def _worst(self, aspect: Aspect) -> Grade:
         grades = [check.grade for check in self.checks if check.aspect is aspect]
@@ -191,7 +198,9 @@ def judge(
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > tuning.nearly_full:
             figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
-    checks = [_check(b, figures, knowledge, tuning) for b in tuning.bounds if b.figure in figures]
+    is_drive = Figure.HEADINGS_DRIVEN in figures
+    bounds = tuning.drive_bounds if is_drive else tuning.bounds
+    checks = [_check(b, figures, knowledge, tuning) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge, tuning.doubt)
     if doubt is not None:
         checks.append(doubt)
@@ -319,7 +328,7 @@ def _not_shown(
             f"{tilted * DEGREES:.1f}° (1σ) of heading; "
             f"{'' if known else 'give the reference field, or '}turn on ramps"
         )
-    if Figure.GYRO_COMPASS_SWING not in figures:
+    if Figure.GYRO_COMPASS_SWING not in figures and Figure.HEADINGS_DRIVEN not in figures:
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)
@@ -330,6 +339,7 @@ def _summary(
     verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float], tuning: VerdictTuning
 ) -> str:
     grades = f"quality {verdict.quality.value}, confidence {verdict.confidence.value}"
+    where = _drive_in_words(figures)
     if not verdict.accepted:
         return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED, tuning)}."
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
@@ -346,7 +356,18 @@ def _summary(
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
     warnings = _reasons(verdict, Grade.WARN, tuning)
     rough = " roughly" if figures[Figure.HEADING_SIGMA] > tuning.rough else ""
-    return f"Calibrated{rough}, {words}.{' But ' + warnings + '.' if warnings else ''}"
+    return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
+
+
+def _drive_in_words(figures: Mapping[Figure, float]) -> str:
+    """Say what was driven; empty of a turn."""
+    if Figure.HEADINGS_DRIVEN not in figures:
+        return ""
+    seconds, metres = figures[Figure.DRIVING_TIME], figures.get(Figure.METRES)
+    took = f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.0f} min"
+    way = "" if metres is None else f"{metres / 1000.0:.1f} km, "
+    seen = f"{figures[Figure.HEADINGS_DRIVEN]:.0f} of 12 headings"
+    return f" from {took} of ordinary driving, {way}{seen}"
 
 
 def _reasons(verdict: Verdict, grade: Grade, tuning: VerdictTuning) -> str:

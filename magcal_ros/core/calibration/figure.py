@@ -129,6 +129,11 @@ class Figure(str, Enum):
     DIP_SHIFT = "dip_shift"
     """How far the dip at all headings of a drive is off the calibrated inclination, radians."""
 
+    COURSE_SWING_ONCE = "course_swing_once"
+    """Amplitude by which compass less course swings once around, radians: hard iron."""
+    COURSE_SWING_TWICE = "course_swing_twice"
+    """The same twice around: soft iron."""
+
     STRENGTH = "strength"
     """Strength of the field, tesla."""
     GRAVITY = "gravity"
@@ -138,6 +143,18 @@ class Figure(str, Enum):
     """Turns that were joined."""
     TURN_MISFIT = "turn_misfit"
     """Worst turn off the others, as many times as noise explains."""
+
+    HEADINGS_DRIVEN = "headings_driven"
+    """How many of twelve sectors of heading a drive went through."""
+    DRIVING_TIME = "driving_time"
+    """Seconds of a drive, standing included."""
+    METRES = "metres"
+    """Metres of a drive; absent where nobody measured the speed."""
+    STREET = "street"
+    """Disturbance of the field along a drive that changes with the place, tesla per axis."""
+    LEVEL_PULL = "level_pull"
+    """Level field of a drive less the one believed, in sigmas of the belief; absent where that is
+    exact or unknown."""
 
     CIRCLE_RADIUS = "circle_radius"
     """Radius of the turn's circle, tesla."""

@@ -227,8 +227,12 @@ def with_soft_iron_or_without(
         iron = rich()
         gain = soft_iron_gain(plain, iron)
         block = iron.block
-        rigid = isinstance(block, FreeBlock) and not block.leans
-        needed = look.needed(RULE.most_fall_rigid if rigid else RULE.most_fall)
+        if block.leans:
+            # Leans take a passing disturbance's side with soft iron: Occam's factor is too mild.
+            needed = RULE.most_fall
+        else:
+            rigid = isinstance(block, FreeBlock)
+            needed = look.needed(RULE.most_fall_rigid if rigid else RULE.most_fall)
         # A gyro that drifts more than gyros do hides errors that last, which correlation does not
         # show.
         needed *= min(max(1.0, (block.drift / DRIFT.usual) ** 2), MOST_CAUTION)
@@ -296,7 +300,12 @@ def soft_iron_gain(plain: Fit, iron: Fit) -> float:
     with_it = steps_of(iron, COMPARE).fit
     fall = without.cost + without.lean_cost - with_it.cost - with_it.lean_cost
     falls = without.block.sample_costs - with_it.block.sample_costs
-    return lasting_gain(_inefficiency(iron) * fall, falls)
+    gain = lasting_gain(_inefficiency(iron) * fall, falls)
+    inliers = plain.block.weighting.inliers
+    if inliers.mean() < RULE.trusted_share:
+        return gain
+    # What soft iron explains beyond the plain model's inliers may be a disturbance that passed by.
+    return min(gain, float(falls[inliers].sum()))
 
 
 def _under(poor: Fit, rich: Fit) -> Fit:

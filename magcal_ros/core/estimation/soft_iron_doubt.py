@@ -42,6 +42,9 @@ class SoftIronRule:
         An expected fall that leaves little doubt.
     honest_share : float
         A smaller share of inliers may hide soft iron: it is fitted, whatever the rest says.
+    trusted_share : float
+        A larger share of inliers tells what is an outlier: only what soft iron gains among them
+        speaks for it.
     few_kept : float
         A model that throws more of the simpler one's inliers away, to fit the rest better,
         explains nothing.
@@ -56,6 +59,7 @@ class SoftIronRule:
     worth_a_fit: float = 7.0
     clear: float = 100.0
     honest_share: float = 0.97
+    trusted_share: float = 0.6
     few_kept: float = 0.9
 
 

@@ -19,6 +19,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
 from magcal_ros.core.monitoring.watch_tuning import WatchTuning
 from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
@@ -106,6 +107,12 @@ class Watch:
     def watched(self) -> Watched:
         """What is known by now."""
         return self._watched
+
+    def take(self, moment: Moment) -> None:
+        """Take what a field message comes to, where it has an up, a heading and a rate."""
+        stamp, field, up, heading, rate = moment
+        if up is not None and heading is not None and rate is not None:
+            self.add(stamp, field, up.direction, heading.yaw, rate)
 
     def add(self, stamp: float, field: Triple, force: Triple, yaw: float, rate: Triple) -> None:
         """Take a corrected field sample.

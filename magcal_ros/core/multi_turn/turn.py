@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import blamed_on_axes, wrong_axes
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.knowledge import Knowledge

@@ -178,6 +178,11 @@ class Streams:
         return None
 
     @property
+    def newest_imu(self) -> ImuSample | None:
+        """The newest IMU sample; None before the first."""
+        return self._imu[-1] if self._imu else None
+
+    @property
     def newest_rate(self) -> Triple | None:
         """Angular rate of the newest IMU sample, rad/s; None before the first."""
         return self._imu[-1].rate if self._imu else None

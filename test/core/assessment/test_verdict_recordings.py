@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -50,6 +51,7 @@ class TestHandHeldTurn:
     def test_it_is_accepted_without_a_reference(self, turn):
         assert calibrate(turn, UNKNOWN).verdict.accepted
 
+    @pytest.mark.nightly
     def test_the_whole_recording_is_no_turn(self, recording):
         verdict = calibrate(window(recording("broad05")), self.known).verdict
         assert not verdict.accepted
@@ -93,7 +95,7 @@ class TestHandHeldTurn:
         verdict = calibrate(in_g, self.known).verdict
         assert any("looks like g published" in check.words for check in verdict.checks)
 
-    @pytest.mark.parametrize("known", [UNKNOWN, known])
+    @pytest.mark.parametrize("known", first_of([known, UNKNOWN]))
     def test_a_unit_of_field_is_named(self, turn, known):
         gauss = Window(turn.time, turn.field * 1e4, turn.specific_force, turn.angular_rate)
         verdict = calibrate(gauss, known).verdict
@@ -115,6 +117,6 @@ def test_a_boat_that_turns_level_is_not_refused(recording):
     assert any("no gyro" in text for text in verdict.not_shown)
 
 
-@pytest.mark.parametrize("known", [UNKNOWN, knowledge(48.0, 65.0)])
+@pytest.mark.parametrize("known", first_of([knowledge(48.0, 65.0), UNKNOWN]))
 def test_a_boat_that_rolls_but_does_not_turn_is_refused(recording, known):
     assert not calibrate(window(recording("sailboat_lsm303_roll")), known).verdict.accepted

@@ -8,7 +8,14 @@ import pytest
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.selection import lasting_gain
 from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    Robot,
+    Trouble,
+    measure,
+    smooth_wobble,
+    turn,
+)
 
 
 def test_a_gain_all_along_the_turn_counts_in_full():
@@ -34,6 +41,17 @@ def test_soft_iron_on_half_a_turn_is_not_taken_for_outliers(heading):
     estimate = fit(measure(robot, motion, np.random.default_rng(11)), robot.knowledge())
     assert estimate.figures["soft_iron"] == 1.0
     assert estimate.inliers.mean() > 0.95
+
+
+@pytest.mark.parametrize("seed", [8, 39, 43])
+def test_a_disturbance_that_passes_a_wobbling_robot_is_no_soft_iron(seed):
+    robot, rng = Robot(), np.random.default_rng([1, seed])
+    heading = rng.uniform(-math.pi, math.pi)
+    lean = smooth_wobble(rng, 500, 15.0, 5 * DEGREE)
+    motion = turn(duration=15.0, start_rpy=(0.0, 0.0, heading), wobble=lean)
+    passing = Trouble(disturbance=0.03 * robot.strength)
+    estimate = fit(measure(robot, motion, rng, trouble=passing), robot.knowledge())
+    assert estimate.figures["soft_iron"] == 0.0
 
 
 def test_a_wobble_does_not_look_like_soft_iron():

@@ -9,15 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from moving import FORWARD, ROBOT, Course
 from sample_results import EVIDENCE
-from street import Street, city_drive
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples.streams import ImuSample, Streams
+from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 
@@ -43,6 +47,7 @@ class Fusing:
         self.follower = UpFollower()
         self.fused = FusedYaw(calibration, patience)
         self.raw, self.found, self.truth = [], [], []
+        self.travelling = Travelling()
 
     def __call__(self, sample, ride=None):
         if isinstance(sample, ImuSample):
@@ -59,7 +64,8 @@ class Fusing:
     def on_imu(self, sample, ride):
         if not self.streams.add_imu(sample):
             return
-        self.follower.add(sample)
+        own = self.travelling.add_imu(sample, self.follower.gyro_bias.rate)
+        self.follower.add(sample, own)
         up = self.follower.at(sample.stamp, 0.0)
         if up is None or not self.follower.is_propagated:
             self.fused.restart()
@@ -190,23 +196,27 @@ def test_in_streets_it_is_better_than_the_compass_and_says_how_good():
     squares, raws, nees = [], [], []
     for seed in (1, 2):
         rng = np.random.default_rng(seed)
+        truth = travel(city(rng, 180.0), rng)
+        drive = simulated_drive(truth, rng, Vehicle(ROBOT), receiver=None)
         fusing = Fusing()
-        course = driven(fusing, seed=seed)
-        begun = len(fusing.found)
-        for samples in city_drive(course.ride, Street(rng), 180.0, rng):
-            for sample in samples:
-                fusing(sample, course.ride)
-        errors = fusing.errors_deg()[begun:]
+        for sample in drive.samples():
+            if isinstance(sample, SpeedSample):
+                fusing.travelling.add_speed(sample)
+            else:
+                fusing(sample)
+        stamps, yaws, _ = np.array(fusing.found).T
+        errors = np.degrees(wrap_angle(yaws - np.interp(stamps, drive.time, drive.imu_yaw)))
         squares.append(np.mean(errors**2))
-        nees.append(np.mean((errors / fusing.sigmas_deg()[begun:]) ** 2))
+        nees.append(np.mean((errors / fusing.sigmas_deg()) ** 2))
         stamps, yaws = np.array(fusing.raw).T
-        truth = np.interp(stamps, np.array(fusing.found)[:, 0], np.unwrap(fusing.truth))
+        truth = np.interp(stamps, drive.time, drive.imu_yaw)
         raws.append(np.mean(np.degrees(wrap_angle(yaws - truth)) ** 2))
     print(f"streets: fused {np.sqrt(squares)}, compass {np.sqrt(raws)} deg RMS, NEES {nees}")
     assert np.sqrt(np.mean(squares)) < 0.6 * np.sqrt(np.mean(raws))
     assert 0.1 < np.mean(nees) < 2.0
 
 
+@pytest.mark.nightly
 def test_on_a_city_drive_it_says_how_wrong_it_is(recording):
     """Truth is the course of a GPS: one offset is removed, and it is late by 0.6 s."""
     folder = recording("car_drive_neu2022_rahul")

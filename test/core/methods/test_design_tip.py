@@ -67,6 +67,7 @@ class TestItsOwnExample:
         np.testing.assert_allclose(same.field, example.field, atol=1e-12)
         np.testing.assert_allclose(same.specific_force, example.specific_force, atol=1e-11)
 
+    @pytest.mark.nightly
     def test_with_its_noise_stays_near_the_printed_figures(self):
         errors = []
         for seed in range(40):
@@ -109,7 +110,9 @@ class TestNoise:
         assert np.mean([e.noise_field for e in estimates]) == pytest.approx(0.5e-6, rel=0.05)
         assert np.mean([e.noise_up for e in estimates]) == pytest.approx(0.01, rel=0.05)
 
-    @pytest.mark.parametrize(("arc", "bound"), [(180.0, 0.3), (90.0, 1.0)])
+    @pytest.mark.parametrize(
+        ("arc", "bound"), [(90.0, 1.0), pytest.param(180.0, 0.3, marks=pytest.mark.nightly)]
+    )
     def test_parts_of_a_turn(self, arc, bound):
         robot = Robot()
         windows = [level_turn(robot, seed, arc=arc * DEGREE) for seed in range(20)]

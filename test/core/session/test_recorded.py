@@ -4,6 +4,7 @@ import math
 import numpy as np
 import pytest
 from drives import ROBOT, drive, write_csv
+from long_form import first_of
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
@@ -66,7 +67,7 @@ def live(samples, knowledge):
     return control.turn.last_outcome
 
 
-@pytest.mark.parametrize("gyro", [True, False])
+@pytest.mark.parametrize("gyro", first_of([True, False]))
 def test_it_finds_to_the_last_bit_what_the_node_finds(gyro):
     samples = drive(400.0, gyro=gyro)
     found, expected = fitted(samples), live(samples, KNOWLEDGE)
@@ -172,6 +173,7 @@ class TestRecordings:
         with open_recording(folder, **span) as source:
             return gathered(source.readings())
 
+    @pytest.mark.nightly
     def test_the_car_gives_the_same_from_its_bag_and_its_csv(self, recording):
         folder, knowledge = recording("car_circles_neu2025_kiran"), knowledge_of(51.3, 1.5, 66.3)
         one, other = (

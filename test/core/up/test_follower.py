@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from long_form import first_of
 from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
 
 from magcal_ros.core.samples.streams import ImuSample
@@ -58,7 +59,7 @@ def test_a_circle_that_was_never_left_is_seen_through(watched):
     assert errors.rms(last=1000) < 2.0
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", first_of([1, 2, 3]))
 def test_starts_and_stops_pass(seed):
     errors = TiltErrors(UpFollower())
     course = Course(errors, seed=seed)
@@ -111,7 +112,7 @@ def with_bias(*bias_deg):
 BIASES = [(2.2, 0.0, 0.0), (3.5, 2.0, 1.9), (5.0, -5.0, 5.0), (0.0, 0.0, 5.0)]
 
 
-@pytest.mark.parametrize("bias", BIASES)
+@pytest.mark.parametrize("bias", first_of(BIASES))
 def test_a_large_bias_is_learnt_at_rest_and_honestly_said_before(bias):
     course, errors = with_bias(*bias)
     course.go(10.0)

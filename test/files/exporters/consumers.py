@@ -105,8 +105,8 @@ def c_header(text, folder):
             " return 0;\n}\n"
         )
         command = [compiler, "-Wall", "-Werror", "-o", folder / "main", folder / "main.c"]
-        subprocess.run(command, check=True, timeout=30)
-        done = subprocess.run([folder / "main"], check=True, capture_output=True, timeout=30)
+        subprocess.run(command, check=True, timeout=240)
+        done = subprocess.run([folder / "main"], check=True, capture_output=True, timeout=240)
         twelve = np.array([float(word) for word in done.stdout.split()])
     hard, matrix = twelve[:3], twelve[3:].reshape(3, 3)
     return lambda mag: (mag - hard) @ matrix.T

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from long_form import first_of
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -38,7 +39,7 @@ def level_error(estimate, robot):
     return math.sqrt(np.mean((gap - gap.mean()) ** 2))
 
 
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.65])
+@pytest.mark.parametrize("share", first_of([0.3, 0.5, 0.65]))
 @pytest.mark.parametrize("gyro", [False, True])
 def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
     iron = np.diag([share - 1.05, share - 0.95, -0.2])
@@ -79,7 +80,7 @@ def test_iron_that_flattens_or_mirrors_is_refused_and_raises_nothing_else(elemen
         correction_from(shared, np.eye(3), 1.0)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", first_of(range(2)))
 @pytest.mark.parametrize("wiring", ["sign", "swap", "ned"])
 def test_wrong_axes_are_a_verdict_whatever_the_fit_makes_of_them(seed, wiring):
     rng = np.random.default_rng(seed)

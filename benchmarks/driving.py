@@ -1,0 +1,277 @@
+"""What a drive tells: up, the front of the vehicle, the compass by course; simulated and recorded.
+
+Run it as `python benchmarks/driving.py [drives] [recordings]`. Each row of the simulated table is
+over so many fresh drives (20 unless given); the folder with the recordings is
+`../shared/recordings` unless given. NEES is the squared error over the said variance.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from moving import CARS, exact, show
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.session.recorded import Gathering, fit_gathered
+from magcal_ros.core.simulation.drive import AnySample, Drive, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city, one_street, reversing
+from magcal_ros.core.simulation.reckoning import Receiver, Wheels
+from magcal_ros.core.simulation.street_field import Streets
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.up import UpFollower
+from magcal_ros.files.recording import Recording, read_csv_folder
+
+WAYS = ("nothing", "odometry", "velocity", "fixes")
+RECEIVERS = {"velocity": Receiver(speed_noise=0.1), "fixes": Receiver()}
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was made of a drive."""
+
+    stamps: FloatArray
+    ups: FloatArray
+    yaws: FloatArray
+    travelling: Travelling
+    course: CourseOffset | None
+
+    @property
+    def mounting(self) -> MountingYaw | None:
+        """The yaw of the IMU in the vehicle."""
+        return self.travelling.known_mounting
+
+
+def follow(samples: Iterable[AnySample], calibration: Calibration) -> Seen:
+    """Walk through a drive as the node does."""
+    up, compass, travelling = UpFollower(), Compass(calibration), Travelling()
+    stamps, ups, yaws = [], [], []
+    for sample in samples:
+        if isinstance(sample, ImuSample):
+            up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
+        elif isinstance(sample, FieldSample):
+            up.add_field(sample.stamp, sample.field)
+            now = up.at(sample.stamp, 0.2)
+            if now is None:
+                continue
+            heading = compass.heading(compass.correct(sample.field), now.direction, now.variance)
+            if heading is None:
+                continue
+            travelling.add_yaw(heading.yaw)
+            stamps.append(sample.stamp)
+            ups.append(now.direction)
+            yaws.append(heading.yaw)
+        elif isinstance(sample, SpeedSample):
+            travelling.add_speed(sample)
+        elif isinstance(sample, VelocitySample):
+            travelling.add_velocity(sample)
+        else:
+            travelling.add_position(sample)
+    course = travelling.fit_course()
+    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course)
+
+
+def of_robot(drive: Drive) -> Calibration:
+    """Return the calibration that is right at the start of a simulated drive."""
+    robot = drive.vehicle.robot
+    correction = drive.correction_at(drive.time[0])
+    return exact(correction, robot.noise_field, robot.strength, robot.inclination)
+
+
+def city_drive(seed: int, seconds: float, way: str) -> Drive:
+    """Return a fresh drive through a city with an IMU that sits anyhow."""
+    rng = np.random.default_rng(seed)
+    vehicle = Vehicle(
+        imu_yaw=float(rng.uniform(-math.pi, math.pi)),
+        imu_roll=0.05 * float(rng.standard_normal()),
+        imu_pitch=0.05 * float(rng.standard_normal()),
+        imu_ahead=float(rng.uniform(-0.5, 1.5)),
+    )
+    truth = travel(city(rng, seconds), rng, heading=float(rng.uniform(-3.0, 3.0)))
+    return simulated_drive(
+        truth,
+        rng,
+        vehicle,
+        wheels=Wheels() if way == "odometry" else None,
+        receiver=RECEIVERS.get(way, Receiver() if way == "odometry" else None),
+    )
+
+
+def tilt_errors(drive: Drive, seen: Seen) -> FloatArray:
+    """Return by how much up is off, degrees."""
+    truth = drive.up[np.searchsorted(drive.time, seen.stamps)]
+    return np.degrees(np.arccos(np.clip(np.sum(truth * seen.ups, axis=1), -1.0, 1.0)))
+
+
+def simulated(drives: int) -> None:
+    """Print up, mounting and course over fresh drives of 2, 4 and 8 minutes."""
+    show(("speed from", "minutes", "up p50 / p90 / p99", "heading RMS", "beta RMS (said, NEES)",
+          "o RMS (said, NEES)"))  # fmt: skip
+    show(("---",) * 6)
+    for way in WAYS:
+        for minutes in (2.0, 4.0, 8.0) if way == "odometry" else (4.0,):
+            row(way, minutes, [city_drive(seed, 60.0 * minutes, way) for seed in range(drives)])
+
+
+def row(name: str, minutes: float, drives: list[Drive]) -> None:
+    """Print one row."""
+    tilts, headings = [], []
+    beta: list[tuple[float, float]] = []
+    offset: list[tuple[float, float]] = []
+    for drive in drives:
+        seen = follow(drive.samples(), of_robot(drive))
+        true = drive.vehicle.imu_yaw
+        tilts.append(tilt_errors(drive, seen))
+        gap = wrap_angle(seen.yaws - drive.imu_yaw[np.searchsorted(drive.time, seen.stamps)])
+        headings.append(np.degrees(gap))
+        if seen.mounting is not None:
+            beta.append((math.remainder(seen.mounting.yaw - true, math.tau), seen.mounting.sigma))
+        if seen.course is not None:
+            offset.append((math.remainder(seen.course.offset - true, math.tau), seen.course.sigma))
+    tilt = " / ".join(
+        f"{np.mean([np.percentile(each, share) for each in tilts]):.1f}" for share in (50, 90, 99)
+    )
+    rms = f"{np.sqrt(np.mean(np.concatenate(headings) ** 2)):.1f}"
+    show((name, f"{minutes:.0f}", tilt, rms, told(beta, len(drives)), told(offset, len(drives))))
+
+
+def told(found: list[tuple[float, float]], drives: int) -> str:
+    """Return RMS error, median sigma in degrees, NEES, and of how many drives."""
+    if not found:
+        return "-"
+    error, sigma = np.array(found).T
+    rms, said = math.degrees(np.sqrt(np.mean(error**2))), math.degrees(np.median(sigma))
+    answered = "" if len(found) == drives else f", {len(found)} of {drives}"
+    return f"{rms:.2f} ({said:.2f}, {np.mean((error / sigma) ** 2):.1f}{answered})"
+
+
+def traps(drives: int) -> None:
+    """Print what must not fool anybody."""
+    print("\nBackwards half of the time, speed without a sign: wrong directions of travel")
+    wrong = trips = 0
+    for seed in range(drives):
+        rng = np.random.default_rng(1000 + seed)
+        truth = travel(city(rng, 90.0) + reversing(rng, 10), rng)
+        wheels = Wheels(is_signed=False)
+        drive = simulated_drive(truth, rng, Vehicle(imu_yaw=0.3), wheels=wheels)
+        counted, bad = directions(drive)
+        trips, wrong = trips + counted, wrong + bad
+    print(f"{wrong} of {trips} trips")
+    print(
+        "\nOne street of 200 m there and back: said sigma of o by the times it is driven, degrees"
+    )
+    for times in (1, 2, 20):
+        rng = np.random.default_rng(5)
+        drive = simulated_drive(travel(one_street(times), rng), rng, streets=Streets())
+        course = follow(drive.samples(), of_robot(drive)).course
+        print(times, "-" if course is None else f"{math.degrees(course.sigma):.2f}")
+
+
+def directions(drive: Drive) -> tuple[int, int]:
+    """Return how many trips ended with a direction that the force had decided, and how many of
+    those were wrong.
+    """
+    up, travelling = UpFollower(), Travelling()
+    speeds = np.abs(drive.truth.speed)
+    ends = drive.time[np.flatnonzero((speeds[:-1] > 0.7) & (speeds[1:] <= 0.7))]
+    ends = ends[ends > drive.time[0] + 90.0].tolist()
+    counted = wrong = 0
+    for sample in drive.samples():
+        if isinstance(sample, ImuSample):
+            travelling.add_imu(sample, up.gyro_bias.rate)
+            if ends and sample.stamp >= ends[0]:
+                true = np.interp(ends.pop(0) - 0.3, drive.time, drive.truth.speed)
+                counted += 1
+                wrong += travelling.direction * true < 0.0
+        elif isinstance(sample, SpeedSample):
+            travelling.add_speed(sample)
+    return counted, wrong
+
+
+def recorded(folder: Path) -> None:
+    """Print what recorded cars tell: heading with and without their fixes, beta, o."""
+    show(("recording", "heading RMS without speed", "with", "beta", "-o", "swing once around"))
+    show(("---",) * 6)
+    for name, turned in CARS.items():
+        if not (folder / name).is_dir() or not (folder / turned).is_dir():
+            continue
+        recording = read_csv_folder(folder / name)
+        truth = np.genfromtxt(folder / name / "truth.csv", delimiter=",", skip_header=1)
+        calibration = turned_before(folder / turned)
+        if calibration is None:
+            show((name, "no calibration"))
+            continue
+        without = follow(recording.samples(), calibration)
+        seen = follow(merged(recording, truth), calibration)
+        cells = [heading_rms(each, truth) for each in (without, seen)]
+        beta = "-" if seen.mounting is None else angle(seen.mounting.yaw, seen.mounting.sigma)
+        course = seen.course
+        swing = (
+            "-"
+            if course is None
+            else f"{math.degrees(course.swing(1)[0]):.1f} ({course.swing(1)[1]:.0f} sigma)"
+        )
+        offset = "-" if course is None else angle(course.offset, course.sigma)
+        show((name, *cells, beta, offset, swing))
+
+
+def angle(value: float, sigma: float) -> str:
+    """Return an angle and its sigma in words."""
+    return f"{math.degrees(value):.1f} ± {math.degrees(sigma):.1f}"
+
+
+def turned_before(folder: Path) -> Calibration | None:
+    """Return the calibration of a recorded turn."""
+    gathering = Gathering(Mounting())
+    gathering.take(read_csv_folder(folder).samples())
+    reference = ReferenceField(
+        Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
+    )
+    return fit_gathered(gathering, Knowledge(reference))[0].calibration
+
+
+def merged(recording: Recording, truth: FloatArray) -> list[AnySample]:
+    """Return a recording's samples with its fixes among them."""
+    fixes = [PositionSample(row[0], row[3], row[4]) for row in truth.tolist()]
+    return sorted([*recording.samples(), *fixes], key=lambda sample: sample.stamp)
+
+
+def heading_rms(seen: Seen, truth: FloatArray) -> str:
+    """Return the yaw's RMS against course, one constant and the best lag removed, degrees."""
+    good = truth[truth[:, 2] > 2.0]
+    yaws, best = np.unwrap(seen.yaws), math.inf
+    for lag in np.arange(-2.0, 2.01, 0.1):
+        moments = good[:, 0] + lag
+        inside = (moments > seen.stamps[0]) & (moments < seen.stamps[-1])
+        gap = np.interp(moments[inside], seen.stamps, yaws) - good[inside, 1]
+        gap = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
+        best = min(best, float(np.sqrt(np.mean(gap**2))))
+    return f"{math.degrees(best):.2f}"
+
+
+def main() -> None:
+    """Print the tables."""
+    drives = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    print(f"Simulated: {drives} drives a row, city, degrees")
+    simulated(drives)
+    traps(max(1, drives // 2))
+    beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+    print("\nRecorded cars, calibrated by what they turned before, degrees")
+    recorded(Path(sys.argv[2]) if len(sys.argv) > 2 else beside)
+
+
+if __name__ == "__main__":
+    main()

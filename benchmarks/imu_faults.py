@@ -1,0 +1,110 @@
+"""Whether faults are found and named: `python benchmarks/imu_faults.py [--runs N] [--good N]`.
+
+Each run puts one fault, or two at once, on the sensors of a realistic robot: cheap ones, at their
+own rates, with jitter, vibration, a lever arm, a sloping floor, hard and soft iron, and a
+magnetometer that sits up to 8° askew. "turn" turns once in a row; "lift" lifts the nose meanwhile;
+"half minute" stands, turns left once and lifts the nose, as `magcal doctor` asks for; "quarter"
+turns only so far. Found is a fault whose own line of the page says so. "blamed" are lines about
+what is not at fault; where both sensors are named because the movement cannot tell, that is said
+in "either". A good robot's page must say nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from imu_faults_cases import FAULTS, MOTIONS, Case, good_case
+
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.upright import Told
+
+CANNOT_SHOW = {
+    "turn": ("gyro x mirrored", "gyro y mirrored", "gyro x, y swapped"),
+    "quarter": ("scale +5 %", "scale -5 %"),
+}
+"""Faults that a movement does not show: nothing turns about these axes, or not far enough."""
+
+
+@dataclass
+class Row:
+    """The count of one fault and one movement."""
+
+    runs: int = 0
+    found: int = 0
+    either: int = 0
+    blamed: Counter = field(default_factory=Counter)
+
+    def add(self, wanted: set[str], case: Case) -> None:
+        page = examine(case.log, case.knowledge, Told(case.turned_left))
+        lines = [f for f in page.findings if f.is_wrong]
+        self.runs += 1
+        self.found += wanted <= {f.key for f in lines}
+        others = {f.key for f in lines} - wanted
+        doubted = {f.key for f in lines if "Either this or another" in f.remedy}
+        self.either += bool(others & doubted)
+        self.blamed.update(others - doubted)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=40, help="of each fault and movement")
+    parser.add_argument("--pairs", type=int, default=2, help="runs of each pair of faults")
+    parser.add_argument("--good", type=int, default=400, help="robots without a fault")
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    seed = arguments.seed
+    print(f"{'fault':<22}{'movement':<13}{'found %':>8}{'either %':>9}  blamed beside it")
+    for (name, (fault, keys)), motion in itertools.product(FAULTS.items(), MOTIONS):
+        if name in CANNOT_SHOW.get(motion, ()):
+            continue
+        row = Row()
+        for number in range(arguments.runs):
+            rng = np.random.default_rng([seed, number])
+            row.add(set(keys), spoilt(good_case(rng, motion), rng, fault))
+        show(name, motion, row)
+    for motion in ("lift", "half minute"):
+        two_at_once(motion, arguments.pairs, seed)
+    for motion in MOTIONS:
+        row = Row()
+        for number in range(arguments.good // len(MOTIONS)):
+            row.add(set(), good_case(np.random.default_rng([seed, 7, number]), motion))
+        alarms = sum(row.blamed.values())
+        print(f"good, {motion}: {alarms} false lines in {row.runs} pages {dict(row.blamed) or ''}")
+
+
+def two_at_once(motion: str, runs: int, seed: int) -> None:
+    row, worst = Row(), Counter()
+    for one, two in itertools.combinations(FAULTS, 2):
+        keys = {*FAULTS[one][1], *FAULTS[two][1]}
+        if len(keys) < 2 or {one, two} & set(CANNOT_SHOW.get(motion, ())):
+            continue
+        for number in range(runs):
+            rng = np.random.default_rng([seed, 3, number])
+            before = row.found
+            case = spoilt(good_case(rng, motion), rng, FAULTS[one][0])
+            row.add(keys, spoilt(case, rng, FAULTS[two][0]))
+            if row.found == before:
+                worst.update([one, two])
+    show("two at once", motion, row)
+    print("  missed most with:", worst.most_common(5))
+
+
+def spoilt(case: Case, rng: np.random.Generator, fault: object) -> Case:
+    return Case(fault(rng, case.log), case.knowledge, case.turned_left, case.nose_lifted)
+
+
+def show(name: str, motion: str, row: Row) -> None:
+    share = 100.0 / max(row.runs, 1)
+    blamed = ", ".join(f"{key} {share * count:.0f} %" for key, count in row.blamed.most_common(4))
+    print(
+        f"{name:<22}{motion:<13}{share * row.found:>8.0f}{share * row.either:>9.0f}  {blamed}",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,260 @@
+"""What self-calibration comes to on simulated drives: `python benchmarks/self_calibration.py`.
+
+Drives through cities with streets that bend the field, as the node would decide on them. Degrees
+of heading on the level, a constant taken off. `--drives N` sets how many of each; `--only NAME`
+runs one of: fit, long, begin, jump, good, traps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.drive import Drive, Fence, Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import Leg, city, one_street
+from magcal_ros.core.simulation.long_windows import (
+    PAPER_SOFT_IRON,
+    swaying,
+    swaying_robot,
+    swaying_window,
+)
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.smoothing.fit import fit_nodes
+from magcal_ros.core.smoothing.log import log_of
+
+BOSTON = knowledge_of(51.3, inclination_deg=66.3)
+LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
+CHANGE_AT = 180.0
+WORSE = 0.3
+
+
+def vehicle_of(rng: np.random.Generator) -> Vehicle:
+    soft = 0.5 * rng.normal(0.0, 0.02, (3, 3))
+    soft = (soft + soft.T) * np.array([[1.0, 1.0, 0.3], [1.0, 1.0, 0.3], [0.3, 0.3, 0.3]])
+    robot = Robot(
+        strength=51.3e-6,
+        inclination=math.radians(66.3),
+        roll=math.radians(rng.normal(0.0, 3.0)),
+        pitch=math.radians(rng.normal(0.0, 3.0)),
+        hard_iron=rng.normal(0.0, 25e-6, 3),
+        soft_iron=soft,
+        noise_force=0.05,
+        noise_rate=2e-3,
+        noise_field=0.3e-6,
+        gyro_bias=np.radians(rng.normal(0.0, 0.1, 3)),
+    )
+    return Vehicle(robot, imu_yaw=math.radians(rng.normal(0.0, 5.0)))
+
+
+def drive_of(seed: int, seconds: float, legs: list[Leg] | None = None, **options: object) -> Drive:
+    rng = np.random.default_rng(seed)
+    vehicle = vehicle_of(rng)
+    way = travel(city(rng, seconds) if legs is None else legs, rng, rate=20.0)
+    return simulated_drive(way, rng, vehicle, receiver=None, **options)  # type: ignore[arg-type]
+
+
+def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
+    teller = DriveTeller(BOSTON, begun)
+    teller.take(drive._sensors(), drive.speeds if speed else ())
+    return teller.story()
+
+
+def error(correction: Correction, drive: Drive, seconds: float) -> float:
+    """Return the calibration's own error at a moment of a drive, degrees RMS over headings."""
+    truth = drive.correction_at(drive.time[0] + seconds)
+    yaw = np.arange(72) * (math.tau / 72)
+    attitude = np.array([rotation_from_rpy(0.0, 0.0, angle).T for angle in yaw])
+    raw = truth.undo(attitude @ drive.vehicle.robot.field_enu)
+    turn = np.exp(1j * (yaw_from_up_and_field(attitude[:, :, 2], correction.apply(raw)) - yaw))
+    return math.degrees(math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2))))
+
+
+def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) -> Calibration:
+    """Return what a turn would have left."""
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
+    evidence = Evidence("maximum_likelihood", "good", "good", "")
+    dip = math.radians(66.3)
+    return Calibration(correction, covariance, 5e-7, 0.01, 51.3e-6, dip, evidence)
+
+
+def changes(story: DriveStory) -> Iterator[tuple[float, Calibration]]:
+    for seconds, made in story.decisions:
+        if made.calibration is not None:
+            yield seconds, made.calibration
+
+
+def bench_fit(drives: int) -> None:
+    """One fit of the smoother to the first minutes, nothing known before."""
+    for seconds in (120.0, 200.0, 300.0, 420.0):
+        errors, said, took = [], [], []
+        for seed in range(drives):
+            drive = drive_of(seed, seconds)
+            window = Window(drive.time, drive.field, drive.force, drive.rate)
+            begun = time.process_time()
+            found = fit_nodes(log_of(window).nodes(np.eye(3)), BOSTON)
+            took.append(time.process_time() - begun)
+            errors.append(error(found.twelve.correction, drive, 0.0))
+            said.append(math.degrees(found.twelve.heading_sigma))
+        squares = (np.array(errors) / np.array(said)) ** 2
+        print(
+            f"fit to {seconds:3.0f} s, no speed: rms {rms(errors):.2f} median"
+            f" {np.median(errors):.2f} worst {max(errors):.1f}, said {rms(said):.2f}, NEES mean"
+            f" {squares.mean():.2f} median {np.median(squares):.2f}, CPU {np.median(took):.2f} s"
+        )
+
+
+def bench_long(drives: int) -> None:
+    """Windows of weak motion, 1 µT and .01 rad/s at 10 Hz."""
+    known = knowledge_of(47.3, inclination_deg=60.5)
+    for turns in (False, True):
+        for soft in (PAPER_SOFT_IRON, np.zeros((3, 3))):
+            for seconds in (120.0, 600.0):
+                errors, said = [], []
+                robot = swaying_robot(soft)
+                for seed in range(drives):
+                    motion = swaying(seconds, turns=turns)
+                    window = swaying_window(robot, motion, np.random.default_rng(seed))
+                    found = fit_nodes(log_of(window).nodes(np.eye(3)), known)
+                    drive = replace(drive_of(0, 10.0), vehicle=Vehicle(robot))
+                    errors.append(error(found.twelve.correction, drive, 0.0))
+                    said.append(math.degrees(found.twelve.heading_sigma))
+                squares = (np.array(errors) / np.array(said)) ** 2
+                name = f"{'mid' if turns else 'low'}, {'soft iron' if soft.any() else 'none'}"
+                print(
+                    f"weak motion ({name}) {seconds:3.0f} s: rms {rms(errors):.2f}, said"
+                    f" {rms(said):.2f}, NEES {squares.mean():.2f}"
+                )
+
+
+def bench_begin(drives: int) -> None:
+    """From nothing: when a calibration is there, and how good it is after five minutes."""
+    for speed in (True, False):
+        first, late, missing = [], [], 0
+        for seed in range(drives):
+            drive = drive_of(seed, 420.0)
+            found = list(changes(told(drive, None, speed)))
+            missing += not found
+            if found:
+                first.append(found[0][0])
+                late.append(error(found[-1][1].correction, drive, 420.0))
+        name = "with wheels" if speed else "no speed"
+        print(
+            f"from nothing, {name}: first after {np.median(first):.0f} s (median), none"
+            f" {missing} of {drives}; at the end rms {rms(late):.2f} worst {max(late):.1f}"
+        )
+
+
+def bench_jump(drives: int) -> None:
+    """10 µT added: when it is noticed, and when the error is down to 3 degrees."""
+    noticed, repaired, left = [], [], []
+    for seed in range(drives):
+        angle = np.random.default_rng(seed + 77).uniform(0.0, math.tau)
+        iron = (10e-6 * math.cos(angle), 10e-6 * math.sin(angle), 0.0)
+        drive = drive_of(seed, 540.0, irons=(Iron(iron, CHANGE_AT),))
+        begun = calibration_of(drive.vehicle.robot.true_correction)
+        story = told(drive, begun)
+        seen = [at for at, m in story.decisions if m.verb in (Verb.NOTICED, Verb.PROBATION)]
+        noticed.append(min([at for at in seen if at > CHANGE_AT], default=math.inf) - CHANGE_AT)
+        good = [
+            at
+            for at, each in changes(story)
+            if at > CHANGE_AT and error(each.correction, drive, at) < 3.0
+        ]
+        repaired.append(min(good, default=math.inf) - CHANGE_AT)
+        assert story.ended is not None
+        left.append(error(story.ended.correction, drive, 540.0))
+    print(
+        f"10 µT added: noticed after {np.median(noticed):.0f} s (median; worst"
+        f" {max(noticed):.0f}), down to 3° after {np.median(repaired):.0f} s (median; worst"
+        f" {max(repaired):.0f}); left rms {rms(left):.2f} worst {max(left):.1f}"
+    )
+
+
+def bench_good(drives: int) -> None:
+    """Good calibrations in force: how many are made worse."""
+    for off in (0.0, 2.0, 4.0):
+        worse, changed, gains = 0, 0, []
+        for seed in range(drives):
+            rng = np.random.default_rng(seed + 5)
+            drive = drive_of(seed, 420.0)
+            way = rng.normal(0.0, 1.0, 2)
+            way *= math.radians(off) * math.sqrt(2.0) * LEVEL / float(np.linalg.norm(way))
+            begun = drive.vehicle.with_iron(np.array([*way, 0.0])).robot.true_correction
+            story = told(drive, calibration_of(begun))
+            assert story.ended is not None
+            gain = error(begun, drive, 0.0) - error(story.ended.correction, drive, 420.0)
+            changed += any(True for _ in changes(story))
+            worse += gain < -WORSE
+            gains.append(gain)
+        print(
+            f"in force and off by {off:.0f}°: changed {changed} of {drives}, made worse by more"
+            f" than {WORSE}°: {worse}; mean gain {np.mean(gains):+.2f}°"
+        )
+
+
+def bench_traps(drives: int) -> None:
+    """What must not fool it: how often what is in force is changed, and to what."""
+    side = (0.0, 12e-6, 0.0)
+    traps: dict[str, Callable[[int], Drive]] = {
+        "standing 10 min": lambda seed: drive_of(seed, 600.0, [Leg(600.0)]),
+        "one street": lambda seed: drive_of(seed, 400.0, one_street(12)),
+        "steel on one side": lambda seed: drive_of(seed, 420.0, fences=(Fence(side),)),
+        "trailer for 60 s": lambda seed: drive_of(
+            seed, 420.0, irons=(Iron((0.0, 10e-6, 0.0), 150.0, 210.0),)
+        ),
+        "trailer for 240 s": lambda seed: drive_of(
+            seed, 720.0, irons=(Iron((0.0, 10e-6, 0.0), 150.0, 390.0),)
+        ),
+    }
+    for name, make in traps.items():
+        left, changed = [], 0
+        for seed in range(drives):
+            drive = make(seed)
+            story = told(drive, calibration_of(drive.vehicle.robot.true_correction))
+            changed += any(True for _ in changes(story))
+            assert story.ended is not None
+            left.append(error(story.ended.correction, drive, float(np.ptp(drive.time))))
+        print(f"{name}: changed {changed} of {drives}; error at the end rms {rms(left):.2f}")
+
+
+def rms(values: list[float]) -> float:
+    return math.sqrt(float(np.mean(np.square(values)))) if values else math.nan
+
+
+BENCHES = {
+    "fit": bench_fit,
+    "long": bench_long,
+    "begin": bench_begin,
+    "jump": bench_jump,
+    "good": bench_good,
+    "traps": bench_traps,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--drives", type=int, default=20, help="of each kind")
+    parser.add_argument("--only", default="", choices=["", *BENCHES])
+    options = parser.parse_args()
+    for name, bench in BENCHES.items():
+        if options.only in ("", name):
+            bench(options.drives)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""`magcal drive`: a recorded drive told again, as the node would have decided."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from magcal_ros.cli.common import Exit, document, new_or_named
+from magcal_ros.cli.recorded import (
+    add_knowledge_options,
+    add_recording_options,
+    mounting_from,
+    watched,
+)
+from magcal_ros.cli.reference import reference_in_use
+from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.plain import plain
+from magcal_ros.files.sources import open_recording
+from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
+
+CALIBRATION = "calibration.yaml"
+
+
+def add_to(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "drive",
+        help="say what a recorded drive tells of the compass",
+        description="Tell a recorded drive again: what self-calibration would have decided and "
+        "why, and a map of where the field is bent. Exit status: 0 a calibration is in force at "
+        "the end, 2 usage, 3 none is, 5 file trouble.",
+    )
+    add_recording_options(parser)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder for the report (default: a new magcal_drive_DATE_TIME here)",
+    )
+    add_knowledge_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read, decide again, write the page."""
+    begun = None if options.calibration is None else read_calibration(options.calibration)[0]
+    folder = new_or_named(options.output, "magcal_drive")
+    chosen = {"imu": options.imu, "field": options.mag}
+    span = {"start": options.start, "stop": options.stop}
+    with open_recording(options.recording, **chosen, **span) as source:
+        reference = reference_in_use(options, source.place(), source.begun())
+        teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
+        teller.take(watched(source, sys.stderr), source.travel())
+        frames = source.field_frame, source.imu_frame
+    story = teller.story()
+    page = write_drive_page(folder, story, plain(str(options.recording)))
+    files = [page]
+    if story.ended is not None and story.ended is not begun:
+        files.append(folder / CALIBRATION)
+        write_calibration(files[-1], story.ended, Origin.now(*frames))
+    print(document(_facts(story, files)) if options.json else _words(story, files))
+    return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
+
+
+def _words(story: DriveStory, files: list[Path]) -> str:
+    lines = [summary_of(story)]
+    lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
+    return "\n".join([*lines, *(f"Written: {file}" for file in files)])
+
+
+def _facts(story: DriveStory, files: list[Path]) -> dict[str, Any]:
+    return {
+        "summary": summary_of(story),
+        "decisions": [
+            {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
+            for at, made in story.decisions
+        ],
+        "files": [str(file) for file in files],
+    }

@@ -1,0 +1,260 @@
+"""Which sensor errs: two of three agree."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import LIFT, AxesFound
+from magcal_ros.core.assessment.axes import TUNING as AXES
+from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
+from magcal_ros.core.doctor.upright import LEAST_TURN, Told
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations, spoken
+from magcal_ros.core.knowledge import Knowledge
+
+STANDARD = np.eye(3)
+NOTHING_FITS = (
+    "no mounting and no swapped or mirrored axes make gyro, field and gravity tell one movement: "
+    "check whether the gyro answers to turns at all, its unit and the stamps, and turn away from "
+    "iron"
+)
+TOLD_OTHERWISE = (
+    "all sensors saw a turn to the right where one to the left was asked for: if it was to the "
+    "left, all of them have z pointing down"
+)
+
+
+@dataclass(frozen=True)
+class BlameTuning:
+    """When sensors are called wrong.
+
+    Parameters
+    ----------
+    remains : float
+        Chi-square up to which an explanation remains.
+    wrong : float
+        Chi-square from which the axes as given are called wrong.
+    most_named : int
+        Explanations that are written out for one sensor.
+    """
+
+    remains: float = 20.0
+    wrong: float = 40.0
+    most_named: int = 3
+
+
+TUNING = BlameTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class Blame:
+    """Which sensors err.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        One for each sensor whose axes err or may err, or one that all agree.
+    chosen : int
+        The explanation that is taken.
+    axes : AxesFound or None
+        Of the magnetometer; None where it is not known.
+    explained : bool
+        Whether the explanation explains the movement.
+    """
+
+    findings: tuple[Finding, ...]
+    chosen: int
+    axes: AxesFound | None
+    explained: bool
+
+
+def blame(
+    explanations: Explanations, knowledge: Knowledge, told: Told, tuning: BlameTuning = TUNING
+) -> Blame:
+    """Name the sensors whose axes err, or may err.
+
+    Parameters
+    ----------
+    explanations : Explanations
+        All ways that were weighed.
+    knowledge : Knowledge
+        For the mounting that is known, and whether the inclination is.
+    told : Told
+        What a person did: an explanation that says otherwise is none.
+    tuning : BlameTuning, optional
+    """
+    best = explanations.best
+    if explanations.rms[best] > AXES.worst_fit:
+        finding = wrong("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
+        return Blame((finding,), best, None, False)
+    misfit = explanations.misfit
+    remains = misfit < tuning.remains
+    given = explanations.plain
+    # What was asked for and what all sensors saw may differ because a person erred.
+    contrary = _contrary(explanations, told)
+    right = misfit[given] < tuning.wrong
+    if not right or contrary[given]:
+        kept = remains & ~contrary
+        remains = kept if kept.any() else remains
+    if right and (not contrary[given] or not remains.any() or remains[given]):
+        return _all_agree(explanations, given, remains, knowledge, bool(contrary[given]))
+    remains[given] = False
+    left = [int(k) for k in np.flatnonzero(remains)]
+    rank = {k: _erring(explanations, k) for k in left}
+    least = min(len(rank[k]) for k in left)
+    fewest = [k for k in left if len(rank[k]) == least]
+    fewest.sort(key=lambda k: _order(explanations, k))
+    return _accused(explanations, fewest, rank, knowledge, tuning)
+
+
+def _contrary(explanations: Explanations, told: Told) -> BoolArray:
+    """Return which explanations say that the robot turned the other way than it was told to."""
+    count = len(explanations.misfit)
+    if told.turned_left is None:
+        return np.zeros(count, dtype=np.bool_)
+    turned = np.array([explanations.turned(k) for k in range(count)])
+    return np.asarray((np.abs(turned) > LEAST_TURN) & ((turned > 0.0) != told.turned_left))
+
+
+def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
+    """Return the sensors that an explanation says are wrong."""
+    gyro, field = explanations.gyro[k], explanations.field[k]
+    gyro_right, field_right = (np.array_equal(axes, STANDARD) for axes in (gyro, field))
+    if gyro_right and field_right:
+        return ()
+    if field_right:
+        return ("gyro",)
+    if gyro_right:
+        return ("magnetometer",)
+    # Both differ from the accelerometer alike: then it is the one that errs.
+    alike = np.array_equal(gyro, field) or np.array_equal(gyro, -field)
+    if alike and not is_mirrored(gyro):
+        return ("accelerometer",)
+    return ("gyro", "magnetometer")
+
+
+def _order(explanations: Explanations, k: int) -> tuple[bool, int, int]:
+    every = [axes.tobytes() for axes in signed_permutations() + 0.0]
+    own = [
+        every.index((axes + 0.0).tobytes())
+        for axes in (explanations.gyro[k], explanations.field[k])
+    ]
+    return bool(explanations.misfit[k] > AXES.likely), own[0], own[1]
+
+
+def _all_agree(
+    explanations: Explanations,
+    given: int,
+    remains: BoolArray,
+    knowledge: Knowledge,
+    contrary: bool,
+) -> Blame:
+    candidates = _field_candidates(explanations, remains, given)
+    axes = AxesFound(candidates, True, knowledge.mounting.pose, _dip_known(knowledge))
+    known = np.array_equal(knowledge.mounting.pose, STANDARD)
+    evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
+    more = int(remains.sum() - remains[given])
+    if more:
+        evidence += f" fit, and {more} other ways do. To tell which, {axes.movement or LIFT}"
+    found = [looked_at("axes", "axes", evidence)]
+    if contrary:
+        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", TOLD_OTHERWISE))
+    return Blame(tuple(found), given, axes, True)
+
+
+def _field_candidates(explanations: Explanations, remains: BoolArray, given: int) -> FloatArray:
+    """Return the magnetometer's axes that remain while the gyro is right."""
+    kept = [
+        k
+        for k in np.flatnonzero(remains)
+        if np.array_equal(explanations.gyro[k], explanations.gyro[given])
+    ]
+    return explanations.field[kept] if kept else np.zeros((0, 3, 3))
+
+
+def _dip_known(knowledge: Knowledge) -> bool:
+    dip = knowledge.reference.inclination
+    return not dip.is_unknown and abs(dip.value) > AXES.least_dip
+
+
+def _accused(
+    explanations: Explanations,
+    fewest: list[int],
+    rank: dict[int, tuple[str, ...]],
+    knowledge: Knowledge,
+    tuning: BlameTuning,
+) -> Blame:
+    """Write a line for every sensor that errs, or of which one errs."""
+    culprits = list(dict.fromkeys(rank[k] for k in fewest))
+    words: list[tuple[str, str]] = []
+    axes: AxesFound | None = None
+    for sensors in culprits:
+        ways = [k for k in fewest if rank[k] == sensors]
+        for sensor in sensors:
+            if sensor == "magnetometer":
+                candidates = _distinct(explanations.field[ways])
+                axes = AxesFound(candidates, False, knowledge.mounting.pose, _dip_known(knowledge))
+                words.append((sensor, axes.said))
+            elif sensor == "gyro":
+                words.append((sensor, _gyro_words(_distinct(explanations.gyro[ways]), tuning)))
+            else:
+                words.append((sensor, _force_words(_distinct(explanations.gyro[ways]), tuning)))
+    either = len(culprits) > 1
+    names = " or ".join(" and ".join(sensors) for sensors in culprits)
+    evidence = f"not those of the rest: {names}"
+    tell = f". Either this or another sensor errs; to tell which, {LIFT}" if either else ""
+    findings = tuple(
+        wrong(f"{KEYS[sensor]}_axes", f"{sensor}: axes", evidence, said + tell)
+        for sensor, said in dict(words).items()
+    )
+    return Blame(findings, fewest[0], None if either else axes, True)
+
+
+KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}
+
+
+def _distinct(axes: FloatArray) -> FloatArray:
+    kept: list[FloatArray] = []
+    for each in axes:
+        if not any(np.array_equal(each, other) for other in kept):
+            kept.append(each)
+    return np.array(kept)
+
+
+def _gyro_words(candidates: FloatArray, tuning: BlameTuning) -> str:
+    said = "; or ".join(gyro_slip(axes) for axes in candidates[: tuning.most_named])
+    left = len(candidates) - tuning.most_named
+    more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
+    return f"the gyro's axes are not the accelerometer's: {said}{more}; mend it in the driver"
+
+
+def _force_words(candidates: FloatArray, tuning: BlameTuning) -> str:
+    said = "; or ".join(spoken(axes.T) for axes in candidates[: tuning.most_named])
+    return (
+        "gyro and magnetometer agree and the accelerometer does not: in their axes the "
+        f"accelerometer's are {said}; mend them in the driver"
+    )
+
+
+def gyro_slip(axes: FloatArray) -> str:
+    """Say what was done to a gyro whose axes (3, 3), rows in the body's, are not the body's."""
+    if np.array_equal(np.abs(axes), STANDARD):
+        flipped = [name for name, sign in zip("xyz", np.diag(axes), strict=True) if sign < 0.0]
+        verb = "has" if len(flipped) == 1 else "have"
+        return f"{' and '.join(flipped)} {verb} the wrong sign"
+    if np.all(axes >= 0.0):
+        swapped = [
+            (i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]
+        ]
+        if swapped:
+            i, j = swapped[0]
+            return f"{'xyz'[i]} and {'xyz'[j]} are swapped"
+    parts = []
+    for name, row in zip("xyz", axes, strict=True):
+        along = int(np.argmax(np.abs(row)))
+        parts.append(f"{name} holds {'-' if row[along] < 0.0 else ''}{'xyz'[along]}")
+    return ", ".join(parts)

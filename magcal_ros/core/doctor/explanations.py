@@ -1,0 +1,264 @@
+"""Every way in which the axes of gyro and magnetometer may lie, weighed together.
+
+The accelerometer's axes are taken for the body's; where it errs itself, gyro and magnetometer
+differ from it alike. Rows of a candidate's two matrices are the sensor's axes in the body's.
+Turning the gyro's axes by G is, for the field, the same as turning the magnetometer's back; a
+mirrored gyro turns against the field. So gyro against field is weighed once for 24 ways and two
+senses, gyro against gravity once for 48, and together only what both leave.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import TUNING as AXES
+from magcal_ros.core.assessment.axes import inclination_misfit
+from magcal_ros.core.doctor.gravity_turns import gravity_misfit
+from magcal_ros.core.doctor.log_stretch import LogStretch, stretch_of_log
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations
+from magcal_ros.core.knowledge import Belief
+from magcal_ros.core.samples.alignment import Alignment, align
+from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning
+from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.stretch import Stretch
+
+WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
+
+
+@dataclass(frozen=True)
+class ExplanationTuning:
+    """What is believed of sensors that may be faulty, and when an explanation is dropped.
+
+    Parameters
+    ----------
+    fit : AlignmentTuning
+        Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a
+        second of latency.
+    pruned : float
+        Chi-square beyond which a way is not fitted.
+    most : int
+        Ways that are fitted.
+    doubtful : float
+        Chi-square at most that the field counts for where soft iron could explain it.
+    good_fit : float
+        Residual over the changing field up to which small differences of the fit are believed.
+    settled : float
+        Seconds of latency that need no further look.
+    looks : int
+        At the latency.
+    least_turn : float
+        Radians between the first and some later attitude.
+    """
+
+    fit: AlignmentTuning = WIDE
+    pruned: float = 80.0
+    most: int = 32
+    doubtful: float = 12.0
+    good_fit: float = 0.06
+    settled: float = 0.02
+    looks: int = 4
+    least_turn: float = math.radians(40.0)
+
+
+TUNING = ExplanationTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class Explanations:
+    """What became of every way that was weighed.
+
+    Parameters
+    ----------
+    gyro, field : ndarray, shape (k, 3, 3)
+        Axes of the two sensors in the accelerometer's.
+    cost : ndarray, shape (k,)
+        Chi-square in independent samples, above that of the best without an inclination.
+    base : ndarray, shape (k / 2,)
+        The same without the inclination, which alone tells the field from its opposite.
+    rms : ndarray, shape (k,)
+        Typical residual of the field over the size of its changing part.
+    parameters, sigma : ndarray, shape (k, 23)
+        What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
+    part : LogStretch
+        What was fitted.
+    found : Alignment
+        The fit, which does not know the field from its opposite.
+    """
+
+    gyro: FloatArray
+    field: FloatArray
+    cost: FloatArray
+    base: FloatArray
+    rms: FloatArray
+    parameters: FloatArray
+    sigma: FloatArray
+    part: LogStretch
+    found: Alignment
+
+    @property
+    def misfit(self) -> FloatArray:
+        """Chi-square above the best's, shape (k,)."""
+        return np.asarray(self.cost - self.cost.min())
+
+    @property
+    def field_right(self) -> float:
+        """The least cost with which the magnetometer's axes are right."""
+        right = (self.field == np.eye(3)).all(axis=(1, 2))
+        return float(self.cost[right].min())
+
+    def with_inclination(self, inclination: Belief) -> Explanations:
+        """Return the same for another inclination."""
+        half = len(self.cost) // 2
+        lag = float(self.parameters[0, LAG] - self.found.parameters[0, LAG])
+        return _signed(
+            self.gyro[:half], self.field[:half], self.base, self.found, inclination, lag, self.part
+        )
+
+    @property
+    def plain(self) -> int:
+        """The way in which all axes are right."""
+        right = [
+            k
+            for k in range(len(self.misfit))
+            if np.array_equal(self.gyro[k], np.eye(3)) and np.array_equal(self.field[k], np.eye(3))
+        ]
+        return right[0]
+
+    @property
+    def best(self) -> int:
+        """Which way fits best."""
+        return int(np.argmin(self.misfit))
+
+    def turned(self, k: int) -> float:
+        """Return the angle that a way says was turned about the accelerometer's up, radians."""
+        stretch = self.part.stretch
+        up = stretch.up[:-1] / np.linalg.norm(stretch.up[:-1], axis=1, keepdims=True)
+        rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
+        rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
+        return float(np.sum(rate * up))
+
+
+def explain(
+    log: SensorLog, inclination: Belief, tuning: ExplanationTuning = TUNING
+) -> Explanations | None:
+    """Weigh the ways in which axes may lie; None where too little moves.
+
+    Parameters
+    ----------
+    log : SensorLog
+        Finite numbers, increasing stamps, a gyro.
+    inclination : Belief
+        Of the field; it tells a magnetometer from its opposite.
+    tuning : ExplanationTuning, optional
+    """
+    every = signed_permutations()
+    proper = every[:24]
+    part, lag = stretch_of_log(log), 0.0
+    if part is None or _turned(part.stretch) < tuning.least_turn:
+        return None
+    senses = _against_the_field(part.stretch, proper, tuning.fit)
+    for _ in range(tuning.looks):
+        more = float(senses.parameters[senses.best, LAG])
+        nearer = stretch_of_log(log, lag + more) if abs(more) > tuning.settled else None
+        if nearer is None:
+            break
+        part, lag = nearer, lag + more
+        senses = _against_the_field(part.stretch, proper, tuning.fit)
+    ways = _remaining(part.stretch, senses, every, proper, tuning)
+    gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
+    found = align(part.stretch, field, tuning.fit, gyro)
+    base = np.array([way.cost for way in ways])
+    return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
+
+
+def _against_the_field(stretch: Stretch, proper: FloatArray, tuning: AlignmentTuning) -> Alignment:
+    """Fit the field to the gyro alone, as it turns and the other way round, 24 ways each."""
+    senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
+    return align(stretch, np.concatenate([proper, proper]), tuning, senses, with_up=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """Row of the gyro's axes among all, the field's axes, and chi-square of both comparisons."""
+
+    gyro: int
+    field: FloatArray
+    cost: float
+
+
+def _remaining(
+    stretch: Stretch,
+    senses: Alignment,
+    every: FloatArray,
+    proper: FloatArray,
+    tuning: ExplanationTuning,
+) -> list[_Way]:
+    """Return the ways worth a fit together, and that in which all axes are right."""
+    # A vehicle's accelerations lean gravity for long: only its changes are compared.
+    gravity = gravity_misfit(stretch, every)
+    against_field = _decisive(senses, tuning)
+    ways = []
+    for g, axes in enumerate(every):
+        mirrored = int(is_mirrored(axes))
+        for k, relative in enumerate(proper):
+            cost = float(against_field[24 * mirrored + k] + gravity[g])
+            ways.append(_Way(g, relative @ (-axes if mirrored else axes), cost))
+    ways.sort(key=lambda way: way.cost)
+    kept = [way for way in ways[: tuning.most] if way.cost - ways[0].cost < tuning.pruned]
+    right = next(w for w in ways if w.gyro == 0 and np.array_equal(w.field, np.eye(3)))
+    return kept if any(way is right for way in kept) else [*kept, right]
+
+
+def _decisive(senses: Alignment, tuning: ExplanationTuning) -> FloatArray:
+    """Return the misfits against the field, shape (48,), as far as they can decide.
+
+    In one turn about one axis a soft iron that is stronger than believed looks like other axes;
+    then only those are excluded that fit plainly worse.
+    """
+    fits = senses.rms[senses.best] < tuning.good_fit
+    lifted = senses.tilt_spread > AXES.lift and fits
+    plainly = senses.rms > AXES.times * senses.rms[senses.best]
+    capped = np.minimum(senses.misfit, tuning.doubtful)
+    return np.asarray(np.where(plainly | lifted, senses.misfit, capped))
+
+
+def _signed(
+    gyro: FloatArray,
+    field: FloatArray,
+    base: FloatArray,
+    found: Alignment,
+    inclination: Belief,
+    lag: float,
+    part: LogStretch,
+) -> Explanations:
+    """Let the inclination weigh each field against its opposite, which turns alike."""
+    count = len(field)
+    pulls = [
+        inclination_misfit(found, k, sign, inclination)
+        for sign in (1.0, -1.0)
+        for k in range(count)
+    ]
+    twice = np.concatenate([np.arange(count), np.arange(count)])
+    parameters = found.parameters[twice]
+    parameters[:, LAG] += lag
+    parameters[count:, FIELD.start : IRON.stop] *= -1.0
+    return Explanations(
+        gyro[twice],
+        np.concatenate([field, -field]),
+        base[twice] + np.array(pulls),
+        base,
+        found.rms[twice],
+        parameters,
+        np.sqrt(np.einsum("kii->ki", found.covariance[twice])),
+        part,
+        found,
+    )
+
+
+def _turned(stretch: Stretch) -> float:
+    """Return how far apart the most distant attitudes are, roughly, radians."""
+    return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())

@@ -1,0 +1,178 @@
+"""The field that was found against the reference, and against itself while the motors run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
+from magcal_ros.core.samples.sensor_log import SensorLog
+
+
+@dataclass(frozen=True)
+class PlaceTuning:
+    """When the field is called another than the reference's, and the motors' one is.
+
+    Parameters
+    ----------
+    strength : float
+        Relative difference.
+    inclination : float
+        Radians.
+    sigmas : float
+        So many standard deviations it must be, too.
+    vague : float
+        Relative standard deviation of the strength beyond which it is not shown.
+    motors : float
+        Tesla by which the field steps when the robot sets off.
+    still, moves : float
+        rad/s below which it stands, and above which it turns.
+    before, after : tuple of float
+        Seconds from and to, around the moment in which it sets off or stops.
+    """
+
+    strength: float = 0.2
+    inclination: float = math.radians(8.0)
+    sigmas: float = 3.0
+    vague: float = 0.1
+    motors: float = 1.5e-6
+    still: float = math.radians(3.0)
+    moves: float = math.radians(8.0)
+    before: tuple[float, float] = (-0.6, -0.1)
+    after: tuple[float, float] = (0.3, 0.8)
+
+
+TUNING = PlaceTuning()
+
+
+def reference_findings(
+    explanations: Explanations,
+    k: int,
+    knowledge: Knowledge,
+    up_is_down: bool | None = False,
+    tuning: PlaceTuning = TUNING,
+) -> list[Finding]:
+    """Compare strength and inclination with the reference, by one explanation."""
+    size = explanations.part.stretch.size
+    state, sigma = explanations.parameters[k], explanations.sigma[k]
+    vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
+    strength = float(np.linalg.norm(vector)) * size
+    off = float(np.linalg.norm(sigma[FIELD])) * size
+    name, why = "field: at this place", "lift the nose by 20° while it turns"
+    if off > tuning.vague * strength:
+        return [not_shown("reference", name, why)]
+    along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
+    dip = -math.asin(max(-1.0, min(1.0, along)))
+    iron = float(np.linalg.norm(state[IRON])) * size
+    evidence = (
+        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT, inclination {math.degrees(dip):.0f}°, "
+        f"hard iron {iron * 1e6:.0f} µT"
+    )
+    believed = knowledge.reference
+    wrong = []
+    if not believed.strength.is_unknown:
+        spread = math.hypot(off, believed.strength.sigma)
+        apart = abs(strength - believed.strength.value)
+        if apart > max(tuning.strength * believed.strength.value, tuning.sigmas * spread):
+            wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
+    if not believed.inclination.is_unknown and up_is_down is not None:
+        spread = math.hypot(off / strength, believed.inclination.sigma)
+        if abs(dip - believed.inclination.value) > max(tuning.inclination, tuning.sigmas * spread):
+            wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
+    remedy = (
+        f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
+        "is so everywhere, the magnetometer's scale or its unit is off"
+        if wrong
+        else ""
+    )
+    return [looked_at("reference", name, evidence, remedy)]
+
+
+def motors_finding(
+    log: SensorLog, explanations: Explanations, k: int, tuning: PlaceTuning = TUNING
+) -> Finding:
+    """Look for a step of the field when the robot sets off or stops, beside what it turned.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As it was explained: rates in rad/s, the known mounting taken off.
+    explanations : Explanations
+        What explains the axes, the bias and the hard iron.
+    k : int
+        Which explanation.
+    tuning : PlaceTuning, optional
+    """
+    name = "field: motors"
+    state = explanations.parameters[k]
+    rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
+    field = log.field @ explanations.field[k]
+    time = log.field_time - state[LAG]
+    iron = state[IRON] * explanations.part.stretch.size
+    steps, spread = [], []
+    for moment, sign in _starts_and_stops(log, rate, tuning):
+        since = sign * (time - moment)
+        low, high = ((since >= a) & (since <= b) for a, b in (tuning.before, tuning.after))
+        if min(low.sum(), high.sum()) < 4:
+            continue
+        still, moving = field[low], field[high]
+        turn = _turned(log.imu_time, rate, float(time[low].mean()), float(time[high].mean()))
+        expected = exp_rotation(-turn) @ (still.mean(axis=0) - iron) + iron
+        steps.append(moving.mean(axis=0) - expected)
+        # What turns of 5 ms and 3 % of the way would be, and the noise of the means.
+        way = float(np.linalg.norm(expected - still.mean(axis=0)))
+        noise = float(np.median(np.abs(np.diff(field, axis=0)))) / 0.95
+        spread.append(math.hypot(noise / math.sqrt(min(low.sum(), high.sum())), 0.06 * way))
+    if len(steps) < 2:
+        return not_shown("motors", name, "stand still, turn, and stand still again")
+    step = np.mean(steps, axis=0)
+    scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
+    size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
+    words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
+    evidence = f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times"
+    remedy = (
+        "the motors' current makes a field of its own: move the magnetometer away from motors, "
+        "drivers and battery wires, and twist each pair of wires"
+    )
+    return looked_at(
+        "motors", name, evidence, remedy * (size > max(tuning.motors, tuning.sigmas * 1.7 * off))
+    )
+
+
+def _starts_and_stops(
+    log: SensorLog, rate: FloatArray, tuning: PlaceTuning
+) -> list[tuple[float, float]]:
+    """Return the moments in which the robot begins to turn (+1) and those in which it stops (-1).
+
+    About its up: a hand that lifts the nose is no motor.
+    """
+    time = log.imu_time
+    up = np.median(log.force, axis=0)
+    width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
+    about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
+    speed = np.abs(np.convolve(about, np.ones(width) / width, "same"))
+    found, resting, edge = [], bool(speed[0] < tuning.still), 0
+    for row in range(1, len(time)):
+        if speed[row] < tuning.still:
+            if not resting:
+                found.append((float(time[row]), -1.0))
+            resting, edge = True, row
+        elif speed[row] > tuning.moves and resting:
+            found.append((float(time[edge]), 1.0))
+            resting = False
+    return found
+
+
+def _turned(time: FloatArray, rate: FloatArray, first: float, last: float) -> FloatArray:
+    """Return the rotation vector from one moment to another, which may be earlier."""
+    low, high = min(first, last), max(first, last)
+    inside: BoolArray = (time >= low) & (time <= high)
+    mean = rate[inside].mean(axis=0) if inside.any() else np.zeros(3)
+    return np.asarray(mean * (last - first))

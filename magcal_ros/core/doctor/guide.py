@@ -1,0 +1,214 @@
+"""The guided half minute: what a person is asked to do, and how it is seen to be done.
+
+A state machine without a clock: samples and the time go in, and what is asked comes out. The
+sensors may be faulty, so each step is seen by whichever of them answers: no unit, sign or axis of
+any is taken for right.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+
+
+class GuideStep(str, Enum):
+    """What is asked for."""
+
+    STAND = "stand"
+    TURN = "turn"
+    LIFT = "lift"
+
+
+ASKED = {
+    GuideStep.STAND: "stand still",
+    GuideStep.TURN: "turn left a quarter at least, at best once round, and stop",
+    GuideStep.LIFT: "lift the nose by 20°, or drive over a kerb, and stop",
+}
+"""In words."""
+
+
+class GuideStepState(str, Enum):
+    """How far a stage is."""
+
+    LATER = "later"
+    NOW = "now"
+    SEEN = "seen"
+    MISSED = "missed"
+
+
+@dataclass(frozen=True)
+class GuideTuning:
+    """When a stage is seen.
+
+    Parameters
+    ----------
+    block : float
+        Seconds that are averaged.
+    stand : float
+        Seconds of standing still at first.
+    rest : float
+        Seconds of standing that end a turn or a lift.
+    still : tuple of float
+        Radians by which gravity, and share of its size by which the field, may move at rest.
+    angle : float
+        Radians of turn that the gyro must read.
+    swing : float
+        Share of its size by which the field must move where the gyro reads no turn.
+    lift : float
+        Radians by which gravity must lean.
+    patience : float
+        Seconds after which a stage is given up.
+    """
+
+    block: float = 0.25
+    stand: float = 4.0
+    rest: float = 1.0
+    still: tuple[float, float] = (math.radians(2.0), 0.06)
+    angle: float = math.radians(75.0)
+    swing: float = 0.4
+    lift: float = math.radians(8.0)
+    patience: float = 45.0
+
+
+TUNING = GuideTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Means over a short time; NaN where a stream said nothing."""
+
+    force: FloatArray
+    rate: FloatArray
+    field: FloatArray
+
+
+class Guide:
+    """Asks for one stage after the other and sees them done.
+
+    Parameters
+    ----------
+    now : float
+        Seconds on a clock that does not jump.
+    tuning : GuideTuning, optional
+    """
+
+    def __init__(self, now: float, tuning: GuideTuning = TUNING) -> None:
+        self._tuning = tuning
+        self._states = dict.fromkeys(GuideStep, GuideStepState.LATER)
+        self._states[GuideStep.STAND] = GuideStepState.NOW
+        self._since = self._block_began = now
+        self._imu: list[tuple[float, ...]] = []
+        self._field: list[tuple[float, ...]] = []
+        self._blocks: list[_Block] = []
+        self._resting: _Block | None = None
+        self._angle = 0.0
+        self._done_moving = False
+
+    @property
+    def states(self) -> dict[GuideStep, GuideStepState]:
+        """How far each stage is, in the order in which they are asked for."""
+        return dict(self._states)
+
+    @property
+    def current(self) -> GuideStep | None:
+        """What is asked for now; None at the end."""
+        return next((s for s, state in self._states.items() if state is GuideStepState.NOW), None)
+
+    @property
+    def turned_left(self) -> bool | None:
+        """Whether the robot did what it was asked to; None where that was not seen."""
+        return True if self._states[GuideStep.TURN] is GuideStepState.SEEN else None
+
+    def add(self, sample: ImuSample | FieldSample) -> None:
+        """Take a sample."""
+        if isinstance(sample, ImuSample):
+            self._imu.append((*sample.force, *sample.rate))
+        else:
+            self._field.append(sample.field)
+
+    def pass_time(self, now: float) -> bool:
+        """Let time pass; returns whether a stage was seen or given up."""
+        if now - self._block_began < self._tuning.block or self.current is None:
+            return False
+        self._close_block(now)
+        stage = self.current
+        assert stage is not None
+        if self._seen(stage):
+            self._next(stage, GuideStepState.SEEN, now)
+            return True
+        if now - self._since > self._tuning.patience:
+            self._next(stage, GuideStepState.MISSED, now)
+            return True
+        return False
+
+    def _close_block(self, now: float) -> None:
+        imu = np.mean(self._imu, axis=0) if self._imu else np.full(6, np.nan)
+        field = np.mean(self._field, axis=0) if self._field else np.full(3, np.nan)
+        block = _Block(np.asarray(imu[:3]), np.asarray(imu[3:]), np.asarray(field))
+        self._blocks.append(block)
+        if self._resting is not None and np.isfinite(block.rate).all():
+            # About the axis that points up at rest, whichever it is.
+            up = self._resting.force / max(float(np.linalg.norm(self._resting.force)), 1e-12)
+            bias = np.nan_to_num(self._resting.rate)
+            self._angle += float(up @ (block.rate - bias)) * (now - self._block_began)
+        self._imu, self._field = [], []
+        self._block_began = now
+
+    def _seen(self, stage: GuideStep) -> bool:
+        if stage is GuideStep.STAND:
+            return self._stands(self._tuning.stand)
+        assert self._resting is not None
+        newest = self._blocks[-1]
+        if stage is GuideStep.TURN:
+            way = float(np.linalg.norm(newest.field - self._resting.field))
+            swing = way / max(float(np.linalg.norm(self._resting.field)), 1e-12)
+            self._done_moving |= abs(self._angle) > self._tuning.angle or swing > self._tuning.swing
+        else:
+            self._done_moving |= _apart(newest.force, self._resting.force) > self._tuning.lift
+        return self._done_moving and self._stands(self._tuning.rest)
+
+    def _stands(self, seconds: float) -> bool:
+        """Return whether gravity and field have not moved for so long."""
+        count = max(2, round(seconds / self._tuning.block))
+        if len(self._blocks) < count:
+            return False
+        last = self._blocks[-count:]
+        force = np.mean([block.force for block in last], axis=0)
+        field = np.mean([block.field for block in last], axis=0)
+        if not (np.isfinite(force).all() and np.isfinite(field).all()):
+            return False
+        lean, swing = self._tuning.still
+        size = float(np.linalg.norm(field))
+        return all(
+            _apart(block.force, force) < lean
+            and float(np.linalg.norm(block.field - field)) < swing * size
+            for block in last
+        )
+
+    def _next(self, stage: GuideStep, state: GuideStepState, now: float) -> None:
+        self._states[stage] = state
+        left = [s for s in GuideStep if self._states[s] is GuideStepState.LATER]
+        if left:
+            self._states[left[0]] = GuideStepState.NOW
+        last = self._blocks[-4:]
+        self._resting = _Block(
+            *(
+                np.nan_to_num(np.mean([getattr(block, name) for block in last], axis=0))
+                for name in ("force", "rate", "field")
+            )
+        )
+        self._since, self._angle, self._done_moving = now, 0.0, False
+
+
+def _apart(one: FloatArray, other: FloatArray) -> float:
+    """Return the angle between two vectors, radians; zero where one is none."""
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    if not size > 0.0:
+        return 0.0
+    return math.acos(min(1.0, max(-1.0, float(one @ other) / size)))

@@ -1,0 +1,192 @@
+"""What single sensor streams show of their own faults: stamps, repeats, steps, range, gravity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
+from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+
+
+@dataclass(frozen=True)
+class HealthTuning:
+    """Where a stream's fault begins.
+
+    Parameters
+    ----------
+    jitter : float
+        RMS deviation of the gaps over the usual gap that is worth a look.
+    repeats : float
+        Share of samples with the values of the one before.
+    coarse : float
+        Tesla, step of the field's numbers.
+    lattice : float
+        Share of a step by which numbers on a grid may be off it.
+    saturated : tuple of float
+        Places along the other two axes, in twentieths of the field's size, at which one axis must
+        stand at its extreme; and how many times those just below the extreme.
+    gravity : float
+        Misfit of the usual acceleration.
+    fewest : int
+        Samples below which nothing is said of a stream.
+    """
+
+    jitter: float = 0.5
+    repeats: float = 0.05
+    coarse: float = 0.5e-6
+    lattice: float = 0.05
+    saturated: tuple[int, float] = (5, 1.5)
+    gravity: float = 0.15
+    fewest: int = 50
+
+
+TUNING = HealthTuning()
+
+
+def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+    """Look at a stream's stamps, seconds, increasing; at least two."""
+    gaps = np.diff(time)
+    usual, span = float(np.median(gaps)), float(time[-1] - time[0])
+    jitter = float(np.sqrt(np.mean(np.clip(gaps / usual - 1.0, -1.0, 3.0) ** 2)))
+    evidence = (
+        f"{len(gaps) / span:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
+        f"at most {gaps.max():.2f} s"
+    )
+    long = long_gaps(time)
+    if len(long):
+        return wrong("bursts", f"{name}: stamps", evidence, bursts_in_words(long))
+    remedy = (
+        "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
+        "sensor's own clock"
+    )
+    return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > tuning.jitter))
+
+
+def repeats_finding(name: str, values: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+    """Look for values (n, d) of the sample before.
+
+    Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
+    """
+    same = repeats(values)
+    long = in_long_runs(same)
+    axes = (np.diff(values, axis=0) == 0.0)[~long[1:]]
+    share = float(same[~long].mean()) if not long.all() else 0.0
+    chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
+    words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
+    too_many = share - chance > tuning.repeats and share > 2.0 * chance
+    return looked_at("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
+
+
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return first row and end of every run of true flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def in_long_runs(same: BoolArray, long: int = 10) -> BoolArray:
+    """Return which flags (n,) stand in a run of so many."""
+    out = np.zeros(len(same), dtype=np.bool_)
+    for first, end in runs(same):
+        out[first:end] = end - first >= long
+    return out
+
+
+def repeats(values: FloatArray) -> BoolArray:
+    """Return which rows (n, d) are those before them, shape (n,)."""
+    same = np.zeros(len(values), dtype=np.bool_)
+    same[1:] = (np.diff(values, axis=0) == 0.0).all(axis=1)
+    return same
+
+
+def field_findings(field: FloatArray, tuning: HealthTuning = TUNING) -> list[Finding]:
+    """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
+    size = float(np.median(np.linalg.norm(field, axis=1)))
+    unit = likely_field_unit(size)
+    found = [looked_at("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
+    step = max(_step(field[:, axis], tuning) for axis in range(3))
+    words = "choose a finer range of the sensor, or average in the driver"
+    evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
+    found.append(
+        looked_at("resolution", "field: resolution", evidence, words * (step > tuning.coarse))
+    )
+    full = [axis for axis in range(3) if saturated(field, axis, tuning).any()]
+    largest = float(np.abs(field).max()) * 1e6
+    words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
+    evidence = f"at most {largest:.3g} µT"
+    if full:
+        found.append(wrong("saturation", "field: range", evidence, words))
+    else:
+        found.append(looked_at("saturation", "field: range", evidence))
+    found.append(alive_finding("field", field))
+    return found
+
+
+def gravity_size_finding(force: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+    """Look at the length of specific force (n, 3), m/s² as published."""
+    size = float(np.median(np.linalg.norm(force, axis=1)))
+    hint = ""
+    if abs(size / STANDARD_GRAVITY - 1.0) > tuning.gravity:
+        hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
+    x, y, z = np.median(force, axis=0)
+    evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all"
+    return looked_at("force_unit", "accelerometer: unit", evidence, hint)
+
+
+def alive_finding(name: str, values: FloatArray) -> Finding:
+    """Look for axes of values (n, 3) that never change."""
+    still = [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
+    evidence = f"{3 - len(still)} of 3 axes change"
+    if not still:
+        return looked_at("frozen", f"{name}: axes alive", evidence)
+    words = f"{_axes(still)} never changes: the driver does not read it"
+    return wrong("frozen", f"{name}: axes alive", evidence, words)
+
+
+def saturated(field: FloatArray, axis: int, tuning: HealthTuning = TUNING) -> BoolArray:
+    """Return which samples (n, 3) stand at the end of an axis' range, shape (n,).
+
+    A range that ends shows in many places of the other two axes; a robot that rests there, or a
+    coarse number at the top of its swing, in few more than just below.
+    """
+    values, others = field[:, axis], np.delete(field, axis, axis=1)
+    none = np.zeros(len(values), dtype=np.bool_)
+    if np.ptp(values) == 0.0:
+        return none
+    cell = max(float(np.ptp(field, axis=0).max()) / 40.0, 1e-12)
+    places = np.floor(others / cell).astype(np.int64)
+    step = _step(values, tuning)
+    for extreme in (values.max(), values.min()):
+        at = np.asarray(values == extreme)
+        below = ~at & (np.abs(values - extreme) < 4.5 * step)
+        stands = len(np.unique(places[at], axis=0))
+        if (
+            stands >= tuning.saturated[0]
+            and stands > tuning.saturated[1] * len(np.unique(places[below], axis=0))
+            and abs(extreme) == np.abs(values).max()
+        ):
+            return at
+    return none
+
+
+def _axes(which: list[int]) -> str:
+    return " and ".join("xyz"[axis] for axis in which)
+
+
+def _step(values: FloatArray, tuning: HealthTuning) -> float:
+    """Return the step of numbers (n,) that lie on a grid; zero where they lie on none."""
+    gaps = np.diff(np.unique(values))
+    gaps = gaps[gaps > 1e-6 * float(np.abs(values).max())]
+    if len(gaps) < 3:
+        return 0.0
+    step = float(gaps.min())
+    # Float32 on the way makes grids a little uneven.
+    step = float(np.median(gaps[gaps < 1.5 * step]))
+    near = gaps[gaps < 9.5 * step] / step
+    off = np.abs(near - np.rint(near))
+    on_grid = len(near) > 0.5 * len(gaps) and float((off < tuning.lattice).mean()) > 0.97
+    return step if on_grid else 0.0

@@ -1,0 +1,146 @@
+"""The liveliest part of a log as few averaged samples, the gyro propagated at its own rate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.stretch import Stretch, field_size
+
+
+@dataclass(frozen=True)
+class LogStretchTuning:
+    """How a log is averaged.
+
+    Parameters
+    ----------
+    longest : float
+        Seconds of the part that is looked at; the field of a drive does not stay the same.
+    widest_block : float
+        Radians of turn that are averaged.
+    fewest, most : int
+        Averages.
+    """
+
+    longest: float = 60.0
+    widest_block: float = math.radians(4.0)
+    fewest: int = 120
+    most: int = 240
+
+
+TUNING = LogStretchTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class LogStretch:
+    """A stretch, and when its averages were.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        The averages.
+    time : ndarray, shape (n,)
+        IMU stamps to which they belong, seconds.
+    """
+
+    stretch: Stretch
+    time: FloatArray
+
+
+def stretch_of_log(
+    log: SensorLog, lag: float = 0.0, tuning: LogStretchTuning = TUNING
+) -> LogStretch | None:
+    """Average a log of increasing stamps that has a gyro; None where there is too little of it.
+
+    Parameters
+    ----------
+    log : SensorLog
+        Finite numbers alone.
+    lag : float
+        Seconds by which the field's stamps are late, which are taken off.
+    tuning : LogStretchTuning, optional
+    """
+    field_time = log.field_time - lag
+    span = _liveliest(log, field_time, tuning.longest)
+    if span is None:
+        return None
+    imu = (log.imu_time >= span[0]) & (log.imu_time <= span[1])
+    time, rate = log.imu_time[imu], log.rate[imu]
+    turned = _integral(time, rate)
+    usual = float(np.linalg.norm(np.diff(turned, axis=0), axis=1).sum())
+    count = int(np.clip(usual / tuning.widest_block, tuning.fewest, tuning.most))
+    inside = (field_time >= span[0]) & (field_time <= span[1])
+    stamps, field = field_time[inside], log.field[inside]
+    block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
+    _, first, number = np.unique(block, return_index=True, return_counts=True)
+    if len(first) < 20:
+        return None
+    means = [np.add.reduceat(v, first, axis=0) / number[:, None] for v in (stamps[:, None], field)]
+    moment, field = means[0][:, 0], means[1]
+    width = (span[1] - span[0]) / count
+    force = _mean_around(time, _integral(time, log.force[imu]), moment, width)
+    angle, bend = (
+        _at(time, path, moment) for path in (turned, _integral(time, np.cross(turned, rate)))
+    )
+    step = np.diff(angle, axis=0)
+    size = field_size(field)
+    gravity = float(np.median(np.linalg.norm(force, axis=1)))
+    stretch = Stretch(
+        field / size,
+        force / max(gravity, 1e-12),
+        step,
+        0.5 * (np.diff(bend, axis=0) - np.cross(angle[:-1], step)),
+        np.diff(moment),
+        _mean_around(time, turned, moment, width),
+        size,
+    )
+    return LogStretch(stretch, moment)
+
+
+def _liveliest(
+    log: SensorLog, field_time: FloatArray, longest: float
+) -> tuple[float, float] | None:
+    """Return from when to when the robot turns most, where no gap of the gyro lies between."""
+    if min(len(log.imu_time), len(field_time)) < 20:
+        return None
+    breaks = np.flatnonzero(np.diff(log.imu_time) > LONGEST_GYRO_STEP) + 1
+    best, most = None, 0.0
+    for rows in np.split(np.arange(len(log.imu_time)), breaks):
+        time = log.imu_time[rows]
+        low, high = max(time[0], field_time[0]), min(time[-1], field_time[-1])
+        if len(rows) < 20 or high - low < 1.0:
+            continue
+        size = np.linalg.norm(log.rate[rows], axis=1)
+        done = _integral(time, size[:, None])[:, 0]
+        begin = low + np.arange(0.0, max(high - longest - low, 0.0) + 0.5, 1.0)
+        gained = np.interp(np.minimum(begin + longest, high), time, done)
+        gained -= np.interp(begin, time, done)
+        k = int(np.argmax(gained))
+        if gained[k] > most:
+            best = (float(begin[k]), float(min(begin[k] + longest, high)))
+            most = float(gained[k])
+    return best
+
+
+def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the integral of values (n, d) up to each moment."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def _at(time: FloatArray, path: FloatArray, moment: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(moment, time, path[:, k]) for k in range(path.shape[1])])
+
+
+def _mean_around(
+    time: FloatArray, path: FloatArray, moment: FloatArray, width: float
+) -> FloatArray:
+    """Return means over `width` seconds around each moment, from an integral."""
+    low = np.maximum(moment - 0.5 * width, time[0])
+    high = np.minimum(moment + 0.5 * width, time[-1])
+    return np.asarray((_at(time, path, high) - _at(time, path, low)) / (high - low)[:, None])

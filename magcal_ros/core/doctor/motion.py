@@ -1,0 +1,239 @@
+"""What the sensors show of one another while the robot moves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import AxesFound
+from magcal_ros.core.doctor.blame import blame
+from magcal_ros.core.doctor.explanations import Explanations, explain
+from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.log_stretch import stretch_of_log
+from magcal_ros.core.doctor.prepared import CleanLog
+from magcal_ros.core.doctor.quiet import Rest, longest_rest
+from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factor
+from magcal_ros.core.doctor.upright import Told, upright
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.samples.alignment_fit import BIAS, LAG, SCALE
+from magcal_ros.core.samples.stretch import Stretch
+
+FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
+"""The movement that shows everything."""
+
+FULL_TURN = "stand still, then turn a full circle"
+NO_BURSTS = "the stamps must not come in bursts"
+STARTS = "start and stop while you turn, at 20 °/s or more"
+NO_GYRO = (
+    "without a gyro nothing tells turned, swapped or mirrored axes of the magnetometer: check them "
+    "by the data sheet, or drive straight where speed or a course is there"
+)
+
+
+LARGEST_NOISE = 0.25
+"""Usual change between neighbours, over the whole changing part, that is no noise at rest."""
+
+
+@dataclass(frozen=True)
+class MotionTuning:
+    """Where an error between the sensors is worth a word.
+
+    Parameters
+    ----------
+    bias : float
+        rad/s of the gyro's bias.
+    scale : float
+        Relative error of the gyro's scale.
+    at_rest : float
+        rad/s, standard deviation of a bias that was read at rest.
+    borne_out : float
+        Share of the bias by which the rate at rest may be another.
+    lag : float
+        Seconds between the sensors' stamps.
+    sigmas : float
+        So many standard deviations it must be, too.
+    vague : tuple of float
+        Standard deviations of bias (rad/s), scale and lag (s) beyond which it is not shown.
+    """
+
+    bias: float = math.radians(0.8)
+    scale: float = 0.03
+    at_rest: float = math.radians(0.1)
+    borne_out: float = 0.4
+    lag: float = 0.015
+    sigmas: float = 3.0
+    vague: tuple[float, float, float] = (math.radians(0.6), 0.015, 0.012)
+
+
+TUNING = MotionTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFound:
+    """What was found, and by which explanation.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        The lines.
+    axes : AxesFound or None
+        Of the magnetometer, where it is the one that errs; None where nothing was shown.
+    explanations : Explanations or None
+        What was weighed.
+    chosen : int
+        The explanation that is taken.
+    factor : float
+        What makes rad/s of the gyro's numbers.
+    up_is_down : bool or None
+        Whether gravity's sign is what errs; None where that is not decided.
+    """
+
+    findings: tuple[Finding, ...]
+    axes: AxesFound | None = None
+    explanations: Explanations | None = None
+    chosen: int = 0
+    factor: float = 1.0
+    up_is_down: bool | None = False
+
+
+def compare(
+    prepared: CleanLog, knowledge: Knowledge, told: Told = Told(), tuning: MotionTuning = TUNING
+) -> MotionFound:
+    """Compare accelerometer, gyro and field.
+
+    Parameters
+    ----------
+    prepared : CleanLog
+        The cleaned streams.
+    knowledge : Knowledge
+        Its mounting is taken off; its inclination helps.
+    told : Told
+        What a person did.
+    tuning : MotionTuning, optional
+    """
+    log = prepared.log
+    if not log.has_gyro:
+        found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
+        return MotionFound((found, *upright(log, None, None, told).findings))
+    body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
+    part = stretch_of_log(body)
+    if part is None or not _field_moves(part.stretch):
+        return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+    factor = rate_factor(part.stretch)
+    body = replace(body, rate=factor * body.rate)
+    given = explain(body, knowledge.reference.inclination)
+    if given is None:
+        return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+    # Where gravity points down, its sign may be wrong: then the field seems to point up.
+    other = given.with_inclination(_opposite(knowledge.reference.inclination))
+    stands = upright(log, given, other, told)
+    explanations = other if stands.sign_wrong else given
+    blamed = blame(explanations, knowledge, told if not stands.sign_wrong else told.opposite)
+    findings = [_unit(factor), *stands.findings, *blamed.findings]
+    if blamed.explained:
+        findings += _gyro_errors(
+            explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped, tuning
+        )
+        findings.append(_latency(explanations, blamed.chosen, prepared.restamped, tuning))
+    return MotionFound(
+        tuple(findings), blamed.axes, explanations, blamed.chosen, factor, stands.sign_wrong
+    )
+
+
+def _field_moves(stretch: Stretch) -> bool:
+    """Return whether the field changes by more than its noise."""
+    usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
+    return usual < LARGEST_NOISE
+
+
+def _opposite(belief: Belief) -> Belief:
+    return Belief(-belief.value, belief.sigma)
+
+
+def _nothing_shown(why: str) -> tuple[Finding, ...]:
+    return (
+        not_shown("axes", "axes", why),
+        not_shown("gyro_bias", "gyro: bias", why),
+        not_shown("rate_scale", "gyro: scale", why),
+        not_shown("latency", "latency", why),
+    )
+
+
+def _unit(factor: float) -> Finding:
+    if factor == 1.0:
+        return looked_at("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
+    evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
+    return wrong("rate_unit", "gyro: unit", evidence, factor_in_words(factor))
+
+
+def _gyro_errors(
+    explanations: Explanations,
+    chosen: int,
+    factor: float,
+    rest: Rest | None,
+    restamped: bool,
+    tuning: MotionTuning,
+) -> list[Finding]:
+    state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
+    if not np.isfinite(sigma).all():
+        return [
+            not_shown("gyro_bias", "gyro: bias", FULL_TURN),
+            not_shown("rate_scale", "gyro: scale", FULL_TURN),
+        ]
+    # In the gyro's own axes and numbers, so that it can be taken off in the driver.
+    bias = explanations.gyro[chosen] @ state[BIAS] / (1.0 + state[SCALE])
+    spread = explanations.gyro[chosen] ** 2 @ sigma[BIAS] ** 2
+    off = math.sqrt(float(spread.max()))
+    if rest is not None and rest.is_certain and off > tuning.vague[0]:
+        bias, off = rest.rate, tuning.at_rest
+    size = float(np.linalg.norm(bias))
+    words = ", ".join(f"{math.degrees(value):.2f}" for value in bias)
+    evidence = f"({words}) ± {math.degrees(off):.2f} °/s"
+    as_published = ", ".join(f"{value / factor:.4g}" for value in bias)
+    remedy = (
+        "let the driver measure the gyro's bias while the robot stands, or subtract "
+        f"({as_published}) from its rates"
+    )
+    found = []
+    too_large = size > max(tuning.bias, tuning.sigmas * off)
+    # A vehicle's accelerations look like a bias while it turns: a rest must bear it out.
+    if off > tuning.vague[0] or (too_large and not _borne_out(rest, bias, tuning)):
+        found.append(not_shown("gyro_bias", "gyro: bias", FULL_TURN))
+    else:
+        found.append(looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large))
+    scale, off = float(state[SCALE]), float(sigma[SCALE])
+    if restamped:
+        return [*found, not_shown("rate_scale", "gyro: scale", NO_BURSTS)]
+    if off > tuning.vague[1]:
+        return [*found, not_shown("rate_scale", "gyro: scale", f"within {off:.1%}; {FULL_TURN}")]
+    evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
+    remedy = f"multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
+    too_large = abs(scale) > max(tuning.scale, tuning.sigmas * off)
+    return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
+
+
+def _borne_out(rest: Rest | None, bias: FloatArray, tuning: MotionTuning) -> bool:
+    if rest is None:
+        return False
+    size = float(np.linalg.norm(bias))
+    return float(np.linalg.norm(rest.rate - bias)) < max(tuning.bias, tuning.borne_out * size)
+
+
+def _latency(
+    explanations: Explanations, chosen: int, restamped: bool, tuning: MotionTuning
+) -> Finding:
+    if restamped:
+        return not_shown("latency", "latency", NO_BURSTS)
+    lag, off = float(explanations.parameters[chosen, LAG]), float(explanations.sigma[chosen, LAG])
+    evidence = f"the field is {lag * 1e3:+.0f} ± {off * 1e3:.0f} ms late against the gyro"
+    if off > tuning.vague[2]:
+        return not_shown("latency", "latency", f"within {off * 1e3:.0f} ms; {STARTS}")
+    remedy = (
+        f"stamp both sensors when they measure: take {lag:.3f} s off the field's stamps in its "
+        "driver, or add it to the IMU's"
+    )
+    too_late = abs(lag) > max(tuning.lag, tuning.sigmas * off)
+    return looked_at("latency", "latency", evidence, remedy * too_late)

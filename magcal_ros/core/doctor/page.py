@@ -1,0 +1,108 @@
+"""The page: everything that is wrong with the sensors, graded, and what mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import parameter_line
+from magcal_ros.core.assessment.grading import Grade, worst
+from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
+from magcal_ros.core.doctor.finding import Finding
+from magcal_ros.core.doctor.motion import MotionFound, compare
+from magcal_ros.core.doctor.noise import noise_findings
+from magcal_ros.core.doctor.prepared import CleanLog, prepare
+from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import Window
+
+PAIRED = ("bursts", "stamps", "repeats")
+"""Lines of which paired samples show nothing."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """What was found.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        All lines.
+    mount_rpy_deg : tuple of int, or None
+        The mounting that alone mends the magnetometer's axes; None where none does, or where none
+        has to.
+    """
+
+    findings: tuple[Finding, ...]
+    mount_rpy_deg: tuple[int, int, int] | None = None
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether there is something to change."""
+        return any(finding.is_wrong for finding in self.findings)
+
+    @property
+    def grade(self) -> Grade:
+        """The worst of all lines; what was not shown is none."""
+        return worst([f.grade for f in self.findings if f.grade is not Grade.GOOD])
+
+    @property
+    def parameters(self) -> str:
+        """The lines of a parameter file that mend what parameters can mend; may be empty."""
+        return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
+
+    def with_more(self, findings: Iterable[Finding]) -> Page:
+        """Return the page with more lines."""
+        return replace(self, findings=(*self.findings, *findings))
+
+
+def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Told()) -> Page:
+    """Look at everything that a log shows of its sensors.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As published; at best of a robot that stands, turns once and lifts its nose.
+    knowledge : Knowledge, optional
+        Mounting and reference field.
+    told : Told, optional
+        What a person did.
+    """
+    prepared = prepare(log)
+    left = prepared.log
+    if min(len(left.imu_time), len(left.field_time)) < 3:
+        return Page(prepared.findings)
+    found = compare(prepared, knowledge, told)
+    lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
+    lines += _of_the_field(prepared, found, knowledge)
+    mount = None
+    axes = found.axes
+    if axes is not None and not axes.right and len(axes.candidates) == 1:
+        mount = axes.mount_rpy_deg
+    return Page(tuple(lines), mount)
+
+
+def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
+    """Look at what the samples of a turn show, which are paired and cleaned already."""
+    nothing = np.full((len(window), 3), np.nan)
+    rate = nothing if window.angular_rate is None else window.angular_rate
+    log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
+    page = examine(log, knowledge)
+    kept = [f for f in page.findings if f.key not in PAIRED]
+    return replace(page, findings=tuple(kept))
+
+
+def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
+    if found.explanations is None or any(f.key == "nothing_fits" for f in found.findings):
+        return []
+    log = prepared.log
+    body = replace(
+        log, rate=found.factor * log.rate, field=log.field @ knowledge.mounting.to_body.T
+    )
+    lines = reference_findings(found.explanations, found.chosen, knowledge, found.up_is_down)
+    if not prepared.restamped and np.isfinite(log.rate).all():
+        lines.append(motors_finding(body, found.explanations, found.chosen))
+    return lines

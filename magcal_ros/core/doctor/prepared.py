@@ -1,0 +1,190 @@
+"""A log made fit for comparing its sensors, and what had to be done for it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.doctor.finding import Finding, wrong
+from magcal_ros.core.doctor.health import (
+    HealthTuning,
+    alive_finding,
+    field_findings,
+    gravity_size_finding,
+    in_long_runs,
+    repeats,
+    repeats_finding,
+    runs,
+    saturated,
+    stamps_finding,
+)
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.stamps import long_gaps
+
+
+@dataclass(frozen=True)
+class FrozenTuning:
+    """When a sensor is called frozen that says the same for a while.
+
+    Parameters
+    ----------
+    lasts : float
+        Seconds.
+    rate : float
+        rad/s beyond its median that the gyro must read meanwhile.
+    field : float
+        Share of its whole swing by which the field must move meanwhile.
+    """
+
+    lasts: float = 1.0
+    rate: float = 0.09
+    field: float = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class CleanLog:
+    """A log of finite, fresh samples with increasing stamps.
+
+    Parameters
+    ----------
+    log : SensorLog
+        What is left.
+    findings : tuple of Finding
+        What the streams show by themselves.
+    restamped : bool
+        Whether stamps came in bursts and were spread evenly.
+    """
+
+    log: SensorLog
+    findings: tuple[Finding, ...]
+    restamped: bool
+
+
+def prepare(
+    log: SensorLog, health: HealthTuning = HealthTuning(), frozen: FrozenTuning = FrozenTuning()
+) -> CleanLog:
+    """Look at the streams of a log by themselves, and clean it."""
+    imu = np.isfinite(log.imu_time) & np.isfinite(log.force).all(axis=1)
+    imu &= np.linalg.norm(log.force, axis=1) > 0.0
+    field = np.isfinite(log.field_time) & np.isfinite(log.field).all(axis=1)
+    field &= np.linalg.norm(log.field, axis=1) > 0.0
+    if log.has_gyro:
+        imu &= np.isfinite(log.rate).all(axis=1)
+    log = _from_zero(_taken(log, imu, field))
+    findings: list[Finding] = []
+    burst = False
+    for name in ("imu", "field"):
+        time = getattr(log, f"{name}_time")
+        if len(np.unique(time)) <= health.fewest:
+            continue
+        increasing = np.unique(time)
+        findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing, health))
+        if len(long_gaps(increasing)):
+            burst = True
+            log = replace(log, **{f"{name}_time": _even(time)})
+    if len(log.field) > health.fewest:
+        findings += [
+            *field_findings(log.field, health),
+            repeats_finding("field", log.field, health),
+        ]
+    if len(log.force) > health.fewest:
+        both = np.column_stack([log.force, np.nan_to_num(log.rate)])
+        findings += [gravity_size_finding(log.force, health), repeats_finding("IMU", both, health)]
+        findings.append(alive_finding("accelerometer", log.force))
+        if log.has_gyro:
+            findings.append(alive_finding("gyro", log.rate))
+    log = _fresh(log, health)
+    log, more = _without_frozen(log, frozen)
+    if more:
+        findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
+    return CleanLog(log, tuple(findings), burst)
+
+
+def _from_zero(log: SensorLog) -> SensorLog:
+    """Count time from the first stamp: microseconds since 1970 leave few digits for a gap."""
+    stamps = np.concatenate([log.imu_time, log.field_time])
+    first = float(stamps.min()) if len(stamps) else 0.0
+    return replace(log, imu_time=log.imu_time - first, field_time=log.field_time - first)
+
+
+def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
+    return SensorLog(
+        log.imu_time[imu], log.force[imu], log.rate[imu], log.field_time[field], log.field[field]
+    )
+
+
+def _even(time: FloatArray) -> FloatArray:
+    """Spread stamps evenly in the order in which they came, by a straight line through them."""
+    rank = np.arange(len(time), dtype=np.float64)
+    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
+
+
+def _fresh(log: SensorLog, health: HealthTuning) -> SensorLog:
+    """Leave out repeated samples, those at the end of a range, and stamps that do not increase."""
+    held = np.zeros(len(log.field), dtype=np.bool_)
+    if len(log.field) > health.fewest:
+        for axis in range(3):
+            held |= saturated(log.field, axis, health)
+    imu = _increasing(log.imu_time)
+    field = _increasing(log.field_time) & ~held
+    # A short repetition is one of the driver, a long one of a frozen sensor, which is told apart.
+    field &= ~repeats(log.field) | in_long_runs(repeats(log.field))
+    return _taken(log, imu, field)
+
+
+def _increasing(time: FloatArray) -> BoolArray:
+    """Return the rows whose stamp is beyond all before it."""
+    if not len(time):
+        return np.zeros(0, dtype=np.bool_)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(time)[:-1]])
+    return np.asarray(time > before)
+
+
+def _without_frozen(log: SensorLog, tuning: FrozenTuning) -> tuple[SensorLog, list[Finding]]:
+    """Find sensors that say the same while another one moves; keep what is longest without."""
+    found = []
+    streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
+    if log.has_gyro:
+        streams.append(("gyro", log.imu_time, log.rate))
+    stuck: list[tuple[float, float]] = []
+    for name, time, values in streams:
+        for first, end in runs(repeats(values)):
+            span = float(time[first - 1]), float(time[end - 1])
+            if span[1] - span[0] > tuning.lasts and _moves(log, name, span, tuning):
+                words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
+                remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
+                found.append(wrong("frozen", f"{name}: alive", words, remedy))
+                stuck.append(span)
+                break
+    if not stuck or not len(log.imu_time):
+        return log, found
+    edges = [float(log.imu_time[0]), *sorted(t for span in stuck for t in span)]
+    edges.append(float(log.imu_time[-1]))
+    pieces = [
+        (a, b)
+        for a, b in itertools.pairwise(edges)
+        if not any(low <= 0.5 * (a + b) <= high for low, high in stuck)
+    ]
+    low, high = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0.0, 0.0))
+    imu = (log.imu_time >= low) & (log.imu_time <= high)
+    field = (log.field_time >= low) & (log.field_time <= high)
+    return _taken(log, imu, field), found
+
+
+def _moves(log: SensorLog, name: str, span: tuple[float, float], tuning: FrozenTuning) -> bool:
+    """Return whether another sensor than this one sees the robot move meanwhile."""
+    if name != "gyro" and log.has_gyro:
+        size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
+        inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
+        if inside.any() and float((size[inside] > tuning.rate).mean()) > 0.2:
+            return True
+    if name == "field" or not len(log.field):
+        return False
+    inside = (log.field_time > span[0]) & (log.field_time < span[1])
+    whole = float(np.ptp(log.field, axis=0).max())
+    return bool(inside.any()) and float(np.ptp(log.field[inside], axis=0).max()) > (
+        tuning.field * whole
+    )

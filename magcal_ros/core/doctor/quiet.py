@@ -1,0 +1,110 @@
+"""What the gyro reads while nothing else sees the robot turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.doctor.health import runs
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.sensor_log import SensorLog
+
+
+@dataclass(frozen=True)
+class QuietTuning:
+    """When a robot is called at rest.
+
+    Parameters
+    ----------
+    block : float
+        Seconds that are averaged.
+    blocks : int
+        So many in a row.
+    rate : float
+        rad/s by which the gyro's means may differ from one to the next.
+    lean : float
+        Share of gravity by which its means may differ.
+    field : float
+        Share of its size by which the field's may, on top of their noise.
+    """
+
+    block: float = 0.5
+    blocks: int = 3
+    rate: float = math.radians(0.6)
+    lean: float = 0.015
+    field: float = 0.008
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """The longest rest.
+
+    Parameters
+    ----------
+    rate : ndarray, shape (3,)
+        What the gyro read, rad/s.
+    is_certain : bool
+        Whether a turn at that rate would have moved the field, which did not move.
+    """
+
+    rate: FloatArray
+    is_certain: bool
+
+
+def longest_rest(log: SensorLog, tuning: QuietTuning = QuietTuning()) -> Rest | None:
+    """Return the longest rest; None if there was none.
+
+    Parameters
+    ----------
+    log : SensorLog
+        Finite numbers, increasing stamps, rates in rad/s.
+    tuning : QuietTuning, optional
+    """
+    begin = max(float(log.imu_time[0]), float(log.field_time[0]))
+    end = min(float(log.imu_time[-1]), float(log.field_time[-1]))
+    count = int((end - begin) / tuning.block)
+    if count < tuning.blocks:
+        return None
+    edges: FloatArray = begin + tuning.block * np.arange(count + 1, dtype=np.float64)
+    rate, force = (_means(log.imu_time, values, edges) for values in (log.rate, log.force))
+    field = _means(log.field_time, log.field, edges)
+    per_block = max(len(log.field) * tuning.block / max(end - begin, 1e-9), 1.0)
+    noise = np.median(np.abs(np.diff(log.field, axis=0))) / 0.95 / math.sqrt(per_block)
+    size = float(np.median(np.linalg.norm(log.field, axis=1)))
+    gravity = float(np.median(np.linalg.norm(log.force, axis=1)))
+    stays = (
+        (_step(rate) < tuning.rate)
+        & (_step(force) < tuning.lean * gravity)
+        & (_step(field) < tuning.field * size + 4.0 * float(noise))
+    )
+    found = [run for run in runs(stays) if run[1] - run[0] >= tuning.blocks - 1]
+    if not found:
+        return None
+    first, last = max(found, key=lambda run: run[1] - run[0])
+    # A slow turn passes from block to block; over the whole of a rest it shows.
+    moved = float(np.linalg.norm(field[last] - field[first]))
+    turned = float(np.linalg.norm(rate[first : last + 1].sum(axis=0))) * tuning.block
+    limit = tuning.field * size + 4.0 * float(noise)
+    would = 0.3 * size * min(turned, 1.0)
+    if moved > limit + would:
+        return None
+    return Rest(rate[first : last + 1].mean(axis=0), moved < limit and would > 3.0 * limit)
+
+
+def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return means (k, 3) between edges (k + 1,); infinite where nothing lies between."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    rows = np.searchsorted(time, edges)
+    number = np.diff(rows)
+    mean = np.diff(total[rows], axis=0) / np.maximum(number, 1)[:, None]
+    mean[number == 0] = np.inf
+    return np.asarray(mean)
+
+
+def _step(values: FloatArray) -> FloatArray:
+    """Return how far neighbours (k, 3) are apart, shape (k - 1,); infinite where one is."""
+    with np.errstate(invalid="ignore"):
+        apart = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    return np.asarray(np.where(np.isfinite(apart), apart, np.inf))

@@ -1,0 +1,62 @@
+"""Whether the gyro's numbers are rad/s, by how fast the field turns."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.samples.stretch import Stretch
+
+DEGREE = math.pi / 180.0
+
+KNOWN: tuple[tuple[float, str], ...] = (
+    (DEGREE, "degrees/s published as rad/s"),
+    (1.0 / DEGREE, "rad/s converted from degrees twice"),
+    (DEGREE / STANDARD_GRAVITY, "rates converted to degrees and multiplied by gravity"),
+    (1.0 / STANDARD_GRAVITY, "rates multiplied by gravity, as accelerations are"),
+)
+"""What makes rad/s of rates that people have published, and how it comes to be."""
+
+PLAIN = 5.0
+"""Times too large or too small from which no scale error can be meant."""
+CLOSE = 2.2
+"""Times by which the rough look may be off a known factor."""
+SPAN = 0.5
+"""Seconds over which field and gyro are compared."""
+MOVED = 0.15
+"""Share of its size by which the field must move in that time to take part."""
+
+
+def rate_factor(stretch: Stretch) -> float:
+    """Return what the gyro's rates must be multiplied by to be rad/s; 1 if they are.
+
+    The way that the field goes in half a second is its size times the angle; the size is that of
+    the field's changing part, which is right within a factor two for a quarter turn or more.
+    """
+    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
+    last = np.searchsorted(seconds, seconds + SPAN)
+    first = np.flatnonzero(last < len(seconds))
+    last = last[first]
+    way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
+    turned = np.linalg.norm(angle[last] - angle[first], axis=1)
+    moved = way > max(MOVED, 0.5 * float(np.max(way, initial=0.0)))
+    if moved.sum() < 3:
+        return 1.0
+    rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
+    if 1.0 / PLAIN < rough < PLAIN:
+        return 1.0
+    near = min((factor for factor, _ in KNOWN), key=lambda f: abs(math.log(rough / f)))
+    return near if abs(math.log(rough / near)) < math.log(CLOSE) else rough
+
+
+def factor_in_words(factor: float) -> str:
+    """Say what a factor of `rate_factor` means, and what to do."""
+    size = (
+        f"{1.0 / factor:.3g} times too large" if factor < 1.0 else f"{factor:.3g} times too small"
+    )
+    known = next((words for value, words in KNOWN if math.isclose(value, factor)), "")
+    likely = f", which looks like {known}" if known else ""
+    return f"the gyro's rates are {size}{likely}; multiply them by {factor:.6g} in the driver"

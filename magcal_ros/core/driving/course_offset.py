@@ -1,0 +1,200 @@
+"""The offset of the compass against course, with a sigma that counts streets, not samples.
+
+    r_i = o + a1 cos psi + b1 sin psi + a2 cos 2psi + b2 sin 2psi + g(p_i) + n_i
+
+psi is the course, g what the street at the place p_i bends: cov = s² exp(-|p_i - p_j|/30 m).
+Generalised least squares with Student's weights; the sigma is the largest of three.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.driving.course_cells import CellTable
+from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
+
+ROUNDS = 5
+"""Reweighted rounds: weights and the street's size have settled."""
+
+
+@dataclass(frozen=True, eq=False)
+class CourseOffset:
+    """What course tells of the compass.
+
+    Parameters
+    ----------
+    offset, sigma : float
+        Radians: yaw of the compass less course, as a constant.
+    harmonics : ndarray, shape (4,)
+        cos psi, sin psi, cos 2psi, sin 2psi, radians.
+    covariance : ndarray, shape (5, 5)
+        Of offset and harmonics.
+    street : float
+        Radians by which streets bend the heading.
+    cells : int
+        Places and courses seen.
+    metres : float
+        Straight way driven.
+    sectors : int
+        Courses seen, of eight.
+    """
+
+    offset: float
+    sigma: float
+    harmonics: FloatArray
+    covariance: FloatArray
+    street: float
+    cells: int
+    metres: float
+    sectors: int
+
+    def swing(self, order: int) -> tuple[float, float]:
+        """Return the amplitude of the first or second harmonic, radians, and its significance.
+
+        The latter is in sigmas: the square root of the harmonic's chi².
+        """
+        rows = slice(2 * order - 2, 2 * order)
+        pair = self.harmonics[rows]
+        own = self.covariance[2 * order - 1 : 2 * order + 1, 2 * order - 1 : 2 * order + 1]
+        return float(np.hypot(*pair)), math.sqrt(float(pair @ np.linalg.solve(own, pair)))
+
+
+def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | None:
+    """Fit the offset; None before enough places were seen.
+
+    Parameters
+    ----------
+    cells : CellTable
+        Up to some hundreds of rows.
+    tuning : CourseTuning
+        What is taken for granted.
+    """
+    if len(cells.gap) < tuning.fewest:
+        return None
+    start = _cluster(cells)
+    found = _Fit(cells, wrap_angle(cells.gap - start), tuning)
+    for _ in range(ROUNDS):
+        found.improve()
+    variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
+    covariance = found.covariance.copy()
+    covariance[0, 0] = variance
+    sectors = np.round(cells.course / math.tau * tuning.sectors) % tuning.sectors
+    return CourseOffset(
+        float(wrap_angle(start + found.values[0])),
+        math.sqrt(variance),
+        found.values[1:],
+        covariance,
+        found.street,
+        len(cells.gap),
+        float(np.sum(cells.metres)),
+        len(np.unique(sectors)),
+    )
+
+
+def _cluster(cells: CellTable) -> float:
+    """Return where most gaps lie: a reweighted mean from the densest place."""
+    grid = np.linspace(-math.pi, math.pi, 72, endpoint=False)
+    weight = np.minimum(cells.count, 3.0)
+    near = np.exp(-((wrap_angle(cells.gap - grid[:, None]) / math.radians(15.0)) ** 2))
+    centre = float(grid[np.argmax(near @ weight)])
+    for _ in range(10):
+        gap = wrap_angle(cells.gap - centre)
+        own = weight / (1.0 + (gap / math.radians(7.0)) ** 2)
+        centre += float(own @ gap / np.sum(own))
+    return centre
+
+
+class _Fit:
+    """The weights, the street's size and the values of one fit."""
+
+    def __init__(self, cells: CellTable, gap: FloatArray, tuning: CourseTuning) -> None:
+        self._tuning, self._cells, self._gap = tuning, cells, gap
+        psi = cells.course
+        ones = np.ones(len(psi))
+        self._design = np.column_stack(
+            [ones, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
+        )
+        first, second = tuning.first_sigma**-2, tuning.second_sigma**-2
+        self._prior = np.diag([1e-6, first, first, second, second])
+        away = cells.place[:, None] - cells.place[None]
+        self._distance = np.hypot(away[..., 0], away[..., 1])
+        self._alike = np.exp(-self._distance / tuning.reach)
+        self._noise = (cells.variance + tuning.noise**2) / cells.count
+        self._weight = ones
+        self.street = tuning.street
+        self.values: FloatArray = np.zeros(5)
+        self.covariance: FloatArray = np.eye(5)
+
+    def improve(self) -> None:
+        """One round: values by least squares, then weights and street by what is left."""
+        solved, design = self._solve(np.column_stack([self._design, self._gap]))
+        self._whitened = solved[:, :5]
+        information = design.T @ self._whitened + self._prior
+        self.covariance = np.asarray(np.linalg.inv(information))
+        self.values = np.asarray(self.covariance @ (design.T @ solved[:, 5]))
+        self.left = self._gap - design @ self.values
+        own, freedom = self.street**2 + self._noise, self._tuning.freedom
+        self._weight = (freedom + 1.0) / (freedom + self.left**2 / own)
+        self._weigh_street()
+
+    def _solve(self, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+        own = np.sqrt(self._weight)
+        # A cell of little weight is one that its street bends more than others.
+        spread = self.street**2 * self._alike / np.outer(own, own)
+        spread[np.diag_indices_from(spread)] += self._noise / self._weight
+        return np.asarray(np.linalg.solve(spread, right)), self._design
+
+    def _weigh_street(self) -> None:
+        """Take the street's size from what is left, with some pseudo-observations."""
+        tuning = self._tuning
+        own = np.sqrt(self._weight) * self.left
+        shape = self._alike.copy()
+        shape[np.diag_indices_from(shape)] += self._noise / self.street**2
+        squares = float(own @ np.linalg.solve(shape, own))
+        count = len(own)
+        total = tuning.street_weight * tuning.street**2 + squares
+        self.street = math.sqrt(total / (tuning.street_weight + count))
+
+    def by_clusters(self) -> float:
+        """Return the offset's variance by the scatter of clusters of 150 m (sandwich)."""
+        tuning = self._tuning
+        spot = np.floor(self._cells.place / tuning.cluster).astype(np.int64)
+        _, label = np.unique(spot, axis=0, return_inverse=True)
+        count = int(label.max()) + 1
+        if count <= tuning.few_clusters + 2:
+            return 0.0
+        scores = self._whitened * self.left[:, None]
+        sums = np.zeros((count, 5))
+        np.add.at(sums, label.ravel(), scores)
+        middle = sums.T @ sums * count / (count - tuning.few_clusters) + self._prior
+        return float((self.covariance @ middle @ self.covariance)[0, 0])
+
+    def by_first_ways(self) -> float:
+        """Return the variance if each street counted only the way it was driven first.
+
+        What stands on one side of a street bends the field on one way: both ways of a street
+        are one witness.
+        """
+        again = self._again()
+        if not again.any():
+            return 0.0
+        kept = ~again
+        own = np.sqrt(self._weight[kept])
+        spread = self.street**2 * self._alike[np.ix_(kept, kept)] / np.outer(own, own)
+        spread[np.diag_indices_from(spread)] += self._noise[kept] / self._weight[kept]
+        design = self._design[kept]
+        information = design.T @ np.linalg.solve(spread, design) + self._prior
+        return float(np.linalg.inv(information)[0, 0])
+
+    def _again(self) -> BoolArray:
+        """Tell which cells lie where the vehicle has been before, on another course."""
+        cells = self._cells
+        near = self._distance < max(1.5 * self._tuning.cell, 0.5 * self._tuning.reach)
+        other = np.cos(cells.course[:, None] - cells.course[None]) < 0.0
+        earlier = cells.first[None] < cells.first[:, None]
+        return np.asarray((near & other & earlier).any(axis=1))

@@ -1,0 +1,351 @@
+"""What is taken for granted of drives, by subject: each number with its unit and its reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class SpeedSource(str, Enum):
+    """Who tells the speed, the best first."""
+
+    ODOMETRY = "odometry"
+    VELOCITY = "velocity"
+    FIXES = "fixes"
+
+
+@dataclass(frozen=True)
+class SpeedTuning:
+    """How speeds are read.
+
+    Parameters
+    ----------
+    largest : float
+        m/s. No vehicle this is for is faster.
+    largest_acceleration : float
+        m/s². A speed that changes faster is no speed.
+    odometry_gap, receiver_gap : float
+        Seconds between two samples that are interpolated between.
+    receiver_delay : float
+        Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen.
+    remembered : int
+        Samples kept of a source: ten minutes of ten a second.
+    spacing : float
+        Seconds between samples that are kept; a faster source is thinned.
+    silent : float
+        Seconds after which another source takes its place.
+    """
+
+    largest: float = 100.0
+    largest_acceleration: float = 15.0
+    odometry_gap: float = 0.6
+    receiver_gap: float = 2.2
+    receiver_delay: float = 0.5
+    remembered: int = 6000
+    spacing: float = 0.09
+    silent: float = 3.0
+
+
+@dataclass(frozen=True)
+class TickTuning:
+    """How IMU messages are gathered.
+
+    Parameters
+    ----------
+    seconds : float
+        Of messages that make a tick: short against a start or a bend.
+    levelling : float
+        Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
+        against starts and stops.
+    """
+
+    seconds: float = 0.25
+    levelling: float = 60.0
+
+
+@dataclass(frozen=True)
+class OwnAccelerationTuning:
+    """When and how the vehicle's own acceleration is taken off.
+
+    Parameters
+    ----------
+    spans : mapping of SpeedSource to int
+        Ticks over which a change of speed is taken: long against the noise of wheels, and as long
+        as a receiver averages.
+    slow : mapping of SpeedSource to float
+        m/s below which a source may be standing.
+    oldest : float
+        Seconds by which a matched tick may be late; up is propagated by the gyro over them.
+    pause : float
+        Seconds for which nothing is taken off once it could not be.
+    latest : float
+        Seconds by which a speed may be late to be of use.
+    watched : int
+        Ticks over which it is tried whether the speed explains the force: 15 s.
+    fewest : int
+        Ticks that must have been tried before anything is taken off.
+    gain, rough_gain : float
+        What is left of the force's variance where the speed explains it, at most, and where the
+        speed is that of mere fixes.
+    pulling : float
+        Share of the changes of velocity that must be starts and stops, where the speed is that
+        of mere fixes.
+    quiet : float
+        m/s². Scatter of the force below which nothing is to be explained.
+    """
+
+    spans: Mapping[SpeedSource, int] = field(
+        default_factory=lambda: {
+            SpeedSource.ODOMETRY: 2,
+            SpeedSource.VELOCITY: 4,
+            SpeedSource.FIXES: 8,
+        }
+    )
+    slow: Mapping[SpeedSource, float] = field(
+        default_factory=lambda: {
+            SpeedSource.ODOMETRY: 0.05,
+            SpeedSource.VELOCITY: 0.3,
+            SpeedSource.FIXES: 0.6,
+        }
+    )
+    oldest: float = 4.5
+    pause: float = 5.0
+    latest: float = 2.5
+    watched: int = 60
+    fewest: int = 12
+    gain: float = 0.3
+    rough_gain: float = 0.5
+    pulling: float = 0.25
+    quiet: float = 0.3
+
+
+@dataclass(frozen=True)
+class MountingYawTuning:
+    """The yaw of the IMU in the vehicle from force against speed.
+
+    Parameters
+    ----------
+    remembered : int
+        Ticks that are fitted: ten minutes of driving.
+    smooth : int
+        Ticks of the low-pass, one second: latency and vibration.
+    highpass : int
+        Ticks of the running mean that is taken off, 20 s: slopes and the accelerometer's bias.
+    standing : float
+        Seconds of standing after which ticks are no longer kept.
+    moving : float
+        m/s, slower is standing.
+    block : float
+        Seconds of a block whose errors are taken as one.
+    short : float
+        Seconds of driving below which the sigma is widened.
+    widening : float
+        By this: NEES of such drives is 3 to 8 at one minute, 1 to 3 at two.
+    lever_sigma : float
+        Metres ahead of the rear axle where the IMU may be.
+    lowest, highest : float
+        What the force may be of the speed's change: else the speed's unit or stamps are wrong.
+    lowest_rough : float
+        The same for a receiver, whose noise makes it less.
+    energy : float
+        m²/s³ of changes of velocity that must have been seen: two starts.
+    first_energy : float
+        The same before the yaw is used to take the own acceleration off: half a start.
+    believed : float
+        Radians of sigma below which it is used so.
+    explained : float
+        Share of the force's changes that the speed must explain.
+    floor : float
+        Radians that no drive takes away: springs, tyres.
+    largest_delay, earliest_delay : float
+        Seconds of latency that are tried.
+    reuse, reuse_first : float
+        Seconds between fits, and in the first minute.
+    wild : float
+        Share of samples that jump as no vehicle can.
+    recent : int
+        Ticks of the newest minute, over which a speed must hold as well.
+    """
+
+    remembered: int = 2400
+    smooth: int = 4
+    highpass: int = 80
+    standing: float = 10.0
+    moving: float = 0.15
+    block: float = 10.0
+    short: float = 180.0
+    widening: float = 1.5
+    lever_sigma: float = 1.0
+    lowest: float = 0.8
+    lowest_rough: float = 0.4
+    highest: float = 1.2
+    energy: float = 25.0
+    first_energy: float = 4.0
+    believed: float = math.radians(6.0)
+    explained: float = 0.4
+    floor: float = math.radians(0.3)
+    largest_delay: float = 8.0
+    earliest_delay: float = -1.0
+    reuse: float = 15.0
+    reuse_first: float = 4.0
+    wild: float = 0.02
+    recent: int = 240
+
+
+@dataclass(frozen=True)
+class TripTuning:
+    """Forwards or backwards, from the force.
+
+    Parameters
+    ----------
+    clear : float
+        Sigmas that decide.
+    correlated : float
+        By how much errors of the force last longer than the smoothing.
+    standing : float
+        m/s of a speed that has no sign; a receiver's wanders.
+    longest : float
+        Seconds since standing that are looked at.
+    """
+
+    clear: float = 4.0
+    correlated: float = 4.0
+    standing: float = 0.5
+    longest: float = 40.0
+
+
+@dataclass(frozen=True)
+class ChordTuning:
+    """Which pieces of way are straight enough to tell a course.
+
+    Parameters
+    ----------
+    shortest : float
+        Metres.
+    longest : float
+        Seconds.
+    slowest : float
+        m/s for positions: those of a standing receiver wander.
+    slowest_velocity : float
+        m/s where the receiver tells a velocity of a sigma below `good_velocity`.
+    good_velocity : float
+        m/s.
+    largest_rate, largest_turn : float
+        rad/s throughout, and radians in all: in bends lever arm, slip and latency show.
+    relative_sigma : float
+        Metres of error between neighbouring fixes; not the fix's absolute accuracy.
+    course_sigma : float
+        Radians of any course: slip, camber, lanes.
+    remembered : int
+        Yaws kept, ten a second, for chords that end late.
+    spacing : float
+        Seconds between them.
+    """
+
+    shortest: float = 5.0
+    longest: float = 4.0
+    slowest: float = 2.0
+    slowest_velocity: float = 0.5
+    good_velocity: float = 0.1
+    largest_rate: float = math.radians(3.0)
+    largest_turn: float = math.radians(5.0)
+    relative_sigma: float = 0.3
+    course_sigma: float = math.radians(1.0)
+    remembered: int = 200
+    spacing: float = 0.1
+
+
+@dataclass(frozen=True)
+class CourseTuning:
+    """The offset of compass against course, and its harmonics.
+
+    Parameters
+    ----------
+    cell : float
+        Metres of a cell's side at first; twice as long whenever there are too many.
+    sectors : int
+        Sectors of course in a cell.
+    most_cells : int
+        Cells kept.
+    reach : float
+        Metres over which streets bend alike.
+    first_sigma, second_sigma : float
+        Radians of the harmonics: hard iron and soft iron that a calibration leaves.
+    noise : float
+        Radians of a chord's compass beside streets and course.
+    street, street_weight : float
+        Radians a street bends by, and pseudo-observations of it.
+    freedom : float
+        Degrees of freedom of Student's weights.
+    cluster : float
+        Metres of a cluster of the sandwich.
+    few_clusters : int
+        Clusters that are taken off their number: a small sample's correction.
+    fewest : int
+        Cells before anything is said.
+    new_chords : int
+        Chords after which the course is fitted anew.
+    drifting : float
+        Radians by which course less gyro yaw may scatter within `drifting_span` of straight
+        driving; boats exceed it.
+    drifting_span : float
+        Seconds.
+    """
+
+    cell: float = 10.0
+    sectors: int = 8
+    most_cells: int = 400
+    reach: float = 30.0
+    first_sigma: float = math.radians(3.0)
+    second_sigma: float = math.radians(2.0)
+    noise: float = math.radians(2.0)
+    street: float = math.radians(7.0)
+    street_weight: float = 4.0
+    freedom: float = 5.0
+    cluster: float = 150.0
+    few_clusters: int = 1
+    fewest: int = 5
+    new_chords: int = 5
+    drifting: float = math.radians(10.0)
+    drifting_span: float = 60.0
+
+
+@dataclass(frozen=True)
+class FrontTuning:
+    """What is called askew.
+
+    Parameters
+    ----------
+    clear : float
+        Sigmas beyond which compass and accelerations contradict each other.
+    near : float
+        Sigmas within which the contradiction is twice the declination.
+    smallest : float
+        Radians that nobody need hear of.
+    useful : float
+        Radians of sigma below which an offset may be applied.
+    lost : float
+        Radians of sigma of course beyond which it tells nothing.
+    """
+
+    clear: float = 3.0
+    near: float = 2.0
+    smallest: float = math.radians(3.0)
+    useful: float = math.radians(2.0)
+    lost: float = math.radians(10.0)
+
+
+@dataclass(frozen=True)
+class DrivingTuning:
+    """All of them; the defaults suit cars and ground robots."""
+
+    speed: SpeedTuning = field(default_factory=SpeedTuning)
+    ticks: TickTuning = field(default_factory=TickTuning)
+    own: OwnAccelerationTuning = field(default_factory=OwnAccelerationTuning)
+    mounting: MountingYawTuning = field(default_factory=MountingYawTuning)
+    trip: TripTuning = field(default_factory=TripTuning)
+    chords: ChordTuning = field(default_factory=ChordTuning)
+    course: CourseTuning = field(default_factory=CourseTuning)
+    front: FrontTuning = field(default_factory=FrontTuning)

@@ -1,0 +1,303 @@
+"""The yaw of the IMU in the vehicle: specific force against the change of velocity.
+
+In a level frame that the gyro keeps still (`gyro_frame`), with the IMU's yaw theta in it,
+
+    F = z d/dt [(v + i l w) e^(i theta)] + e,    z = s e^(-i beta),
+
+where F is the force across up, v the signed speed, w the turn rate, l the way from the rear axle
+to the IMU, beta the yaw of the IMU in the vehicle and s one if the speed's unit is right. Neither
+field nor course is needed. All are low-passed over a second and less their mean over 20 s.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from magcal_ros.core.driving.driving_tuning import MountingYawTuning, TripTuning
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+
+ComplexArray = npt.NDArray[np.complex128]
+ITERATIONS = 6
+"""Reweighted steps: the weights have settled."""
+
+
+@dataclass(frozen=True)
+class MountingYaw:
+    """How the IMU sits in the vehicle, and how well the speed fits its force.
+
+    Parameters
+    ----------
+    yaw, sigma : float
+        Radians, counter-clockwise from the vehicle's x to the IMU's x.
+    scale : float
+        Force over change of velocity: one, if the speed is in m/s and in time.
+    delay : float
+        Seconds by which the speed's stamps are late.
+    explained : float
+        Share of the force's changes that the speed explains.
+    energy : float
+        m²/s³ of changes of velocity that were seen.
+    force_energy : float
+        The same of the force.
+    seconds : float
+        Of driving that were fitted.
+    noise : float
+        m/s² that the force departs by.
+    is_rough : bool
+        Whether the speed is a receiver's, whose noise makes the scale less than one.
+    """
+
+    yaw: float
+    sigma: float
+    scale: float
+    delay: float
+    explained: float
+    energy: float
+    force_energy: float
+    seconds: float
+    noise: float
+    is_rough: bool = False
+
+    def is_usable(self, tuning: MountingYawTuning) -> bool:
+        """Whether it is good enough to take the vehicle's own acceleration off."""
+        is_enough = min(self.energy, self.force_energy) >= tuning.first_energy
+        return is_enough and self.explained >= tuning.explained and self.sigma < tuning.believed
+
+    def has_scale(self, tuning: MountingYawTuning) -> bool:
+        """Whether the speed is in m/s."""
+        lowest = tuning.lowest_rough if self.is_rough else tuning.lowest
+        return lowest <= self.scale <= tuning.highest
+
+    def is_known(self, tuning: MountingYawTuning) -> bool:
+        """Whether enough was seen, and the speed explains it."""
+        return (
+            min(self.energy, self.force_energy) >= tuning.energy
+            and self.explained >= tuning.explained
+            and self.has_scale(tuning)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TickTable:
+    """Ticks of a drive in arrays, with the speed at the end of each.
+
+    Parameters
+    ----------
+    stamp, seconds : ndarray, shape (n,)
+        End and length of each tick.
+    force : ndarray of complex, shape (n,)
+        m/s² across up in the gyro's frame.
+    yaw, turn_rate : ndarray, shape (n,)
+        Of the IMU in the frame, radians and rad/s.
+    speed : ndarray, shape (n,)
+        m/s; NaN where it is not known.
+    is_signed : bool
+        Whether backwards is negative.
+    """
+
+    stamp: FloatArray
+    seconds: FloatArray
+    force: ComplexArray
+    yaw: FloatArray
+    turn_rate: FloatArray
+    speed: FloatArray
+    is_signed: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class _Filtered:
+    force: ComplexArray
+    change: ComplexArray
+    swing: ComplexArray
+    valid: BoolArray
+
+
+def fit_mounting_yaw(
+    ticks: TickTable,
+    delay: float,
+    tuning: MountingYawTuning,
+    trips: TripTuning,
+) -> MountingYaw | None:
+    """Fit yaw, scale and lever arm; None where nothing moved.
+
+    Parameters
+    ----------
+    ticks : TickTable
+        What was driven.
+    delay : float
+        Seconds of latency that the speeds are already freed of.
+    tuning, trips : MountingYawTuning, TripTuning
+        What is taken for granted.
+    """
+    if len(ticks.stamp) < tuning.highpass // 2 or not np.isfinite(ticks.speed).any():
+        return None
+    signs = np.ones(len(ticks.stamp))
+    filtered = _filtered(ticks, signs, tuning)
+    if filtered.valid.sum() < tuning.highpass // 4:
+        return None
+    if not ticks.is_signed:
+        for _ in range(2):
+            signs = _signs(ticks, _filtered(ticks, np.ones(len(signs)), tuning), trips)
+        filtered = _filtered(ticks, signs, tuning)
+    return _solved(ticks, filtered, delay, tuning)
+
+
+def correlation(ticks: TickTable, tuning: MountingYawTuning) -> float:
+    """Return how well force and change of velocity go together, zero to one."""
+    change, valid = _change(ticks, np.ones(len(ticks.stamp)))
+    force = _banded(np.where(valid, ticks.force, 0.0), valid, tuning)
+    change = _banded(change, valid, tuning)
+    size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
+    return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
+
+
+def _change(ticks: TickTable, signs: FloatArray) -> tuple[ComplexArray, BoolArray]:
+    """Return the change of velocity over each tick, m/s², and where it is known."""
+    velocity = signs * ticks.speed * np.exp(1j * ticks.yaw)
+    change = np.full(len(velocity), np.nan, dtype=np.complex128)
+    change[1:] = (velocity[1:] - velocity[:-1]) / ticks.seconds[1:]
+    valid = np.isfinite(change)
+    gap = np.diff(ticks.stamp)
+    valid[1:] &= np.abs(gap - ticks.seconds[1:]) < 0.5 * ticks.seconds[1:]
+    return np.where(valid, change, 0.0), valid
+
+
+def _filtered(ticks: TickTable, signs: FloatArray, tuning: MountingYawTuning) -> _Filtered:
+    change, valid = _change(ticks, signs)
+    ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
+    look = 1j * ends * np.exp(1j * ticks.yaw)
+    swing = np.zeros(len(look), dtype=np.complex128)
+    swing[1:] = (look[1:] - look[:-1]) / ticks.seconds[1:]
+    force, swing = (np.where(valid, x, 0.0) for x in (ticks.force, swing))
+    force, change, swing = (_banded(x, valid, tuning) for x in (force, change, swing))
+    return _Filtered(force, change, swing, valid)
+
+
+def _banded(values: ComplexArray, valid: BoolArray, tuning: MountingYawTuning) -> ComplexArray:
+    counts = np.zeros(len(values) + 1, dtype=np.int64)
+    np.cumsum(valid, out=counts[1:])
+    low = _running(values, counts, tuning.smooth)
+    return np.where(valid, low - _running(values, counts, tuning.highpass), 0.0)
+
+
+def _running(values: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
+    """Return the mean over so many rows about each; `counts` are running ones of valid rows."""
+    total = len(values)
+    sums = np.zeros(total + 1, dtype=np.complex128)
+    np.cumsum(values, out=sums[1:])
+    last = np.minimum(np.maximum(np.arange(total) - width // 2, 0) + width, total)
+    first = np.maximum(last - width, 0)
+    return np.asarray((sums[last] - sums[first]) / np.maximum(counts[last] - counts[first], 1))
+
+
+def trip_labels(speed: FloatArray, slowest: float) -> IntArray:
+    """Return a number of the trip for each row, zero while the vehicle stands."""
+    moving = np.abs(np.nan_to_num(speed)) > slowest
+    begins = moving & ~np.r_[False, moving[:-1]]
+    return np.asarray(np.where(moving, np.cumsum(begins), 0))
+
+
+def _signs(ticks: TickTable, found: _Filtered, trips: TripTuning) -> FloatArray:
+    """Return plus or minus one per row: forwards where most of the way was driven.
+
+    The squares of the trips' sums do not know the trips' signs.
+    """
+    label = trip_labels(ticks.speed, trips.standing)
+    count = int(label.max()) + 1
+    product = found.force * np.conj(found.change)
+    sums = np.bincount(label, product.real, count) + 1j * np.bincount(label, product.imag, count)
+    sums[0] = 0.0
+    axis = cmath.exp(0.5j * cmath.phase(complex(np.sum(sums**2))))
+    sign = np.where((sums * np.conj(axis)).real < 0.0, -1.0, 1.0)
+    metres = np.bincount(label, np.abs(np.nan_to_num(ticks.speed)) * ticks.seconds, count)
+    if float(sign @ metres) < 0.0:
+        sign = -sign
+    sign[0] = 1.0
+    return np.asarray(sign[label])
+
+
+class _Solution(NamedTuple):
+    """Where the reweighted steps ended, and what they saw there."""
+
+    z: complex
+    noise: float
+    weight: FloatArray
+    error: ComplexArray
+    scores: FloatArray
+    information: FloatArray
+    prior_score: float
+
+
+def _solved(
+    ticks: TickTable, found: _Filtered, delay: float, tuning: MountingYawTuning
+) -> MountingYaw:
+    rows = np.flatnonzero(found.valid)
+    force, change, swing = (x[rows] for x in (found.force, found.change, found.swing))
+    period = float(np.median(ticks.seconds))
+    moving = np.abs(np.nan_to_num(ticks.speed)) > tuning.moving
+    seconds = float(np.sum(ticks.seconds[moving]))
+    energy = float(np.sum(np.abs(change) ** 2)) * period
+    force_energy = float(np.sum(np.abs(force) ** 2)) * period
+    if energy <= 0.0:
+        return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, seconds, math.inf)
+    end = _steps(force, change, swing, tuning)
+    # A wild speed explains nothing, but is no worse than none.
+    spent = float(np.sum(np.abs(force) ** 2))
+    left = float(np.sum(np.minimum(np.abs(end.error) ** 2, np.abs(force) ** 2)))
+    variance = _yaw_variance(end, ticks.stamp[rows], tuning)
+    if seconds < tuning.short:
+        variance *= tuning.widening**2
+    return MountingYaw(
+        -cmath.phase(end.z),
+        min(math.pi, math.sqrt(variance + tuning.floor**2)),
+        abs(end.z),
+        delay,
+        1.0 - left / spent if spent > 0.0 else 0.0,
+        energy,
+        force_energy,
+        seconds,
+        end.noise,
+    )
+
+
+def _steps(
+    force: ComplexArray, change: ComplexArray, swing: ComplexArray, tuning: MountingYawTuning
+) -> _Solution:
+    """Gauss-Newton on z and the lever arm, with weights 1/(1 + |e|²/4s²)."""
+    z = complex(np.vdot(change, force)) / float(np.sum(np.abs(change) ** 2))
+    lever = 0.0
+    for _ in range(ITERATIONS):
+        error = force - z * (change + lever * swing)
+        # The median of a Rayleigh distribution is 1.177 of its components' sigma.
+        noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
+        weight = 1.0 / (1.0 + np.abs(error) ** 2 / (4.0 * noise**2))
+        model = change + lever * swing
+        columns = np.array([model, 1j * model, z * swing])
+        # Smoothed rows are not so many witnesses: the prior is weighed against honest ones.
+        prior = noise**2 * tuning.smooth / tuning.lever_sigma**2
+        information = np.real(columns.conj() * weight @ columns.T)
+        information += np.diag([1e-9, 1e-9, prior])
+        slope = np.real(columns.conj() @ (weight * error))
+        slope[2] -= prior * lever
+        step = np.linalg.solve(information, slope)
+        z, lever = z + complex(step[0], step[1]), lever + float(step[2])
+    error = force - z * (change + lever * swing)
+    scores = np.real(columns.conj() * (weight * error))
+    prior_score = (prior * tuning.lever_sigma) ** 2
+    return _Solution(z, noise, weight, error, scores, information, prior_score)
+
+
+def _yaw_variance(end: _Solution, stamps: FloatArray, tuning: MountingYawTuning) -> float:
+    """Return the variance of the yaw by blocks of time whose errors are taken as one."""
+    block = ((stamps - stamps[0]) / tuning.block).astype(np.int64)
+    sums = np.array([np.bincount(block, row) for row in end.scores])
+    inverse = np.linalg.inv(end.information)
+    covariance = inverse @ (sums @ sums.T + np.diag([0.0, 0.0, end.prior_score])) @ inverse
+    across = np.array([-end.z.imag, end.z.real, 0.0]) / max(abs(end.z) ** 2, 1e-12)
+    return float(across @ covariance @ across)

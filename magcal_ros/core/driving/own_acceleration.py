@@ -1,0 +1,202 @@
+"""The vehicle's own acceleration, taken off the force: late by what the speed is late."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections import deque
+from typing import NamedTuple
+
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
+from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
+from magcal_ros.core.driving.speed_trial import SpeedTrial, Tried
+from magcal_ros.core.driving.speedometer import SpeedTrack
+from magcal_ros.core.geometry.vec3 import Triple
+
+
+class _Matched(NamedTuple):
+    """A tick with the velocity at its end, m/s in the frame, as if the IMU looked ahead."""
+
+    tick: Tick
+    velocity: complex
+
+
+class OwnAcceleration:
+    """Frees the force of what the vehicle accelerates by.
+
+    Over the last half second that the speed is known for, the mean force less the change of
+    velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
+    of the moment. So neither a late speed nor one that comes once a second does harm.
+
+    Parameters
+    ----------
+    tuning : DrivingTuning, optional
+        What is taken for granted.
+
+    Attributes
+    ----------
+    yaw : float
+        Of the IMU in the vehicle, radians; zero until somebody knows better.
+    scale : float
+        Force over change of speed: the latter's noise makes it less than one.
+    noise : float
+        m/s² by which the force departs from what the speed explains.
+    is_used : bool
+        Whether the speed explains the force of the last seconds.
+    is_yaw_usable, is_yaw_known : bool
+        Whether somebody does, roughly and well: before the latter, a vehicle is taken to drive
+        forwards.
+    sign : float
+        Minus one while a speed without sign is that of a vehicle that backs up.
+    sign_score : float
+        Sigmas by which the force speaks for `sign` since the vehicle stood.
+    """
+
+    def __init__(self, tuning: DrivingTuning | None = None) -> None:
+        self._tuning = tuning or DrivingTuning()
+        self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
+        self.scale, self.noise = 1.0, 0.3
+        self._waiting: deque[Tick] = deque(maxlen=64)
+        self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
+        self._trial = SpeedTrial(self._tuning.own.watched)
+        self._gravity: tuple[float, Triple] | None = None
+        self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
+        self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
+        self._gives, self._pauses_until = False, -math.inf
+        self._speaker: tuple[SpeedSource, float] | None = None
+        self.is_used = False
+        self._stand()
+
+    @property
+    def stands(self) -> bool:
+        """Whether the vehicle stood at the newest tick that met its speed."""
+        return not self._of_trip
+
+    def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
+        """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
+        self._waiting.append(tick)
+        speaker = None if track is None else (track.source, track.delay)
+        if speaker != self._speaker:
+            # Another source, or another latency: a change of velocity would be none.
+            self._speaker = speaker
+            self._matched.clear()
+            self._trial.clear()
+            self.is_used = False
+        met: list[tuple[Tick, float]] = []
+        while self._waiting:
+            first = self._waiting[0]
+            is_late = tick.stamp - first.stamp > self._tuning.own.oldest
+            if track is not None and not track.has_passed(first.stamp) and not is_late:
+                break
+            self._waiting.popleft()
+            speed = None if track is None else track.at(first.stamp)
+            if track is not None:
+                self._is_signed = track.is_signed
+                self._slow = self._tuning.own.slow[track.source]
+                self._is_rough = track.source is SpeedSource.FIXES
+                self._span = self._tuning.own.spans[track.source]
+            self._meet(first, speed)
+            met.append((first, math.nan if speed is None else speed * self.sign))
+        return met
+
+    def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
+        """Return what to take off a specific force, m/s², body axes; None if it is not known.
+
+        It does not come and go: a force that is freed of it for moments only would mislead.
+        """
+        gravity = self._gravity_at(stamp)
+        if gravity is None or frame.axes is None or stamp < self._pauses_until:
+            if self._gives:
+                self._pauses_until = stamp + self._tuning.own.pause
+            self._gives = False
+            return None
+        self._gives = True
+        x, y, z = frame.to_body(gravity)
+        return (force[0] - x, force[1] - y, force[2] - z)
+
+    def _gravity_at(self, stamp: float) -> Triple | None:
+        """Return gravity in the gyro's frame, m/s², while it may be used."""
+        if self._gravity is None or not self.is_used:
+            return None
+        since, gravity = self._gravity
+        return gravity if 0.0 <= stamp - since <= self._tuning.own.oldest else None
+
+    def restart(self) -> None:
+        """Forget ticks: the gyro's frame is another one."""
+        self._waiting.clear()
+        self._matched.clear()
+        self._trial.clear()
+        self._gravity, self.is_used = None, False
+        self._gives, self._pauses_until = False, -math.inf
+        self._stand()
+
+    def _stand(self) -> None:
+        self.sign, self.sign_score = 1.0, 0.0
+        self._product = self._energy = 0.0
+        self._of_trip = 0
+
+    def _meet(self, tick: Tick, speed: float | None) -> None:
+        if speed is None:
+            self._matched.clear()
+            self._gravity = None
+            return
+        if abs(speed) < self._tuning.trip.standing:
+            self._stand()
+        velocity = speed * cmath.exp(1j * tick.yaw)
+        self._matched.append(_Matched(tick, velocity))
+        if len(self._matched) > self._span:
+            self._weigh()
+
+    @property
+    def _turn(self) -> complex:
+        """From the change of velocity, as if the IMU looked ahead, to the force."""
+        return self.scale * cmath.exp(-1j * self.yaw)
+
+    def _weigh(self) -> None:
+        """Take the change of velocity over the span off the mean force over it."""
+        first, *others = list(self._matched)[-self._span - 1 :]
+        last = others[-1]
+        seconds = sum(each.tick.seconds for each in others)
+        if not 0.5 * seconds < last.tick.stamp - first.tick.stamp < 1.5 * seconds:
+            return
+        x, y, z = (
+            sum(each.tick.force[axis] * each.tick.seconds for each in others) / seconds
+            for axis in range(3)
+        )
+        # The speed of a receiver that stands wanders.
+        stands = max(abs(last.velocity), abs(first.velocity)) < self._slow
+        change = 0j if stands else (last.velocity - first.velocity) / seconds
+        pull = (abs(last.velocity) - abs(first.velocity)) / seconds
+        self._trial.add(Tried(complex(x, y), self.sign * change, pull))
+        self._of_trip += 1
+        self._judge()
+        own = self.sign * change * self._turn
+        self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
+
+    def _judge(self) -> None:
+        """Look whether the speed explains the force of the last seconds, and with which sign."""
+        own, trial = self._tuning.own, self._trial
+        self.is_used = False
+        if len(trial) < own.fewest:
+            return
+        if not self._is_signed:
+            self._decide()
+        without, with_it = trial.scatter(0j), trial.scatter(self._turn)
+        quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
+        self.is_used = with_it <= (gain * without if without > quiet else quiet)
+        # An even circle is seen through without: the speed of mere fixes would only add noise.
+        if self._is_rough and (trial.pull_share < own.pulling or not self.is_yaw_usable):
+            self.is_used = False
+
+    def _decide(self) -> None:
+        """Sum up, since the vehicle stood, what the force says of the direction of travel."""
+        trip, newest = self._tuning.trip, self._trial.newest
+        expected = newest.change * self._turn
+        self._product += self.sign * (newest.force * expected.conjugate()).real
+        self._energy += abs(expected) ** 2
+        spread = math.sqrt(trip.correlated * max(self._energy, 1e-9)) * self.noise
+        score = self._product / spread
+        if self.is_yaw_known and score * self.sign < -trip.clear:
+            self.sign = -self.sign
+            self._trial.turn_back(self._of_trip)
+        self.sign_score = score * self.sign if self.is_yaw_known else 0.0

@@ -1,0 +1,230 @@
+"""A vehicle under way: IMU, speed, fixes and compass in; what they tell of one another out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from magcal_ros.core.driving.chords import Chord, Chords
+from magcal_ros.core.driving.course_cells import CourseCells
+from magcal_ros.core.driving.course_offset import CourseOffset, fit_course_offset
+from magcal_ros.core.driving.drift import DriftWatch
+from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
+from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
+from magcal_ros.core.driving.mounting_watch import Judged, MountingWatch
+from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.driving.own_acceleration import OwnAcceleration
+from magcal_ros.core.driving.speedometer import Speedometer
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+
+Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
+
+
+def at_once(work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+    """Do some work and go on with its result."""
+    then(work())
+
+
+class Travelling:
+    """Follows a drive with bounded memory; without speed and fixes it does nothing.
+
+    Parameters
+    ----------
+    tuning : DrivingTuning, optional
+        What is taken for granted.
+    run : callable, optional
+        Takes some work and what is to be done with its result; by default it does both at once.
+        A node has the work, of some tens of milliseconds, done beside its messages.
+
+    Attributes
+    ----------
+    course : CourseOffset or None
+        The newest fit of compass against course: of the yaw to *magnetic* north.
+    """
+
+    def __init__(self, tuning: DrivingTuning | None = None, run: Run = at_once) -> None:
+        self._run, self._is_running = run, False
+        self.tuning = tuning or DrivingTuning()
+        self.speedometer = Speedometer(self.tuning.speed)
+        self.mounting = MountingWatch(self.speedometer, self.tuning)
+        self.cells = CourseCells(self.tuning.course)
+        self.drift = DriftWatch(self.tuning.course)
+        self.course: CourseOffset | None = None
+        self.metres = 0.0
+        self._frame = GyroFrame(self.tuning.ticks)
+        self._own = OwnAcceleration(self.tuning)
+        self._chords = Chords(self.tuning.chords, self.tuning.speed.receiver_delay)
+        self._pending: deque[Chord] = deque(maxlen=256)
+        self._is_heard = False
+        self._given: tuple[float, float] | None = None
+        self._restarts = 0
+        self._fitted_chords = 0
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether any speed or fix has come."""
+        return self._is_heard
+
+    @property
+    def known_mounting(self) -> MountingYaw | None:
+        """The yaw of the IMU in the vehicle, where enough was seen to tell it."""
+        return self.mounting.known
+
+    @property
+    def direction(self) -> float:
+        """Minus one while the vehicle backs up, else one."""
+        return self._own.sign
+
+    @property
+    def takes_off(self) -> bool:
+        """Whether the vehicle's own acceleration is being taken off."""
+        return self._own.is_used
+
+    @property
+    def source(self) -> SpeedSource | None:
+        """Whose speed is used."""
+        track = self.speedometer.track
+        return None if track is None else track.source
+
+    def believe(self, yaw: float, sigma: float) -> None:
+        """Take a yaw of the IMU in the vehicle from elsewhere, radians, until more is seen."""
+        self._given = (yaw, sigma)
+
+    def add_imu(self, sample: ImuSample, gyro_bias: Triple) -> Triple | None:
+        """Take an IMU sample; returns the vehicle's own acceleration, m/s², body axes.
+
+        None where it is not known; then nothing is to be taken off.
+        """
+        if not self._is_heard:
+            return None
+        tick = self._frame.add(sample, gyro_bias)
+        if self._frame.restarts != self._restarts:
+            self._restarts = self._frame.restarts
+            self._restart()
+        if tick is not None:
+            self._on_tick(tick)
+        return self._own.linear(sample.stamp, sample.force, self._frame)
+
+    def add_speed(self, sample: SpeedSample) -> None:
+        """Take what wheels say."""
+        self._is_heard = self.speedometer.add_speed(sample) or self._is_heard
+
+    def add_velocity(self, sample: VelocitySample) -> None:
+        """Take a receiver's velocity."""
+        if self.speedometer.add_velocity(sample):
+            self._is_heard = True
+            self._chords.add_fix(sample)
+
+    def add_position(self, sample: PositionSample) -> None:
+        """Take a fix."""
+        self._is_heard = self.speedometer.add_position(sample) or self._is_heard
+        self._chords.add_fix(sample)
+
+    def add_yaw(self, yaw: float) -> None:
+        """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
+        if self._is_heard:
+            self._chords.add_yaw(yaw)
+
+    def forget_compass(self) -> None:
+        """Another calibration is in force: what course told of the last one is of no use."""
+        self.cells = CourseCells(self.tuning.course)
+        self.course, self._fitted_chords = None, 0
+        self._pending.clear()
+
+    def fit_course(self) -> CourseOffset | None:
+        """Fit the offset of the compass with all that was driven."""
+        self._fitted_chords = 0
+        self.course = self._begin_course()()
+        return self.course
+
+    def _begin_course(self) -> Callable[[], CourseOffset | None]:
+        """Return the work of fitting the course; up to a tenth of a second with many cells."""
+        last, tuning, chords = self.course, self.tuning.course, self.cells.chords
+        if self.drift.is_drifting or not len(self.cells):
+            return lambda: None
+        if chords < self._fitted_chords + tuning.new_chords:
+            return lambda: last
+        self._fitted_chords = chords
+        table = self.cells.table()
+        return lambda: fit_course_offset(table, tuning)
+
+    def give_up_fit(self) -> None:
+        """Forget a fit that has failed: the next one may be tried."""
+        self._is_running = False
+
+    def _restart(self) -> None:
+        self._own.restart()
+        self._chords.restart()
+        self.mounting.restart()
+        self.drift.restart()
+
+    def _on_tick(self, tick: Tick) -> None:
+        track = self.speedometer.track
+        is_due = False
+        for met, speed in self._own.add(tick, track):
+            is_due = self.mounting.add(met, speed) or is_due
+            if math.isfinite(speed):
+                self.metres += abs(speed) * met.seconds
+        if is_due and not self._is_running:
+            self._fit(tick.stamp)
+        if track is not None:
+            self._chords.delay = self._receiver_delay()
+        self._pending.extend(self._chords.add_tick(tick))
+        self._settle()
+
+    def _fit(self, stamp: float) -> None:
+        """Have the drive fitted, and the course where there is new way."""
+        mounting, course = self.mounting.begin_fit(stamp), self._begin_course()
+        self._is_running = True
+
+        def work() -> tuple[tuple[Judged, ...], CourseOffset | None]:
+            return mounting(), course()
+
+        def then(found: tuple[tuple[Judged, ...], CourseOffset | None]) -> None:
+            self._is_running = False
+            self.mounting.take(found[0])
+            self.course = found[1]
+            self._believe_fit()
+
+        self._run(work, then)
+
+    def _believe_fit(self) -> None:
+        found, own, tuning = self.mounting.found, self._own, self.tuning
+        given = self._given
+        if found is not None and found.is_usable(tuning.mounting):
+            # What is taken off is tried against the force all the time: a rough yaw does.
+            own.yaw, own.noise = found.yaw, found.noise
+            own.scale = min(1.0, found.scale)
+            own.is_yaw_usable = True
+            own.is_yaw_known = found.is_known(tuning.mounting)
+        elif given is not None and given[1] < tuning.mounting.believed:
+            own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
+
+    def _receiver_delay(self) -> float:
+        tracks = self.speedometer.tracks
+        for source in (SpeedSource.VELOCITY, SpeedSource.FIXES):
+            if math.isfinite(tracks[source].newest):
+                return tracks[source].delay
+        return self.tuning.speed.receiver_delay
+
+    def _settle(self) -> None:
+        """Let chords count once it is known whether the vehicle went forwards."""
+        track, trip = self.speedometer.track, self.tuning.trip
+        while self._pending:
+            chord = self._pending[0]
+            sign = self._own.sign
+            if track is not None and track.is_signed:
+                speed = track.at(chord.stamp - self._chords.delay + track.delay)
+                sign = sign if speed is None else math.copysign(1.0, speed)
+            elif self._own.is_yaw_known and self._own.sign_score < trip.clear:
+                newest = self._pending[-1].stamp
+                if newest - chord.stamp < trip.longest and not self._own.stands:
+                    return
+            self._pending.popleft()
+            chord = chord if sign > 0.0 else chord.backwards
+            if self.drift.add(chord):
+                self.cells.add(chord)

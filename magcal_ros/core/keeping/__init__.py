@@ -1,0 +1,1 @@
+"""How a calibration keeps itself: candidates from driving, their probation, the way back."""

@@ -1,0 +1,194 @@
+"""Candidates for what is in force, and by how much calibrations differ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import field_in_enu, yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
+from magcal_ros.core.smoothing.nodes import MICROTESLA
+
+if TYPE_CHECKING:
+    from magcal_ros.core.smoothing.fit import DriveFit
+
+HEADINGS = 24
+UP: FloatArray = np.array([0.0, 0.0, 1.0])
+METHOD = "smoother"
+
+
+class Kind(str, Enum):
+    """What of a calibration was fitted."""
+
+    ALL = "all"
+    IRON = "iron"
+
+
+@dataclass(frozen=True, eq=False)
+class DriveCandidate:
+    """A calibration that a stretch of road shows.
+
+    Parameters
+    ----------
+    kind : Kind
+    calibration : Calibration
+    sigma : float
+        Radians of heading, as it says.
+    sectors : int
+        Of twelve headings driven.
+    start, end : float
+        Clock of the road that it was fitted to, seconds.
+    """
+
+    kind: Kind
+    calibration: Calibration
+    sigma: float
+    sectors: int
+    start: float
+    end: float
+
+    @property
+    def seconds(self) -> float:
+        """How much road it was fitted to."""
+        return self.end - self.start
+
+    @property
+    def in_words(self) -> str:
+        """What it is, for a person."""
+        what = "calibration" if self.kind is Kind.ALL else "hard iron"
+        return (
+            f"a {what} from {self.seconds:.0f} s of driving, {self.sectors} of 12 headings,"
+            f" ±{math.degrees(self.sigma):.1f}°"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CourseSwing:
+    """How the compass in force swings against course.
+
+    Parameters
+    ----------
+    offset : float
+        Radians, compass less course.
+    harmonics : ndarray, shape (4,)
+        cos psi, sin psi, cos 2psi, sin 2psi of the course psi, radians.
+    covariance : ndarray, shape (4, 4)
+    """
+
+    offset: float
+    harmonics: FloatArray
+    covariance: FloatArray
+
+
+def course_gain(old: Calibration, new: DriveCandidate, course: CourseSwing) -> float:
+    """Return by how much of chi-square a candidate explains what course says of the old one."""
+    calibration = new.calibration
+    swung = swing(
+        old.correction, calibration.correction, calibration.strength, calibration.inclination
+    )
+    # The old compass reads the true yaw and its swing; its course is the yaw less the offset.
+    way = np.arange(HEADINGS) * (math.tau / HEADINGS) - course.offset
+    rows = np.column_stack([np.cos(way), np.sin(way), np.cos(2.0 * way), np.sin(2.0 * way)])
+    explained = 2.0 / HEADINGS * (swung @ rows)
+    covariance = course.covariance + 0.5 * new.sigma**2 * np.eye(4)
+    before, after = (
+        float(left @ np.linalg.solve(covariance, left))
+        for left in (course.harmonics, course.harmonics - explained)
+    )
+    return before - after if after < 0.5 * before else 0.0
+
+
+def candidate_of(
+    fitted: DriveFit, kind: Kind, before: Calibration | None, start: float, end: float
+) -> DriveCandidate:
+    """Bring a fit into the form that is put in force.
+
+    Parameters
+    ----------
+    fitted : DriveFit
+    kind : Kind
+    before : Calibration or None
+        What was in force while it was driven.
+    start, end : float
+        Clock of the road, seconds.
+    """
+    twelve, problem = fitted.twelve, fitted.smoothed.problem
+    strength = float(np.linalg.norm(twelve.field))
+    sigma = twelve.heading_sigma
+    covariance = twelve.covariance
+    if kind is Kind.IRON and before is not None:
+        # The matrix is the old one's, and so is its uncertainty.
+        covariance = np.zeros_like(covariance)
+        covariance[:9, :9] = before.covariance[:9, :9]
+        covariance[9:, 9:] = twelve.covariance[9:, 9:]
+    words = (
+        f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
+        f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ)"
+    )
+    figures = {
+        Figure.HEADING_SIGMA.value: sigma,
+        Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
+        Figure.DRIVING_TIME.value: fitted.seconds,
+        Figure.STREET.value: problem.sizes.street * problem.tuning.street / MICROTESLA,
+    }
+    noise = problem.sizes.noise * problem.tuning.noise / MICROTESLA
+    return DriveCandidate(
+        kind,
+        Calibration(
+            twelve.correction,
+            covariance,
+            noise,
+            0.01 if before is None else before.noise_up,
+            strength,
+            math.asin(-float(twelve.field[2]) / strength),
+            Evidence(METHOD, "good", "good", words, figures=figures),
+        ),
+        sigma,
+        fitted.sectors,
+        start,
+        end,
+    )
+
+
+def heading_sigma(calibration: Calibration) -> float:
+    """Return the heading's sigma on the level that a calibration promises, radians."""
+    field = field_in_enu(calibration.strength, calibration.inclination)
+    by_numbers = heading_jacobian(calibration.correction, field, 0.0)
+    return rms_sigma(by_numbers, calibration.covariance)
+
+
+def swing(old: Correction, new: Correction, strength: float, dip: float) -> FloatArray:
+    """Return yaw by the old less by the new one over headings of the new, (24,), radians.
+
+    The constant is taken off: no drive shows it.
+    """
+    yaw = np.arange(HEADINGS) * (math.tau / HEADINGS)
+    poses = np.array([rotation_from_rpy(0.0, 0.0, angle).T for angle in yaw])
+    body = poses @ field_in_enu(strength, dip)
+    seen = yaw_from_up_and_field(poses @ UP, old.apply(new.undo(body)))
+    turn = np.exp(1j * (seen - yaw))
+    return np.asarray(np.angle(turn / turn.mean()))
+
+
+def is_another(
+    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
+) -> bool:
+    """Whether a candidate differs from what is in force by more than both are uncertain."""
+    apart = difference(in_force, candidate.calibration)
+    return apart > tuning.differs * math.hypot(candidate.sigma, heading_sigma(in_force))
+
+
+def difference(old: Calibration, new: Calibration) -> float:
+    """Return the RMS over headings by which two calibrations differ, radians."""
+    swung = swing(old.correction, new.correction, new.strength, new.inclination)
+    return math.sqrt(float(np.mean(swung**2)))

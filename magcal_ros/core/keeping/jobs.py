@@ -1,0 +1,91 @@
+"""What a worker is asked for by self-calibration, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.keeping.candidates import DriveCandidate
+from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoothing.log import DriveLog
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """Two calibrations to be compared on road.
+
+    Parameters
+    ----------
+    name : str
+        Whose it is, to tell the answers apart.
+    old, new : Correction
+    since : float
+        Clock from which road counts, seconds.
+    """
+
+    name: str
+    old: Correction
+    new: Correction
+    since: float
+
+
+@dataclass(frozen=True, eq=False)
+class DriveJob:
+    """One look at a drive; all that a worker needs, and it can be sent to one.
+
+    Parameters
+    ----------
+    log : DriveLog
+        The last minutes.
+    knowledge : Knowledge
+    in_force : Calibration or None
+    windows, iron_windows : tuple of float
+        Seconds of the newest road to be fitted.
+    not_before : float
+        Clock before which no window begins, seconds: something changed there.
+    suspect : Correction or None
+        What is thought to hold since a change; when it came is looked for.
+    changed : float
+        Clock of the change after which what is in force was fitted; minus infinity without one.
+    contests : tuple of Contest
+    """
+
+    log: DriveLog
+    knowledge: Knowledge
+    in_force: Calibration | None
+    windows: tuple[float, ...]
+    iron_windows: tuple[float, ...]
+    not_before: float
+    suspect: Correction | None
+    changed: float
+    contests: tuple[Contest, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What came of a look.
+
+    Parameters
+    ----------
+    clock : float
+        Of the newest road, seconds.
+    candidates : tuple of DriveCandidate
+    since_change : DriveCandidate or None
+        The hard iron of all road since the change that was found.
+    proofs : dict of str to Proof
+        By the contests' names.
+    """
+
+    clock: float
+    candidates: tuple[DriveCandidate, ...]
+    since_change: DriveCandidate | None
+    proofs: dict[str, Proof]
+
+
+def run(job: DriveJob) -> Findings:
+    """Do a job, in whatever process; only there is loaded what it takes."""
+    from magcal_ros.core.keeping.worker import answer
+
+    return answer(job)

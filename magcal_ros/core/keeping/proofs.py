@@ -1,0 +1,50 @@
+"""What road that no fit has seen says of two calibrations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What the road after a fit says of a new calibration against an old one.
+
+    Parameters
+    ----------
+    seconds : float
+        Of road.
+    turns : int
+        Turns that were compared.
+    turn_score, turn_gain : float
+        Sigmas by which turns are quieter under the new one, and the mean log ratio.
+    likelihood : float
+        Fall of minus log likelihood on all of the road, independent units.
+    halves : tuple of float
+        The same of its two halves.
+    """
+
+    seconds: float = 0.0
+    turns: int = 0
+    turn_score: float = 0.0
+    turn_gain: float = 0.0
+    likelihood: float = 0.0
+    halves: tuple[float, float] = (0.0, 0.0)
+
+    def stands(self, tuning: KeepingTuning = KEEPING) -> str:
+        """Return in words by what the new one is proved better; empty if it is not."""
+        if (
+            self.turns >= tuning.fewest_turns
+            and self.turn_score > tuning.turn_proof
+            and self.turn_gain > tuning.least_gain
+        ):
+            gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
+            return f"{self.turns} turns driven since are {gain:.0f}% quieter"
+        if self.likelihood > tuning.likelihood_proof and min(self.halves) > 0.0:
+            return (
+                f"{self.seconds:.0f} s of road driven since are likelier by"
+                f" {self.likelihood:.0f} units, both halves alike"
+            )
+        return ""

@@ -1,0 +1,379 @@
+"""How a calibration keeps itself: a state machine without a clock or a thread.
+
+Samples go in, jobs come out; whoever owns it has them done in a worker, and brings back what they
+found; decisions come out. Time is that of the samples, and only movement counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.keeping.candidates import (
+    METHOD,
+    CourseSwing,
+    DriveCandidate,
+    Kind,
+    course_gain,
+    difference,
+    heading_sigma,
+    is_another,
+)
+from magcal_ros.core.keeping.decisions import Decision, Verb
+from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings
+from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
+from magcal_ros.core.keeping.modes import Mode, Trial, is_same
+from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoothing.recorder import DriveRecorder
+
+TRIAL = "trial"
+MEMORY = 600.0
+"""Seconds of movement that are remembered."""
+
+
+class SelfCalibration:
+    """Follows a drive and decides.
+
+    Parameters
+    ----------
+    mode : Mode
+    tuning : KeepingTuning
+
+    Attributes
+    ----------
+    proposal : Calibration or None
+        What waits for a person's word.
+    """
+
+    def __init__(self, mode: Mode = Mode.PROPOSE, tuning: KeepingTuning = KEEPING) -> None:
+        self.mode = mode
+        self.tuning = tuning
+        self.proposal: Calibration | None = None
+        self._recorder = DriveRecorder(MEMORY)
+        self._in_force: Calibration | None = None
+        self._before: deque[Calibration] = deque(maxlen=tuning.kept)
+        self._on_probation: dict[Kind, DriveCandidate] = {}
+        self._first: DriveCandidate | None = None
+        self._trial: Trial | None = None
+        self._decisions: deque[Decision] = deque(maxlen=tuning.remembered)
+        self._not_before = self._changed = -math.inf
+        self._promised = self._road = 0.0
+        self._has_noticed = False
+        self._looked = -math.inf
+        self._round = 0
+        self._pending = 0
+        self._generation = 0
+        self._course: CourseSwing | None = None
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        """The last decisions, the oldest first."""
+        return tuple(self._decisions)
+
+    @property
+    def before(self) -> tuple[Calibration, ...]:
+        """What was in force before, the newest last."""
+        return tuple(self._before)
+
+    @property
+    def seconds(self) -> float:
+        """Movement that is remembered."""
+        return self._recorder.seconds
+
+    def log(self) -> DriveLog:
+        """Return what is remembered of the drive."""
+        return self._recorder.log()
+
+    @property
+    def in_words(self) -> str:
+        """What goes on, for a person."""
+        if self.mode is Mode.OFF:
+            return "off"
+        if self.proposal is not None:
+            return "a calibration is proposed: call accept to put it in force"
+        if self._on_probation:
+            worded = " and ".join(each.in_words for each in self._on_probation.values())
+            return f"on probation: {worded}"
+        if self._recorder.rests:
+            return "waiting for movement"
+        return f"watching, {self.seconds / 60.0:.0f} min of driving remembered"
+
+    def note_course(self, course: CourseSwing | None) -> None:
+        """Take how the compass in force swings against course, where fixes tell: a third proof."""
+        self._course = course
+
+    def forget(self) -> None:
+        """Forget the drive, and what it led to: the sensors are others, or nobody asks any more."""
+        self._recorder.begin_anew()
+        self._on_probation.clear()
+        self._first = self._trial = self.proposal = None
+        self._not_before = self._changed = self._looked = -math.inf
+        self._generation += 1
+
+    def put_in_force(self, calibration: Calibration | None) -> None:
+        """Take note that another calibration is in force, by whomever.
+
+        One that it had decided for itself keeps the one before on trial; any other begins anew.
+        """
+        old = self._in_force
+        if is_same(calibration, old):
+            return
+        last = self._decisions[-1] if self._decisions else None
+        wanted = self.proposal if last is None or self.proposal is not None else last.calibration
+        decided = calibration is not None and is_same(calibration, wanted)
+        self._in_force, self.proposal = calibration, None
+        self._on_probation.clear()
+        self._first = None
+        self._generation += 1
+        if old is not None:
+            self._before.append(old)
+        self._promised = 0.0 if calibration is None else heading_sigma(calibration)
+        rolled = last is not None and last.verb is Verb.ROLLED_BACK
+        if last is not None and last.verb is Verb.REFINED and decided:
+            self._before.pop()
+            return
+        self._trial = None
+        if decided and old is not None and not rolled:
+            self._trial = Trial(old, self._recorder.clock)
+        self._has_noticed = False
+        if not decided or rolled:
+            self._not_before = self._changed = -math.inf
+
+    def add(
+        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
+    ) -> bool:
+        """Take a sample as `DriveRecorder.add` does; returns whether a look is due."""
+        if self.mode is Mode.OFF or not self._recorder.add(stamp, field, force, rate, speed):
+            return False
+        if self._pending or self._recorder.seconds < min(self.tuning.iron_windows):
+            return False
+        return self._recorder.clock - self._looked >= self.tuning.look_every
+
+    def job(self, knowledge: Knowledge) -> DriveJob:
+        """Return what is to be computed for the look that is due; its findings come to `note`."""
+        self._pending, self._looked = self._generation + 1, self._recorder.clock
+        self._round += 1
+        tuning, in_force = self.tuning, self._in_force
+        windows = tuning.windows
+        if in_force is not None:
+            # One window a look is enough where something is in force already.
+            windows = windows[self._round % len(windows) :][:1]
+        contests, suspect = [], self._on_probation.get(Kind.IRON)
+        if in_force is not None:
+            for kind, candidate in self._on_probation.items():
+                new = candidate.calibration.correction
+                contests.append(Contest(kind.value, in_force.correction, new, candidate.end))
+            if self._trial is not None:
+                old = self._trial.calibration.correction
+                contests.append(Contest(TRIAL, in_force.correction, old, self._trial.since))
+        return DriveJob(
+            self._recorder.log(),
+            knowledge,
+            in_force,
+            windows,
+            tuning.iron_windows if in_force is not None else (),
+            self._not_before,
+            None if suspect is None else suspect.calibration.correction,
+            self._changed,
+            tuple(contests),
+        )
+
+    def fail(self) -> None:
+        """Take note that a job was lost; the next look tries again."""
+        self._pending = 0
+
+    def note(self, findings: Findings) -> list[Decision]:
+        """Take what a job found.
+
+        Returns
+        -------
+        list of Decision
+            One with a calibration is to be put in force, or offered where it is `PROPOSED`.
+        """
+        is_current = self._pending == self._generation + 1
+        self._pending = 0
+        if not is_current:
+            return []
+        made = self._weigh(findings)
+        self._decisions.extend(made)
+        return made
+
+    def _weigh(self, findings: Findings) -> list[Decision]:
+        if self._in_force is None:
+            return self._begin(findings)
+        made = self._tried(findings)
+        if made and made[-1].changes:
+            return made
+        made += self._proved(findings) or self._refined(findings, self._in_force)
+        if made and made[-1].changes:
+            return made
+        made += self._noticed(findings, self._in_force)
+        return made + self._take_up(findings, self._in_force)
+
+    def _begin(self, findings: Findings) -> list[Decision]:
+        """With nothing in force two windows that agree are enough: nobody is harmed by waiting."""
+        tuning, clock = self.tuning, findings.clock
+        good = [each for each in findings.candidates if self._is_believable(each)]
+        for candidate in sorted(good, key=lambda each: each.sigma):
+            first = self._first
+            if first is None:
+                self._first = candidate
+                words = f"{candidate.in_words}; a second one that agrees puts it in force"
+                return [Decision(clock, Verb.PROBATION, words)]
+            if candidate.end - first.end < 0.5 * tuning.look_every:
+                continue
+            apart = difference(first.calibration, candidate.calibration)
+            allowed = tuning.agree * math.hypot(first.sigma, candidate.sigma)
+            self._first = candidate
+            if apart <= allowed:
+                words = (
+                    f"{candidate.in_words}, agrees with the one before by"
+                    f" {math.degrees(apart):.1f}°, and nothing was in force"
+                )
+                return [self._change(clock, candidate.calibration, words)]
+        return []
+
+    def _tried(self, findings: Findings) -> list[Decision]:
+        """Compare what is in force with what was before."""
+        trial, proof = self._trial, findings.proofs.get(TRIAL)
+        if trial is None or proof is None:
+            return []
+        why = proof.stands(self.tuning)
+        if why:
+            self._trial = None
+            words = f"the calibration before was better after all: {why} under it"
+            verb = Verb.PROPOSED if self.mode is Mode.PROPOSE else Verb.ROLLED_BACK
+            return [self._change(findings.clock, trial.calibration, words, verb)]
+        if proof.seconds > self.tuning.longest_trial:
+            self._trial = None
+            words = f"{proof.seconds:.0f} s of road since it is in force speak for nothing else"
+            return [Decision(findings.clock, Verb.CONFIRMED, words)]
+        return []
+
+    def _proved(self, findings: Findings) -> list[Decision]:
+        made: list[Decision] = []
+        for kind in list(self._on_probation):
+            proof = findings.proofs.get(kind.value, Proof())
+            candidate = self._on_probation[kind]
+            why = proof.stands(self.tuning) or self._by_course(candidate)
+            if why:
+                if kind is Kind.IRON:
+                    candidate = self._with_road_since(candidate, findings)
+                words = f"{candidate.in_words}: {why}"
+                return [*made, self._change(findings.clock, candidate.calibration, words)]
+            if findings.clock - candidate.end > self.tuning.longest_probation:
+                del self._on_probation[kind]
+                self._has_noticed = False
+                words = f"{candidate.in_words}: not proved better on the road since"
+                made.append(Decision(findings.clock, Verb.DROPPED, words))
+        return made
+
+    def _by_course(self, candidate: DriveCandidate) -> str:
+        """Return in words that course accuses what is in force and the candidate explains it."""
+        if self._course is None or self._in_force is None:
+            return ""
+        gain = course_gain(self._in_force, candidate, self._course)
+        if gain < self.tuning.course_proof:
+            return ""
+        return f"it explains how the compass swings against course (chi-square falls by {gain:.0f})"
+
+    def _with_road_since(self, candidate: DriveCandidate, findings: Findings) -> DriveCandidate:
+        """Return the iron of all road since the change: that it changed is what was proved."""
+        self._changed = self._not_before = candidate.start
+        since = findings.since_change
+        if since is None or since.sigma > candidate.sigma:
+            return candidate
+        self._changed = self._not_before = since.start
+        return since
+
+    def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+        """Replace what came of driving by what more of the same driving shows."""
+        if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
+            return []
+        if math.isfinite(self._changed):
+            found = [findings.since_change]
+        else:
+            found = [each for each in findings.candidates if each.kind is Kind.ALL]
+        for each in found:
+            if each is None or not self._is_believable(each):
+                continue
+            sigma = heading_sigma(each.calibration)
+            is_finer = sigma < self.tuning.finer * self._promised
+            if is_finer and each.seconds > self._road and not is_another(each, in_force):
+                self._road = self.tuning.more_road * each.seconds
+                words = f"{each.in_words}, where ±{math.degrees(self._promised):.1f}° were known"
+                self._on_probation.clear()
+                return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
+        return []
+
+    def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+        """Put on probation what is believable and differs from what is in force."""
+        made: list[Decision] = []
+        if findings.since_change is not None and not math.isfinite(self._changed):
+            irons = [findings.since_change]
+        else:
+            irons = [each for each in findings.candidates if each.kind is Kind.IRON]
+        alls = [each for each in findings.candidates if each.kind is Kind.ALL]
+        for kind, found in ((Kind.ALL, alls), (Kind.IRON, irons)):
+            good = [
+                each
+                for each in found
+                if self._is_believable(each) and self._is_worth_it(each, in_force)
+            ]
+            if kind in self._on_probation or not good:
+                continue
+            best = min(good, key=lambda each: each.sigma)
+            self._on_probation[kind] = best
+            apart = math.degrees(difference(in_force, best.calibration))
+            words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
+            made.append(Decision(findings.clock, Verb.PROBATION, words))
+        return made
+
+    def _noticed(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+        """Say once that the hard iron seems to have changed, before it is known how."""
+        if self._has_noticed:
+            return []
+        for each in findings.candidates:
+            if each.kind is not Kind.IRON or each.sigma > self.tuning.notice_sigma:
+                continue
+            if is_another(each, in_force, self.tuning):
+                self._has_noticed = True
+                apart = math.degrees(difference(in_force, each.calibration))
+                words = (
+                    f"the hard iron seems to have changed in the last {each.seconds:.0f} s of"
+                    f" driving: headings would differ by {apart:.0f}° ±"
+                    f"{math.degrees(each.sigma):.0f}°"
+                )
+                return [Decision(findings.clock, Verb.NOTICED, words)]
+        return []
+
+    def _is_believable(self, candidate: DriveCandidate) -> bool:
+        tuning = self.tuning
+        few = tuning.fewest_sectors if candidate.kind is Kind.ALL else tuning.fewest_for_iron
+        return candidate.sigma <= tuning.largest_sigma and candidate.sectors >= few
+
+    def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
+        if is_another(candidate, in_force, self.tuning):
+            return True
+        better = candidate.sigma < self.tuning.much_better * self._promised
+        return better and candidate.kind is Kind.ALL
+
+    def _change(
+        self, clock: float, calibration: Calibration, words: str, verb: Verb = Verb.APPLIED
+    ) -> Decision:
+        self._on_probation.clear()
+        seconds = calibration.evidence.figures.get(Figure.DRIVING_TIME.value, 0.0)
+        self._road = self.tuning.more_road * seconds
+        if self.mode is Mode.PROPOSE:
+            self.proposal, verb = calibration, Verb.PROPOSED
+        evidence = replace(calibration.evidence, reasons=(words,))
+        calibration = replace(calibration, evidence=evidence)
+        if self.mode is Mode.PROPOSE:
+            self.proposal = calibration
+        return Decision(clock, verb, words, calibration)

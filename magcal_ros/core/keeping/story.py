@@ -1,0 +1,243 @@
+"""A recorded drive told again: what self-calibration would have decided, and where the field bent.
+
+The same streams, up, speed and machine as in the node; fits are done at once.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.keeping.decisions import Decision, Verb
+from magcal_ros.core.keeping.jobs import run
+from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.travel_samples import (
+    PositionSample,
+    SpeedSample,
+    TravelSample,
+    VelocitySample,
+)
+from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoothing.tuning import TUNING
+from magcal_ros.core.up import UpFollower
+
+EVERY = 0.5
+"""Seconds between points of the map."""
+MAP_ROWS = 5
+"""The same in rows of a log."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivePath:
+    """Where was driven, and how the field was there under the last calibration.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds from the beginning.
+    place : ndarray, shape (n, 2)
+        Metres east and north of the beginning.
+    disturbance : ndarray, shape (n,)
+        Tesla by which level and upright field are off the calibrated ones.
+    is_measured : bool
+        Whether a receiver told the places; else they are reckoned from the compass and the speed.
+    has_speed : bool
+        Whether a speed was measured; else it was guessed.
+    """
+
+    time: FloatArray
+    place: FloatArray
+    disturbance: FloatArray
+    is_measured: bool
+    has_speed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class DriveStory:
+    """What became of a drive.
+
+    Parameters
+    ----------
+    decisions : tuple of (float, Decision)
+        Seconds from the beginning, and what was decided.
+    begun, ended : Calibration or None
+        What was in force at the beginning and at the end.
+    seconds, moved : float
+        How long the recording is, and how long the robot moved in it.
+    doing : str
+        What went on at the end, in words.
+    path : DrivePath or None
+        None where no calibration tells a heading.
+    """
+
+    decisions: tuple[tuple[float, Decision], ...]
+    begun: Calibration | None
+    ended: Calibration | None
+    seconds: float
+    moved: float
+    doing: str
+    path: DrivePath | None
+
+
+@dataclass(frozen=True)
+class _Point:
+    stamp: float
+    field: Triple
+    up: Triple
+    speed: float
+
+
+class DriveTeller:
+    """Takes a recording and tells its story.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    calibration : Calibration or None
+        In force at the beginning.
+    """
+
+    def __init__(self, knowledge: Knowledge, calibration: Calibration | None) -> None:
+        self._knowledge, self._begun, self._now = knowledge, calibration, calibration
+        self.streams = Streams(MAX_GAP)
+        self._up = UpFollower()
+        self._travelling = Travelling()
+        self._machine = SelfCalibration(Mode.APPLY)
+        self._machine.put_in_force(calibration)
+        self._own: Triple | None = None
+        self._points: list[_Point] = []
+        self._fixes: list[PositionSample] = []
+        self._decisions: list[tuple[float, Decision]] = []
+        self._first = self._last = math.nan
+
+    def take(
+        self, readings: Iterable[ImuSample | FieldSample | None], travel: Iterable[TravelSample]
+    ) -> None:
+        """Take everything: readings in their order, travel by stamp."""
+        sensors = (reading for reading in readings if reading is not None)
+        for sample in heapq.merge(sensors, travel, key=lambda each: each.stamp):
+            if isinstance(sample, ImuSample):
+                if self.streams.add_imu(sample):
+                    bias = self._up.gyro_bias.rate
+                    self._own = self._travelling.add_imu(sample, bias)
+                    self._up.add(sample, self._own)
+            elif isinstance(sample, FieldSample):
+                if self.streams.add_field(sample):
+                    self._take_field(sample)
+            elif isinstance(sample, SpeedSample):
+                self._travelling.add_speed(sample)
+            elif isinstance(sample, VelocitySample):
+                self._travelling.add_velocity(sample)
+            else:
+                self._fixes.append(sample)
+                self._travelling.add_position(sample)
+
+    def story(self) -> DriveStory:
+        """Return what became of it."""
+        seconds = self._last - self._first if self._points else 0.0
+        return DriveStory(
+            tuple(self._decisions),
+            self._begun,
+            self._now,
+            seconds,
+            self._machine.seconds,
+            self._machine.in_words,
+            self._path(),
+        )
+
+    def _take_field(self, sample: FieldSample) -> None:
+        self._up.add_field(sample.stamp, sample.field)
+        imu = self.streams.newest_imu
+        if imu is None or not math.isfinite(imu.rate[0]):
+            return
+        if math.isnan(self._first):
+            self._first = sample.stamp
+        self._last = sample.stamp
+        track = self._travelling.speedometer.track
+        speed = math.nan if track is None else track.last
+        x, y, z = imu.force
+        a, b, c = self._own or (0.0, 0.0, 0.0)
+        force = (x - a, y - b, z - c)
+        up = self._up.newest
+        if up is not None and not (self._points and sample.stamp < self._points[-1].stamp + EVERY):
+            self._points.append(_Point(sample.stamp, sample.field, up, speed))
+        if self._machine.add(sample.stamp, sample.field, force, imu.rate, speed):
+            for decision in self._machine.note(run(self._machine.job(self._knowledge))):
+                self._decisions.append((sample.stamp - self._first, decision))
+                if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+                    self._now = decision.calibration
+                    self._machine.put_in_force(decision.calibration)
+
+    def _path(self) -> DrivePath | None:
+        calibration = self._now
+        if calibration is None or len(self._points) < 2:
+            return None
+        time = np.array([point.stamp for point in self._points])
+        up = np.array([point.up for point in self._points])
+        field = np.array([point.field for point in self._points])
+        speed = np.array([point.speed for point in self._points])
+        fixes = np.array(self._fixes)[:, :3] if len(self._fixes) > 2 else None
+        return path_along(calibration, time, field, up, speed, fixes)
+
+
+def path_along(
+    calibration: Calibration,
+    time: FloatArray,
+    raw: FloatArray,
+    up: FloatArray,
+    speed: FloatArray,
+    fixes: FloatArray | None = None,
+) -> DrivePath:
+    """Return where was driven, and how the field was there.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    time : ndarray, shape (n,)
+        Seconds.
+    raw, up : ndarray, shape (n, 3)
+        Raw field (tesla) and up in body axes.
+    speed : ndarray, shape (n,)
+        m/s; NaN where nobody measured it.
+    fixes : ndarray, shape (k, 3), optional
+        Stamps, metres east and north; without them places are reckoned.
+    """
+    field = calibration.correction.apply(raw)
+    rise = np.sum(field * up, axis=1)
+    level = np.linalg.norm(field - rise[:, None] * up, axis=1)
+    dip = calibration.inclination
+    disturbance = np.hypot(
+        level - calibration.strength * math.cos(dip), rise + calibration.strength * math.sin(dip)
+    )
+    known = np.isfinite(speed)
+    if fixes is not None:
+        stamps, east, north = fixes.T
+        place = np.column_stack([np.interp(time, stamps, east), np.interp(time, stamps, north)])
+    else:
+        yaw = yaw_from_up_and_field(up, field)
+        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * EVERY)
+        steps *= np.where(known, speed, TUNING.usual_speed)
+        place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    is_measured = fixes is not None
+    return DrivePath(time - time[0], place - place[0], disturbance, is_measured, bool(known.any()))
+
+
+def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
+    """Return the path of what is remembered of a drive; None of less than a few seconds."""
+    if len(log) < 2 * MAP_ROWS:
+        return None
+    up = log.up()[::MAP_ROWS]
+    time, field, speed = (values[::MAP_ROWS] for values in (log.time, log.field, log.speed))
+    return path_along(calibration, time, field, up, speed)

@@ -1,0 +1,103 @@
+"""What course tells of a calibration on a recorded drive."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from magcal_ros.core.assessment.grading import Check
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.monitoring.course_check import check_by_course
+from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, TravelSample
+from magcal_ros.core.up import UpFollower
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCourse:
+    """Compass against course over a recording.
+
+    Parameters
+    ----------
+    offset : CourseOffset
+    checks : tuple of Check
+        Of the calibration; empty where too few courses were driven, or nothing says that the
+        vehicle goes where it looks.
+    """
+
+    offset: CourseOffset
+    checks: tuple[Check, ...]
+
+    @property
+    def words(self) -> str:
+        """What was found, in one sentence."""
+        found = self.offset
+        return (
+            f"compass less course {math.degrees(found.offset):+.1f}° ±"
+            f"{math.degrees(found.sigma):.1f}° over {found.metres:.0f} m of straight driving,"
+            f" {found.sectors} of 8 courses"
+        )
+
+    def facts(self) -> dict[str, Any]:
+        """Return the same for a program."""
+        found = self.offset
+        return {
+            "offset_deg": round(math.degrees(found.offset), 2),
+            "sigma_deg": round(math.degrees(found.sigma), 2),
+            "metres": round(found.metres),
+            "courses": found.sectors,
+            "findings": [
+                {"figure": check.key, "state": check.grade.value, "words": check.words}
+                for check in self.checks
+            ],
+        }
+
+
+def recorded_course(
+    calibration: Calibration,
+    readings: Iterable[ImuSample | FieldSample | None],
+    travel: Iterable[TravelSample],
+) -> RecordedCourse | None:
+    """Compare a calibration's compass with course; None where nothing was driven straight.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    readings : iterable
+        What the sensors said, in its order.
+    travel : iterable
+        What receiver and wheels said, by stamp.
+    """
+    streams, up, travelling = Streams(MAX_GAP), UpFollower(), Travelling()
+    compass = Compass(calibration)
+    sensors = (reading for reading in readings if reading is not None)
+    for sample in heapq.merge(sensors, travel, key=lambda each: each.stamp):
+        if isinstance(sample, ImuSample):
+            if streams.add_imu(sample):
+                up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
+        elif isinstance(sample, FieldSample):
+            if streams.add_field(sample):
+                up.add_field(sample.stamp, sample.field)
+                moment = up.at(sample.stamp, MAX_GAP)
+                field = compass.correct(sample.field)
+                if moment is not None:
+                    heading = compass.heading(field, moment.direction, moment.variance)
+                    if heading is not None:
+                        travelling.add_yaw(heading.yaw)
+        elif isinstance(sample, SpeedSample):
+            travelling.add_speed(sample)
+        elif isinstance(sample, PositionSample):
+            travelling.add_position(sample)
+        else:
+            travelling.add_velocity(sample)
+    course = travelling.fit_course()
+    if course is None:
+        return None
+    knows_front = travelling.known_mounting is not None
+    return RecordedCourse(course, check_by_course(course) if knows_front else ())

@@ -1,0 +1,277 @@
+"""The fit of a turn's field and gravity to the gyro, for many ways of the axes at once.
+
+A field that stands still in the world is `v(t) = R(t) f` in the body, R propagated by the gyro from
+the first sample. A magnetometer whose axes are P shows `m(t) = P ((I + N) v(t - lag) + h)`: N holds
+a small installation error and soft iron, h is the hard iron. For every P, and for every way G in
+which the gyro's axes may lie, all of it is fitted together with the gyro's bias and scale and the
+direction of gravity, over the whole stretch and not between neighbours, where noise would hide the
+turn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations, skews
+from magcal_ros.core.samples.stretch import Stretch
+
+
+@dataclass(frozen=True)
+class AlignmentTuning:
+    """What is taken for granted while the axes are weighed.
+
+    Parameters
+    ----------
+    installation : float
+        Radians, standard deviation of the installation error about each axis.
+    soft_iron : float
+        Standard deviation of each element of the soft iron, dimensionless.
+    bias : float
+        rad/s, standard deviation of the gyro's bias.
+    scale : float
+        Standard deviation of the gyro's scale error.
+    lag : float
+        Seconds, standard deviation of how late the field is.
+    hard_iron : float
+        Standard deviation of the hard iron over the field's size.
+    field_floor, up_floor : float
+        Least noise that is believed: over the field's size, and radians.
+    freedom : float
+        Degrees of freedom of the t distribution of the residuals.
+    hopeless : float
+        Misfit after the first steps, with wide noise, beyond which a candidate is given up.
+    """
+
+    installation: float = math.radians(5.0)
+    soft_iron: float = 0.05
+    bias: float = math.radians(3.0)
+    scale: float = 0.05
+    lag: float = 1e-4
+    hard_iron: float = 4.0
+    field_floor: float = 0.01
+    up_floor: float = math.radians(2.0)
+    freedom: float = 4.0
+    hopeless: float = 80.0
+
+
+TUNING = AlignmentTuning()
+PARAMETERS = 23
+SOFT, FIELD, IRON, UP, BIAS = (
+    slice(0, 9),
+    slice(9, 12),
+    slice(12, 15),
+    slice(15, 18),
+    slice(18, 21),
+)
+GYRO, SCALE, LAG = slice(18, 22), 21, 22
+
+
+class AlignmentFit:
+    """The fit of all candidates at once; a state is an array (k, 23).
+
+    Parameters
+    ----------
+    stretch : Stretch
+        The samples.
+    axes : ndarray, shape (k, 3, 3)
+        Candidates; rows are the magnetometer's axes in the body's.
+    tuning : AlignmentTuning
+    gyro : ndarray, shape (k, 3, 3)
+        The same of the gyro.
+    with_up : bool
+        Whether gravity takes part.
+
+    Attributes
+    ----------
+    share : tuple of float
+        How many independent samples one sample of field and of gravity counts.
+    """
+
+    def __init__(
+        self,
+        stretch: Stretch,
+        axes: FloatArray,
+        tuning: AlignmentTuning,
+        gyro: FloatArray,
+        with_up: bool = True,
+    ) -> None:
+        self.tuning = tuning
+        self.share = (1.0, 1.0)
+        self.stretch = stretch
+        self.with_up = with_up
+        self.rate = stretch.rate @ gyro
+        # A mirrored gyro turns the order of two turns around.
+        sense = np.linalg.det(gyro)[:, None, None]
+        self.rotation = stretch.turn @ gyro + sense * (stretch.coning @ gyro)
+        self.measured = np.einsum("kij,ni->knj", axes, stretch.field)
+        mirror = np.array([0, 3, 6, 1, 4, 7, 2, 5, 8])
+        antisymmetric = 0.5 * (np.eye(9) - np.eye(9)[mirror])
+        symmetric = np.eye(9) - antisymmetric
+        self.prior = np.diag(
+            np.concatenate(
+                [
+                    np.zeros(9),
+                    np.full(3, 1e-3),
+                    np.full(3, tuning.hard_iron**-2.0),
+                    np.full(3, 1e-6),
+                    np.full(3, tuning.bias**-2.0),
+                    [tuning.scale**-2.0, tuning.lag**-2.0],
+                ]
+            )
+        )
+        # Of a rotation by d two elements are ± d, whence the half.
+        self.prior[SOFT, SOFT] = (
+            0.5 * antisymmetric / tuning.installation**2 + symmetric / tuning.soft_iron**2
+        )
+
+    def start(self) -> FloatArray:
+        """Return the best field and hard iron for each candidate, all else as hoped for."""
+        state = np.zeros((len(self.measured), PARAMETERS))
+        state[:, UP] = self.stretch.up[0]
+        rotation = self.propagate(state)[0]
+        count, n = rotation.shape[:2]
+        design = np.concatenate(
+            [rotation, np.broadcast_to(np.eye(3), (count, n, 3, 3))], axis=3
+        ).reshape(count, 3 * n, 6)
+        transposed = design.swapaxes(1, 2)
+        normal = transposed @ design + 1e-3 * n * np.diag([0.1] * 3 + [1.0] * 3)
+        seen = transposed @ self.measured.reshape(count, 3 * n, 1)
+        state[:, 9:15] = np.linalg.solve(normal, seen)[..., 0]
+        state[:, UP] = np.einsum("knij,ni->kj", rotation, self.stretch.up) / n
+        return state
+
+    def propagate(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return attitudes (k, n, 3, 3) from the first sample's, and what bias and scale do.
+
+        The latter has shape (k, n, 3, 4): rotation vectors, on the left of the attitudes.
+        """
+        bias, scale = state[:, BIAS], state[:, SCALE]
+        seconds = self.stretch.seconds
+        count, n = len(state), len(seconds) + 1
+        vectors = (1.0 + scale[:, None, None]) * self.rotation
+        vectors = vectors - bias[:, None, :] * seconds[:, None]
+        steps = exp_rotations(-vectors.reshape(-1, 3)).reshape(count, n - 1, 3, 3)
+        halfway = 0.5 * (steps + np.eye(3))
+        pushed = np.zeros((count, n - 1, 3, 4))
+        pushed[..., :3] = halfway * seconds[:, None, None]
+        pushed[..., 3] = -np.einsum("knij,knj->kni", halfway, self.rotation)
+        attitude = np.empty((n, count, 3, 3))
+        moved = np.zeros((n, count, 3, 4))
+        attitude[0] = np.eye(3)
+        for k in range(n - 1):
+            attitude[k + 1] = steps[:, k] @ attitude[k]
+            moved[k + 1] = steps[:, k] @ moved[k] + pushed[:, k]
+        return attitude.swapaxes(0, 1), moved.swapaxes(0, 1)
+
+    def residuals(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return measured less expected field and up, each (k, n, 3)."""
+        return self._residuals(state, self.propagate(state)[0])
+
+    def _residuals(self, state: FloatArray, attitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+        body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
+        body = body + state[:, LAG, None, None] * self._against_the_turn(state, body)
+        soft = np.eye(3) + state[:, SOFT].reshape(-1, 3, 3)
+        field = self.measured - np.einsum("kij,knj->kni", soft, body) - state[:, None, IRON]
+        up = self.stretch.up - np.einsum("knij,kj->kni", attitude, state[:, UP])
+        return field, up
+
+    def _against_the_turn(self, state: FloatArray, body: FloatArray) -> FloatArray:
+        """Return how a field (k, n, 3) was less turned a second ago, per second."""
+        rate = (1.0 + state[:, SCALE, None, None]) * self.rate - state[:, None, BIAS]
+        return np.asarray(np.cross(rate, body))
+
+    def noise(self, state: FloatArray, best: int) -> tuple[float, float]:
+        """Return the noise per axis that one candidate's residuals show."""
+        typical = [
+            math.sqrt(float(np.median(np.sum(values[best] ** 2, axis=1))) / 2.37)
+            for values in self.residuals(state)
+        ]
+        whole = float(np.linalg.norm(state[best, FIELD]))
+        floors = (self.tuning.field_floor * max(1.0, whole), self.tuning.up_floor)
+        return max(typical[0], floors[0]), max(typical[1], floors[1])
+
+    def rms(self, state: FloatArray) -> FloatArray:
+        """Return the typical residual of the field, shape (k,)."""
+        return np.asarray(np.sqrt(np.median(np.sum(self.residuals(state)[0] ** 2, axis=2), axis=1)))
+
+    def cost(self, state: FloatArray, noise: tuple[float, float]) -> FloatArray:
+        """Return twice the negative logarithm of the posterior, shape (k,)."""
+        attitude, _ = self.propagate(state)
+        return self._cost(state, self._residuals(state, attitude), noise)
+
+    def _cost(
+        self,
+        state: FloatArray,
+        residuals: tuple[FloatArray, FloatArray],
+        noise: tuple[float, float],
+    ) -> FloatArray:
+        nu = self.tuning.freedom
+        total = np.einsum("ki,ij,kj->k", state, self.prior, state)
+        parts = list(zip(residuals, noise, self.share, strict=True))
+        for values, sigma, share in parts[: 1 + self.with_up]:
+            chi2 = np.sum(values**2, axis=2) / sigma**2
+            total = total + share * (nu + 3.0) * np.log1p(chi2 / nu).sum(axis=1)
+        return np.asarray(total)
+
+    def normal_equations(
+        self, state: FloatArray, noise: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights."""
+        attitude, moved = self.propagate(state)
+        field, up = self._residuals(state, attitude)
+        jacobian = self._jacobian(state, attitude, moved)
+        nu, (count, n) = self.tuning.freedom, field.shape[:2]
+        weights = []
+        for values, sigma, share in zip((field, up), noise, self.share, strict=True):
+            chi2 = np.sum(values**2, axis=2) / sigma**2
+            weights.append(share * (nu + 3.0) / (nu + chi2) / sigma**2)
+        weights[1] = weights[1] * self.with_up
+        weight = np.repeat(np.stack(weights, axis=2), 3, axis=2).reshape(count, -1, 1)
+        rows = jacobian.reshape(count, n * 6, PARAMETERS)
+        values = np.concatenate([field, up], axis=2).reshape(count, -1, 1)
+        transposed = (rows * weight).swapaxes(1, 2)
+        information = transposed @ rows + self.prior
+        gradient = (transposed @ values)[..., 0] - state @ self.prior
+        return information, gradient, self._cost(state, (field, up), noise)
+
+    def _jacobian(self, state: FloatArray, attitude: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return how the expectations change with the parameters, shape (k, n, 6, 23)."""
+        count, n = attitude.shape[:2]
+        body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
+        up = np.einsum("knij,kj->kni", attitude, state[:, UP])
+        soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
+        out = np.zeros((count, n, 6, PARAMETERS))
+        for axis in range(3):
+            out[:, :, axis, 3 * axis : 3 * axis + 3] = body
+        out[:, :, :3, FIELD] = soft @ attitude
+        out[:, :, :3, IRON] = np.eye(3)
+        out[:, :, 3:, UP] = attitude
+        for part, vectors, matrix in ((slice(0, 3), body, soft), (slice(3, 6), up, np.eye(3))):
+            cross = skews(vectors.reshape(-1, 3)).reshape(count, n, 3, 3)
+            out[:, :, part, GYRO] = -matrix @ (cross @ moved)
+        late = self._against_the_turn(state, body)
+        out[:, :, :3, LAG] = np.einsum("kij,knj->kni", soft[:, 0], late)
+        return out
+
+    def descend(self, state: FloatArray, noise: tuple[float, float], steps: int) -> FloatArray:
+        """Take Levenberg-Marquardt steps, each candidate with its own damping."""
+        damping = np.full(len(state), 1e-4)
+        information, gradient, cost = self.normal_equations(state, noise)
+        for _ in range(steps):
+            diagonal = np.einsum("kii->ki", information)
+            damped = information + damping[:, None, None] * (
+                diagonal[:, :, None] * np.eye(PARAMETERS)
+            )
+            tried = state + np.linalg.solve(damped, gradient[..., None])[..., 0]
+            again = self.normal_equations(tried, noise)
+            better = again[2] < cost
+            damping = np.where(better, damping * 0.2, damping * 20.0)
+            state = np.where(better[:, None], tried, state)
+            information = np.where(better[:, None, None], again[0], information)
+            gradient = np.where(better[:, None], again[1], gradient)
+            cost = np.where(better, again[2], cost)
+        return state

@@ -1,0 +1,147 @@
+"""How sure the smoother's calibration is: roads are counted, not samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.smoothing.descent import Smoothed
+from magcal_ros.core.smoothing.drive_model import (
+    DOWN_FIELD,
+    GYRO_BIAS,
+    GYRO_SCALE,
+    IRON,
+    LEVEL_FIELD,
+    OFFSET,
+    SHARED,
+    distortion,
+    field_jacobians,
+)
+from magcal_ros.core.smoothing.nodes import MICROTESLA
+
+LEAST_CLUSTERS = 5
+"""Fewer say nothing of how much they differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Twelve:
+    """The calibration in the package's own form.
+
+    Parameters
+    ----------
+    correction : Correction
+    covariance : ndarray, shape (12, 12)
+        Of the twelve numbers, SI.
+    field : ndarray, shape (3,)
+        The Earth's in magnetic ENU, tesla.
+    heading_sigma : float
+        Radians on the level.
+    widened : float
+        By how much more the roads differ than the model has it, at least one (variance).
+    """
+
+    correction: Correction
+    covariance: FloatArray
+    field: FloatArray
+    heading_sigma: float
+    widened: float
+
+
+def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) -> Twelve:
+    """Return the twelve numbers with their covariance, the sandwich over roads included.
+
+    Parameters
+    ----------
+    smoothed : Smoothed
+    to_sensor : ndarray, shape (3, 3)
+        From nominal body axes to sensor axes, `Mounting.matrix`.
+    strain : float
+        How many times as uncertain it is besides, where it had to leave what was believed.
+    """
+    shared = smoothed.unknowns.shared
+    correction = correction_of(shared, to_sensor)
+    field = np.array([0.0, shared[LEVEL_FIELD], -shared[DOWN_FIELD]]) / MICROTESLA
+    jacobian = _by_shared(shared, to_sensor)
+    by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
+    plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
+    widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
+    covariance = widened * jacobian @ plain @ jacobian.T
+    sigma = math.sqrt(widened) * rms_sigma(by_heading, plain)
+    return Twelve(correction, 0.5 * (covariance + covariance.T), field, sigma, widened)
+
+
+def correction_of(shared: FloatArray, to_sensor: FloatArray) -> Correction:
+    """Return the correction of the shared numbers (15,), SI."""
+    iron = to_sensor @ shared[IRON] / MICROTESLA
+    return Correction(np.asarray(np.linalg.inv(to_sensor @ distortion(shared))), iron)
+
+
+def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
+    """Return the derivative of the twelve numbers by the shared ones, (12, 15)."""
+    out = np.zeros((12, SHARED))
+    for k in range(IRON.start, LEVEL_FIELD):
+        step = 1e-3 if k < IRON.stop else 1e-5
+        moved = [shared.copy(), shared.copy()]
+        moved[0][k] += step
+        moved[1][k] -= step
+        high, low = (correction_of(each, to_sensor).parameters for each in moved)
+        out[:, k] = (high - low) / (2.0 * step)
+    return out
+
+
+def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> float:
+    """Return the heading's variance by the sandwich over that of the model, at least one."""
+    scores = cluster_scores(smoothed)
+    count = len(scores)
+    if count < LEAST_CLUSTERS:
+        return 1.0
+    middle = scores.T @ scores * count / (count - 4.0)
+    sandwich = plain @ (middle + smoothed.problem.prior.information) @ plain
+    return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
+
+
+def _repeated(smoothed: Smoothed) -> float:
+    """Return how often the road went through the same places, at least one.
+
+    A street that is driven again tells what it told before. The way is reckoned from yaw and
+    metres; cells of one reach of the street are counted.
+    """
+    nodes, tuning = smoothed.problem.nodes, smoothed.problem.tuning
+    steps = nodes.metres[:, None] * np.column_stack(
+        [np.cos(smoothed.unknowns.yaw), np.sin(smoothed.unknowns.yaw)]
+    )
+    cells = np.unique((np.cumsum(steps, axis=0) // tuning.reach).astype(int), axis=0)
+    again = float(nodes.metres.sum()) / (tuning.reach * len(cells))
+    return min(max(1.0, again), tuning.most_repeated)
+
+
+def cluster_scores(smoothed: Smoothed) -> FloatArray:
+    """Return what each piece of road pulls the shared numbers by, shape (k, 15).
+
+    The nodes' own unknowns follow, so that the pulls add up to the prior's alone.
+    """
+    here, problem = smoothed.here, smoothed.problem
+    nodes, follow = problem.nodes, smoothed.eliminated.follow
+    local, every = field_jacobians(nodes, here.unknowns)
+    field_weight, street_weight = here.weights
+    pull = here.field * (field_weight / problem.noise_variance)[:, None]
+    per_node = np.einsum("nik,ni->nk", every - local @ follow, pull)
+    known = street_weight / problem.street_variance
+    by_street = -follow[:, 1:].copy()
+    by_street[1:] += problem.keeps[:, None, None] * follow[:-1, 1:]
+    per_node -= np.einsum("nik,ni->nk", by_street, known[:, None] * here.street)
+    by_gyro = -(follow[1:, 0] - follow[:-1, 0])
+    by_gyro[:, GYRO_BIAS] += nodes.seconds[1:]
+    by_gyro[:, GYRO_SCALE] -= nodes.turned[1:]
+    per_node[1:] -= by_gyro * (problem.gyro_information * here.gyro)[:, None]
+    by_course = -follow[:, 0]
+    by_course[:, OFFSET] += 1.0
+    per_node -= by_course * (problem.course_information * here.course)[:, None]
+    cluster = (np.cumsum(nodes.metres) / problem.tuning.cluster).astype(int)
+    first = np.flatnonzero(np.diff(cluster, prepend=-1))
+    return np.asarray(np.add.reduceat(per_node, first, axis=0))

@@ -1,0 +1,273 @@
+"""From the nodes of a drive to a calibration with its certainty."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoothing.certainty import Twelve, twelve_of
+from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
+from magcal_ros.core.smoothing.drive_model import LEVEL_FIELD, SOFT, Unknowns
+from magcal_ros.core.smoothing.drive_prior import SharedPrior, free_prior, held_prior
+from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
+from magcal_ros.core.smoothing.start import linear_start
+from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+
+SECTORS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFit:
+    """What a drive shows.
+
+    Parameters
+    ----------
+    smoothed : Smoothed
+    twelve : Twelve
+        The calibration.
+    level_pull : float
+        Level field found less the one believed, in sigmas of the belief.
+    """
+
+    smoothed: Smoothed
+    twelve: Twelve
+    level_pull: float
+
+    @property
+    def nodes(self) -> Nodes:
+        """What was fitted."""
+        return self.smoothed.problem.nodes
+
+    @property
+    def sectors(self) -> int:
+        """How many of twelve sectors of 30 degrees were driven."""
+        return sectors_of(self.smoothed.unknowns.yaw)
+
+    @property
+    def metres(self) -> float:
+        """How far was driven; a guess where nobody measures it."""
+        return float(self.nodes.metres.sum())
+
+    @property
+    def seconds(self) -> float:
+        """How long the drive took, standing included."""
+        return float(self.nodes.time[-1] - self.nodes.time[0])
+
+
+def sectors_of(yaw: FloatArray) -> int:
+    """Return how many of twelve sectors yaws fall into."""
+    return len(np.unique((np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(int)))
+
+
+def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING) -> DriveFit:
+    """Find all twelve numbers from a drive.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    knowledge : Knowledge
+    tuning : SmootherTuning
+
+    Raises
+    ------
+    Refusal
+        `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
+    """
+    if len(nodes) < tuning.fewest_nodes:
+        raise Refusal(
+            Reason.TOO_FEW_SAMPLES,
+            f"only {len(nodes)} half seconds of movement; at least {tuning.fewest_nodes} are"
+            " needed: drive on",
+        )
+    believed = free_prior(knowledge, tuning)
+    start, prior = linear_start(nodes, believed)
+    declination = knowledge.reference.declination or 0.0
+    weakened = start.shared[LEVEL_FIELD] < tuning.weak * believed.mean[LEVEL_FIELD]
+    if weakened and not knowledge.reference.strength.is_unknown:
+        prior = uneven(prior, tuning)
+    smoothed = smooth(Problem(nodes, prior, declination, Sizes(), tuning), start)
+    if smoothed is None or not np.isfinite(smoothed.unknowns.shared).all():
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "no calibration follows the gyro along this drive; check the axes of both sensors",
+        )
+    found = smoothed.unknowns.shared[LEVEL_FIELD]
+    pull = float((found - believed.mean[LEVEL_FIELD]) / believed.sigma[LEVEL_FIELD])
+    strain = max(1.0, abs(pull) / tuning.no_strain)
+    try:
+        twelve = twelve_of(smoothed, knowledge.mounting.matrix, strain)
+    except (ValueError, np.linalg.LinAlgError) as fault:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "along the drive the field does not turn as the gyro does; check that the axes of both"
+            " sensors belong together",
+        ) from fault
+    return DriveFit(smoothed, twelve, pull)
+
+
+def uneven(prior: SharedPrior, tuning: SmootherTuning = TUNING) -> SharedPrior:
+    """Return the prior for a body that takes much of the level field away, and unevenly."""
+    covariance = prior.covariance.copy()
+    rows = np.arange(len(covariance))[SOFT]
+    covariance[rows, rows] = tuning.widest_soft_iron**2
+    return replace(prior, covariance=covariance)
+
+
+def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> Nodes:
+    """Return the nodes with their field corrected by a calibration.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        In nominal body axes.
+    correction : Correction
+    to_sensor : ndarray, shape (3, 3)
+        `Mounting.matrix`.
+    """
+    raw = nodes.field @ to_sensor.T / MICROTESLA
+    return replace(nodes, field=MICROTESLA * correction.apply(raw))
+
+
+def fit_iron(
+    nodes: Nodes,
+    correction: Correction,
+    knowledge: Knowledge,
+    tuning: SmootherTuning = TUNING,
+) -> DriveFit | None:
+    """Find what was added to the hard iron since a calibration was made.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    correction : Correction
+        The calibration; its matrix is kept but for the little that the priors allow.
+    knowledge : Knowledge
+    tuning : SmootherTuning
+
+    Returns
+    -------
+    DriveFit or None
+        Its `twelve` is of the raw field. None where too little was driven.
+    """
+    if len(nodes) < tuning.fewest_nodes:
+        return None
+    inside = corrected(nodes, correction, knowledge.mounting.matrix)
+    believed = held_prior(
+        free_prior(knowledge, tuning),
+        iron=True,
+        tilt=tuning.kept_tilt,
+        soft_iron=tuning.kept_soft_iron,
+    )
+    start, prior = linear_start(inside, believed)
+    declination = knowledge.reference.declination or 0.0
+    smoothed = smooth(Problem(inside, prior, declination, Sizes(), tuning), start, reviews=2)
+    if smoothed is None:
+        return None
+    change = twelve_of(smoothed, np.eye(3))
+    whole = change.correction.after(correction)
+    # A = A1 A0 and h = h0 + A0^-1 h1: how the twelve numbers follow those of the change.
+    by_change = np.zeros((12, 12))
+    by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
+    by_change[9:, 9:] = np.linalg.inv(correction.matrix)
+    covariance = by_change @ change.covariance @ by_change.T
+    twelve = replace(change, correction=whole, covariance=covariance)
+    return DriveFit(smoothed, twelve, 0.0)
+
+
+def held_fit(
+    nodes: Nodes,
+    correction: Correction,
+    knowledge: Knowledge,
+    sizes: Sizes,
+    tuning: SmootherTuning = TUNING,
+) -> Smoothed | None:
+    """Let the nodes' yaw, their street and the Earth's field follow a calibration that is held.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    correction : Correction
+    knowledge : Knowledge
+    sizes : Sizes
+        The same for all that are compared.
+    tuning : SmootherTuning
+
+    Returns
+    -------
+    Smoothed or None
+        `here.cost` of two calibrations on the same nodes can be compared.
+    """
+    inside = corrected(nodes, correction, knowledge.mounting.matrix)
+    prior = held_prior(free_prior(knowledge, tuning), iron=False)
+    start = Unknowns(prior.mean, nodes.heading, np.zeros((len(nodes), 3)))
+    declination = knowledge.reference.declination or 0.0
+    problem = Problem(inside, prior, declination, sizes, tuning)
+    return descend(problem, _followed(start, inside))
+
+
+def favour(
+    nodes: Nodes,
+    old: Correction,
+    new: Correction,
+    knowledge: Knowledge,
+    tuning: SmootherTuning = TUNING,
+) -> float:
+    """Return by how much likelier the nodes are under a new calibration than under an old one.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    old, new : Correction
+        Both are held; yaw, street and the Earth's field are free.
+    knowledge : Knowledge
+    tuning : SmootherTuning
+
+    Returns
+    -------
+    float
+        Fall of minus twice the log likelihood, over `counts`: neighbours are alike. Zero where one
+        of them cannot be followed.
+    """
+    sizes = Sizes()
+    fits = [held_fit(nodes, each, knowledge, sizes, tuning) for each in (old, new)]
+    if fits[0] is None or fits[1] is None:
+        return 0.0
+    return (fits[0].here.cost - fits[1].here.cost) / tuning.counts
+
+
+def onset(
+    nodes: Nodes,
+    old: Correction,
+    new: Correction,
+    knowledge: Knowledge,
+    tuning: SmootherTuning = TUNING,
+) -> float:
+    """Return the clock from which the nodes follow a new calibration rather than an old one.
+
+    Parameters are those of `favour`; the nodes' last time if none of them does.
+    """
+    fits = [held_fit(nodes, each, knowledge, Sizes(), tuning) for each in (old, new)]
+    if fits[0] is None or fits[1] is None:
+        return float(nodes.time[-1])
+    gain = fits[0].here.node_costs - fits[1].here.node_costs
+    behind = np.append(np.cumsum(gain[::-1])[::-1], 0.0)
+    first = int(np.argmax(behind))
+    return float(nodes.time[min(first, len(nodes) - 1)])
+
+
+def _followed(start: Unknowns, inside: Nodes) -> Unknowns:
+    """Turn the gyro's path to where the corrected field points, as most nodes have it."""
+    level = np.einsum("nji,nj->ni", inside.axes, inside.field)
+    seen = np.arctan2(level[:, 0], level[:, 1])
+    gap = np.exp(1j * (seen - start.yaw))
+    middle = np.angle(gap.mean())
+    for _ in range(5):
+        away = np.angle(gap * np.exp(-1j * middle))
+        middle += float(np.average(away, weights=1.0 / (1.0 + (away / 0.2) ** 2)))
+    return replace(start, yaw=start.yaw + middle)

@@ -1,0 +1,100 @@
+"""A drive as it is remembered: sensors averaged over a tenth of a second."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoothing.level import level_up
+from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
+from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+
+
+@dataclass(frozen=True, eq=False)
+class DriveLog:
+    """Means over short stretches, one row each.
+
+    Parameters
+    ----------
+    time : ndarray, shape (m,)
+        Seconds, increasing.
+    field : ndarray, shape (m, 3)
+        Raw field, tesla.
+    force : ndarray, shape (m, 3)
+        Specific force, m/s², body axes; the vehicle's own acceleration taken off where it is known.
+    rate : ndarray, shape (m, 3)
+        rad/s, body axes.
+    speed : ndarray, shape (m,)
+        m/s; NaN where nobody measures it.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    force: FloatArray
+    rate: FloatArray
+    speed: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def seconds(self) -> float:
+        """How long it is."""
+        return float(self.time[-1] - self.time[0]) if len(self) else 0.0
+
+    @property
+    def window(self) -> Window:
+        """The same rows as samples."""
+        return Window(self.time, self.field, self.force, self.rate)
+
+    def between(self, start: float, end: float) -> DriveLog:
+        """Return the rows of a span of stamps, both ends included, seconds."""
+        rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
+        return DriveLog(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def up(self, tuning: SmootherTuning = TUNING) -> FloatArray:
+        """Return up at each row, unit, body axes, shape (m, 3)."""
+        up = np.empty_like(self.force)
+        edges = np.flatnonzero(np.diff(self.time) > LONGEST_GYRO_STEP) + 1
+        for start, end in zip([0, *edges], [*edges, len(self)], strict=True):
+            piece = slice(start, end)
+            up[piece] = level_up(self.time[piece], self.force[piece], self.rate[piece], tuning)
+        return up
+
+    def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
+        """Return the nodes of all of it; `to_body` as for `nodes_of`."""
+        known = np.isfinite(self.speed)
+        speed = None
+        if known.mean() > 0.5:
+            speed = np.interp(self.time, self.time[known], self.speed[known])
+        return nodes_of(
+            Track(self.time, self.field, self.up(tuning), self.rate, speed), to_body, tuning
+        )
+
+
+def log_of(
+    window: Window, speed: FloatArray | None = None, tuning: SmootherTuning = TUNING
+) -> DriveLog:
+    """Average a window that has a gyro.
+
+    Parameters
+    ----------
+    window : Window
+    speed : ndarray, shape (n,), optional
+        m/s at its samples.
+    tuning : SmootherTuning
+    """
+    assert window.angular_rate is not None
+    block = ((window.time - window.time[0]) / tuning.row).astype(int)
+    means = Means(np.flatnonzero(np.diff(block, prepend=-1)), len(window))
+    return DriveLog(
+        means.of(window.time),
+        means.of(window.field),
+        means.of(window.specific_force),
+        means.of(window.angular_rate),
+        np.full(len(means.first), np.nan) if speed is None else means.of(speed),
+    )

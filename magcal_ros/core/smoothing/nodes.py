@@ -1,0 +1,245 @@
+"""From samples to nodes: means over half a second, turned together by gyro and up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+
+MICROTESLA = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Stretches of driving, one after another; each is told from the one before.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds of the middle.
+    field : ndarray, shape (n, 3)
+        Mean field in nominal body axes, microtesla.
+    axes : ndarray, shape (n, 3, 3)
+        Mean rotation from levelled axes, whose x lies under body x in the middle of the node, to
+        body axes. Where the robot turned inside the node it is shorter than a rotation.
+    turned : ndarray, shape (n,)
+        Radians of yaw by the gyro from the middle of the node before.
+    seconds, metres : ndarray, shape (n,)
+        From there, too.
+    is_tied : ndarray of bool, shape (n,)
+        Whether the gyro was heard all the way from there; never for the first.
+    course, course_sigma : ndarray, shape (n,)
+        Course over ground to true north, radians ENU, and its standard deviation; infinite where
+        there is none.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    axes: FloatArray
+    turned: FloatArray
+    seconds: FloatArray
+    metres: FloatArray
+    is_tied: BoolArray
+    course: FloatArray
+    course_sigma: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def heading(self) -> FloatArray:
+        """Yaw by the gyro since the first node, radians, shape (n,)."""
+        return np.cumsum(self.turned)
+
+    def take(self, rows: IntArray) -> Nodes:
+        """Return some of the nodes, increasing; ways and turns between them are joined."""
+        rows = np.asarray(rows)
+        if not len(rows):
+            raise ValueError("no node is left")
+        first = np.concatenate([[0], rows[:-1] + 1])
+        sums = [
+            np.add.reduceat(np.append(values, 0.0), np.column_stack([first, rows + 1]).ravel())[::2]
+            for values in (self.turned, self.seconds, self.metres, (~self.is_tied).astype(float))
+        ]
+        turned, seconds, metres, broken = sums
+        tied = broken == 0.0
+        for values in (turned, seconds, metres):
+            values[0] = 0.0
+        tied[0] = False
+        return Nodes(
+            self.time[rows],
+            self.field[rows],
+            self.axes[rows],
+            turned,
+            seconds,
+            metres,
+            tied,
+            self.course[rows],
+            self.course_sigma[rows],
+        )
+
+    def between(self, start: float, end: float) -> Nodes:
+        """Return the nodes of a span of stamps, seconds.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        return self.take(np.flatnonzero((self.time >= start) & (self.time <= end)))
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Samples of a drive with their up, before they are averaged.
+
+    Parameters
+    ----------
+    time : ndarray, shape (m,)
+        Seconds, increasing.
+    field : ndarray, shape (m, 3)
+        Raw field, tesla.
+    up : ndarray, shape (m, 3)
+        Body axes, unit.
+    rate : ndarray, shape (m, 3)
+        rad/s, body axes.
+    speed : ndarray, shape (m,), or None
+        m/s along the way; None where nobody measures it.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    up: FloatArray
+    rate: FloatArray
+    speed: FloatArray | None = None
+
+
+def levelled_axes(up: FloatArray) -> FloatArray:
+    """Return rotations from body to levelled axes whose x lies under body x, shape (m, 3, 3).
+
+    Parameters
+    ----------
+    up : ndarray, shape (m, 3)
+        Unit vectors in body axes.
+    """
+    # Where body x stands upright its shadow tells nothing; what is taken there does not matter.
+    left = np.cross(up, np.array([1.0, 0.0, 0.0]))
+    size = np.linalg.norm(left, axis=1)
+    left[size < 1e-6] = (0.0, 1.0, 0.0)
+    left = unit(left)
+    return np.stack([np.cross(left, up), left, up], axis=1)
+
+
+def yaw_steps(time: FloatArray, rate: FloatArray, level: FloatArray) -> FloatArray:
+    """Return by how much body x turned about up from each sample to the next, shape (m - 1,)."""
+    vectors = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
+    step = level[1:] @ exp_rotations(-vectors) @ np.swapaxes(level[:-1], 1, 2)
+    return np.asarray(-np.arctan2(step[:, 1, 0] - step[:, 0, 1], step[:, 0, 0] + step[:, 1, 1]))
+
+
+def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
+    """Average a track into nodes; a robot that stands makes one node, however long it stands.
+
+    Parameters
+    ----------
+    track : Track
+        At least one sample.
+    to_body : ndarray, shape (3, 3)
+        From sensor axes to nominal body axes, `Mounting.to_body`.
+    tuning : SmootherTuning
+    """
+    time, level = track.time, levelled_axes(track.up)
+    gaps = np.diff(time) > LONGEST_GYRO_STEP
+    steps = np.where(gaps, 0.0, yaw_steps(time, track.rate, level))
+    yaw = np.concatenate([[0.0], np.cumsum(steps)])
+    field = MICROTESLA * track.field @ to_body.T
+    pieces = np.concatenate([[0], np.cumsum(gaps)])
+    length = max(tuning.node, float(time[-1] - time[0]) / tuning.most_nodes)
+    block = ((time - time[0]) / length).astype(int) + pieces * (len(time) + 1)
+    blocks = Means(np.flatnonzero(np.diff(block, prepend=-1)), len(time))
+    limit = _still(field, blocks, tuning)
+    stands = _standing(blocks.of(time), blocks.of(field), blocks.of(yaw), limit, tuning)
+    stands &= pieces[blocks.first] == pieces[np.maximum(blocks.first - 1, 0)]
+    way = _way(track, blocks.spread(stands.astype(float)) > 0.0, tuning)
+    means = Means(blocks.first[~stands], len(time))
+    middle, centre = means.of(yaw), means.of(time)
+    inside = yaw - means.spread(middle)
+    c, s = np.cos(inside)[:, None], np.sin(inside)[:, None]
+    columns = (c * level[:, 0] - s * level[:, 1], s * level[:, 0] + c * level[:, 1], level[:, 2])
+    n, piece = len(centre), pieces[means.first]
+    return Nodes(
+        centre,
+        means.of(field),
+        means.of(np.stack(columns, axis=2)),
+        np.diff(middle, prepend=middle[0]),
+        np.diff(centre, prepend=centre[0]),
+        np.diff(means.of(way), prepend=0.0),
+        np.diff(piece, prepend=piece[0] - 1) == 0,
+        np.zeros(n),
+        np.full(n, np.inf),
+    )
+
+
+class Means:
+    """Means over stretches of rows that follow one another.
+
+    Parameters
+    ----------
+    first : ndarray of int
+        Where each stretch begins; the first at zero.
+    count : int
+        Number of all rows.
+    """
+
+    def __init__(self, first: IntArray, count: int) -> None:
+        self.first = first
+        self.sizes = np.diff(np.append(first, count))
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """Return the mean of each stretch of rows (m, ...)."""
+        sums = np.add.reduceat(values, self.first, axis=0)
+        return np.asarray(sums / self.sizes.reshape(-1, *[1] * (values.ndim - 1)))
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """Return for each row the value of its stretch."""
+        return np.repeat(values, self.sizes, axis=0)
+
+
+def _still(field: FloatArray, blocks: Means, tuning: SmootherTuning) -> FloatArray:
+    """Return by how much the mean fields of two blocks at rest may differ, (b, 3)."""
+    if len(field) < 2:
+        return np.full((1, 3), tuning.still_field)
+    noise = np.median(np.abs(np.diff(field, axis=0)), axis=0) / 0.954
+    return np.asarray(tuning.still_field + 4.0 * noise * np.sqrt(2.0 / blocks.sizes)[:, None])
+
+
+def _standing(
+    time: FloatArray, field: FloatArray, yaw: FloatArray, limit: FloatArray, tuning: SmootherTuning
+) -> BoolArray:
+    """Return which blocks tell nothing beyond the one that began their rest."""
+    stands = np.zeros(len(yaw), dtype=bool)
+    begun = 0
+    for k in range(1, len(yaw)):
+        moved = np.abs(field[k] - field[begun]) > limit[k]
+        turned = tuning.still_yaw + tuning.still_rate * (time[k] - time[begun])
+        if moved.any() or abs(yaw[k] - yaw[begun]) > turned:
+            begun = k
+        else:
+            stands[k] = True
+    return stands
+
+
+def _way(track: Track, stands: BoolArray, tuning: SmootherTuning) -> FloatArray:
+    """Return the metres driven up to each sample, shape (m,)."""
+    if track.speed is None:
+        speed = np.where(stands, 0.0, tuning.usual_speed)
+    else:
+        speed = np.abs(track.speed)
+    steps = np.minimum(np.diff(track.time), LONGEST_GYRO_STEP) * 0.5 * (speed[1:] + speed[:-1])
+    return np.concatenate([[0.0], np.cumsum(steps)])

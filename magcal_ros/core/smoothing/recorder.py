@@ -1,0 +1,154 @@
+"""What the last minutes of driving brought, message by message, in bounded memory."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoothing.nodes import MICROTESLA
+from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+
+CHUNK = 10
+"""Rows after which it is asked whether the robot stands."""
+COLUMNS = 11
+FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
+
+
+class DriveRecorder:
+    """Averages samples into rows, and keeps those of movement.
+
+    Its clock runs while the robot moves: a pause is cut out, however long it is.
+
+    Parameters
+    ----------
+    seconds : float
+        Of movement that is kept.
+    tuning : SmootherTuning
+    """
+
+    def __init__(self, seconds: float = 600.0, tuning: SmootherTuning = TUNING) -> None:
+        self._tuning = tuning
+        self._chunks: deque[FloatArray] = deque(maxlen=int(seconds / (tuning.row * CHUNK)) + 1)
+        self._recent: deque[FloatArray] = deque(maxlen=5)
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget the drive."""
+        self._chunks.clear()
+        self._recent.clear()
+        self._rows: list[tuple[float, ...]] = []
+        self._sums = [0.0] * COLUMNS
+        self._count = 0
+        self._row = self._newest = -math.inf
+        self._pause = 0.0
+        self._rests = False
+
+    @property
+    def clock(self) -> float:
+        """The newest moment that is kept, seconds; minus infinity before the first."""
+        return float(self._chunks[-1][-1, 0]) if self._chunks else -math.inf
+
+    @property
+    def seconds(self) -> float:
+        """Of movement that are kept."""
+        return self.clock - float(self._chunks[0][0, 0]) if self._chunks else 0.0
+
+    @property
+    def rests(self) -> bool:
+        """Whether the robot stood in the last second."""
+        return self._rests
+
+    def add(
+        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
+    ) -> bool:
+        """Take a field sample with what else was measured at its stamp.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds. Where time goes back, the drive goes on after a gap.
+        field, force, rate : tuple of float
+            Raw field (tesla); specific force (m/s²) less the vehicle's own acceleration where that
+            is known; rad/s.
+        speed : float
+            m/s; NaN where nobody measures it.
+
+        Returns
+        -------
+        bool
+            Whether more of the drive is known than before.
+        """
+        if stamp < self._newest:
+            self._rows.clear()
+            self._recent.clear()
+            self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
+            self._pause = stamp - self.clock - 2.0 * LONGEST_GYRO_STEP if self._chunks else 0.0
+        self._newest = stamp
+        grown = False
+        if stamp >= self._row + self._tuning.row:
+            grown = self._close()
+            self._row = stamp
+        self._count += 1
+        sums = self._sums
+        sums[0] += stamp
+        for k in range(3):
+            sums[k + 1] += field[k]
+            sums[k + 4] += force[k]
+            sums[k + 7] += rate[k]
+        sums[10] += speed
+        return grown
+
+    def log(self) -> DriveLog:
+        """Return everything that is kept, by the drive's own clock."""
+        rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
+        return DriveLog(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rows[:, RATE], rows[:, SPEED])
+
+    def _close(self) -> bool:
+        """End a row, and a chunk of them now and then."""
+        if self._count:
+            self._rows.append(tuple(value / self._count for value in self._sums))
+            self._sums, self._count = [0.0] * COLUMNS, 0
+        if len(self._rows) < CHUNK:
+            return False
+        chunk = np.array(self._rows)
+        self._rows.clear()
+        self._recent.append(chunk)
+        self._rests = self._stands()
+        if self._rests:
+            self._pause += float(chunk[-1, 0] - chunk[0, 0]) + self._tuning.row
+            return False
+        stamps = chunk[:, 0] - self._pause
+        if self._chunks:
+            last = float(self._chunks[-1][-1, 0])
+            # What was cut out left no hole, and what was not heard leaves one.
+            early = last + self._tuning.row - float(stamps[0])
+            if early > 0.0 or (self._pause > 0.0 and -early < LONGEST_GYRO_STEP):
+                stamps = stamps + early
+                self._pause -= early
+        chunk[:, 0] = stamps
+        self._chunks.append(chunk)
+        return True
+
+    def _stands(self) -> bool:
+        """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
+        if len(self._recent) < 5:
+            return False
+        rows, tuning = np.concatenate(list(self._recent)), self._tuning
+        speed = np.abs(rows[-CHUNK:, SPEED])
+        if (speed > tuning.rest_speed).any():
+            return False
+        half = len(rows) // 2
+        gap = np.abs(rows[:half].mean(axis=0) - rows[half:].mean(axis=0))
+        spread = rows.std(axis=0)
+        field = MICROTESLA * (gap[FIELD] + tuning.rest_noise * spread[FIELD])
+        return bool(
+            (field < tuning.rest_field).all()
+            and (gap[RATE] + tuning.rest_noise * spread[RATE] < tuning.rest_rate).all()
+            and (spread[FORCE] < tuning.rest_force).all()
+        )

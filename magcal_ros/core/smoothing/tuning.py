@@ -1,0 +1,133 @@
+"""What the smoother takes for granted of sensors, streets and magnetometers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SmootherTuning:
+    """The smoother's model in numbers; fields in microtesla.
+
+    Parameters
+    ----------
+    row : float
+        Seconds of samples that make one row of the log of a drive.
+    node : float
+        Seconds of samples that make one node: a field turns little in it, and noise averages out.
+    most_nodes : int
+        Of one fit, which bounds its time: ten minutes of driving.
+    level_memory, pulled : float
+        Seconds over which up is averaged before and after, and the share of gravity by which a
+        specific force may be off its usual length before it weighs less.
+    level_rounds, level_walk, level_bias : int, float, float
+        How often the gyro's bias is found from the drift of that mean, the angle random walk of up
+        (rad/s^.5), and the largest bias that is expected (rad/s).
+    still_field, still_yaw, still_rate : float
+        A block that differs by no more than this from the one that began a rest, microtesla beyond
+        its noise and radians, stands; a gyro's bias turns on by so much more, rad/s.
+    rest_field, rest_rate, rest_force, rest_noise, rest_speed : float
+        A robot rests while five seconds of rows change by less than this from half to half:
+        microtesla and rad/s, so many times their spread included; the force may spread by m/s²,
+        and the speed, where it is known, is m/s at most.
+    street, noise : float
+        Standard deviations per axis of the streets' disturbance and of a node's own noise, small
+        iron within two metres included. Cars in two cities: 2.5 to 5 and about 1.5.
+    reach : float
+        Metres over which the disturbance is alike, e to the minus one.
+    freedom : float
+        Degrees of freedom of Student's distribution of both.
+    usual_speed : float
+        m/s, for the metres of a robot that tells no speed.
+    angle_walk : float
+        rad/s^.5, angle random walk of the gyro's yaw, what turns leave of its scale included.
+    hard_iron, tilt, soft_iron, soft_iron_upright, gyro_bias, gyro_scale, course_offset : float
+        Prior sigmas: hard iron about the linear start, installation roll and pitch (rad), soft
+        iron in the level plane and out of it, the gyro's bias about up (rad/s), its scale, compass
+        against course (rad).
+    strength, unknown_strength, unknown_dip, gain : float
+        Prior sigmas of the level and upright field where the reference says less: per axis;
+        relative and radians where there is no reference; the sensor's own gain, relative.
+    counts : float
+        How often the priors on tilt, soft iron and field count: the errors of nodes are not as
+        independent as the model has them, and their number would overrule them.
+    widest_soft_iron, far_beyond : float
+        A number of soft iron beyond `far_beyond` sigmas gets a sigma of its own size, at most this.
+    weak : float
+        Share of the reference's level field below which the body is taken to take some away.
+    no_strain : float
+        Sigmas that the level field may be pulled from what is believed; beyond, the calibration's
+        sigma grows in proportion: something is there that the model does not have.
+    kept_tilt, kept_soft_iron : float
+        Prior sigmas of tilt (rad) and soft iron where only the hard iron is sought anew.
+    fewest_nodes : int
+        Below which nothing is fitted.
+    believed : float
+        Student's weight above which a node counts as believed.
+    pseudo, least_street, least_noise : float
+        The sizes of street and noise are estimated with so many observations of the usual size,
+        and never below these shares of it.
+    cluster : float
+        Metres of road that count as one witness in the sandwich covariance.
+    most_repeated : float
+        By how much a road that is driven again and again widens the variance at most: part of what
+        it tells is the sensor's own noise, which does not repeat.
+    most_rounds, enough, largest_turn : int, float, float
+        Steps at most; a heading that moves less than this many radians has converged; the largest
+        turn of any node in one step.
+    """
+
+    row: float = 0.1
+    node: float = 0.5
+    most_nodes: int = 1200
+    level_memory: float = 8.0
+    pulled: float = 0.1
+    level_rounds: int = 2
+    level_walk: float = math.radians(0.3)
+    level_bias: float = 0.02
+    still_field: float = 0.1
+    still_yaw: float = math.radians(1.0)
+    still_rate: float = math.radians(0.3)
+    rest_field: float = 0.6
+    rest_rate: float = math.radians(0.5)
+    rest_force: float = 0.15
+    rest_noise: float = 0.5
+    rest_speed: float = 0.1
+    street: float = 3.0
+    noise: float = 1.5
+    reach: float = 30.0
+    freedom: float = 8.0
+    usual_speed: float = 5.0
+    angle_walk: float = math.radians(0.15)
+    hard_iron: float = 60.0
+    tilt: float = math.radians(6.0)
+    soft_iron: float = 0.04
+    soft_iron_upright: float = 0.01
+    gyro_bias: float = math.radians(0.3)
+    gyro_scale: float = 0.01
+    course_offset: float = 10.0
+    strength: tuple[float, float] = (1.5, 2.0)
+    unknown_strength: float = 0.3
+    unknown_dip: float = math.radians(20.0)
+    gain: float = 0.03
+    counts: float = 4.0
+    widest_soft_iron: float = 0.25
+    far_beyond: float = 2.5
+    weak: float = 0.75
+    no_strain: float = 2.0
+    kept_tilt: float = math.radians(0.5)
+    kept_soft_iron: float = 0.01
+    fewest_nodes: int = 40
+    believed: float = 0.3
+    pseudo: float = 18.0
+    least_street: float = 0.1
+    least_noise: float = 0.1
+    cluster: float = 150.0
+    most_repeated: float = 4.0
+    most_rounds: int = 40
+    enough: float = math.radians(0.01)
+    largest_turn: float = 0.3
+
+
+TUNING = SmootherTuning()

@@ -1,0 +1,210 @@
+"""The page on a drive: what was driven, what was believed, where the field was bent."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from datetime import datetime, timezone
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.keeping.candidates import difference, heading_sigma
+from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.story import DrivePath, DriveStory
+from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.samples import REMEDY
+from magcal_ros.report.page import POLICY
+from magcal_ros.report.style import CSS
+from magcal_ros.report.write import PAGE
+
+STEPS_UT = (2.0, 4.0, 8.0, 16.0)
+"""Microtesla up to which each colour goes; the last colour is for all beyond."""
+COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
+"""From where the compass can be trusted to where it cannot; colour-blind people tell them apart."""
+WIDTH, MARGIN = 1000.0, 30.0
+VERBS = {
+    Verb.NOTICED: "noticed",
+    Verb.PROBATION: "put on probation",
+    Verb.DROPPED: "dropped",
+    Verb.PROPOSED: "proposed",
+    Verb.APPLIED: "put in force",
+    Verb.REFINED: "refined",
+    Verb.ROLLED_BACK: "taken back",
+    Verb.CONFIRMED: "confirmed",
+}
+
+
+def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
+    """Write `report.html` on a drive into a folder; returns it.
+
+    Raises
+    ------
+    FileTrouble
+        If the folder already holds a report, or cannot be written to.
+    """
+    page = folder / PAGE
+    if page.exists():
+        raise FileTrouble(f"{page} is there already and stays; choose another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(page, render_drive(story, source), REMEDY)
+    return page
+
+
+def render_drive(story: DriveStory, source: str) -> str:
+    """Return the whole page; it loads nothing."""
+    title = "A drive, and what it says of the compass"
+    created = datetime.now(timezone.utc).isoformat(sep=" ", timespec="seconds")
+    return "\n".join(
+        [
+            f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{CSS}</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p class="meta">{escape(created)} · {escape(source)}</p>""",
+            _summary(story),
+            _before_and_after(story),
+            _decisions(story),
+            _map(story.path),
+            "</body></html>\n",
+        ]
+    )
+
+
+def _summary(story: DriveStory) -> str:
+    return (
+        f'<section class="verdict good"><p id="summary">{escape(summary_of(story))}</p></section>'
+    )
+
+
+def summary_of(story: DriveStory) -> str:
+    """Return in two sentences what became of a drive."""
+    changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
+    back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
+    drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"
+    if changed:
+        often = "once" if len(changed) == 1 else f"{len(changed)} times"
+        said = f"{often} a calibration from driving was put in force"
+        said += f", and {back} taken back" if back else ""
+    elif story.begun is None:
+        said = "nothing was in force, and the drive did not show enough to change that"
+    else:
+        said = "the calibration in force stayed: nothing was proved better"
+    return f"{drove}: {said}. At the end: {story.doing}."
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90.0 else f"{seconds / 60.0:.1f} min"
+
+
+def _before_and_after(story: DriveStory) -> str:
+    rows = "".join(
+        f"<tr><td>{name}</td>{_cells(calibration)}</tr>"
+        for name, calibration in (("before", story.begun), ("after", story.ended))
+    )
+    begun, ended = story.begun, story.ended
+    apart = ""
+    if begun is not None and ended is not None and begun.correction is not ended.correction:
+        swing = math.degrees(difference(begun, ended))
+        apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
+    return (
+        '<h2>In force before and after</h2><div class="scroll"><table class="checks"><tr><th></th>'
+        "<th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
+        f"{rows}</table></div>{apart}"
+    )
+
+
+def _cells(calibration: Calibration | None) -> str:
+    if calibration is None:
+        return '<td colspan="4">nothing</td>'
+    x, y, z = (1e6 * float(value) for value in calibration.correction.hard_iron)
+    evidence = calibration.evidence
+    why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
+    cells = (
+        evidence.method,
+        f"±{math.degrees(heading_sigma(calibration)):.1f}°",
+        f"{x:.1f}, {y:.1f}, {z:.1f}",
+        why or evidence.summary,
+    )
+    return "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+
+
+def _decisions(story: DriveStory) -> str:
+    if not story.decisions:
+        return "<h2>What was decided</h2><p>Nothing.</p>"
+    rows = "".join(
+        f"<tr><td>{_duration(seconds)}</td><td>{VERBS[made.verb]}</td>"
+        f"<td>{escape(made.words)}</td></tr>"
+        for seconds, made in story.decisions
+    )
+    return (
+        '<h2>What was decided</h2><table class="checks"><tr><th>after</th><th>decision</th>'
+        f"<th>why</th></tr>{rows}</table>"
+    )
+
+
+def _map(path: DrivePath | None) -> str:
+    if path is None:
+        return (
+            "<h2>Where the compass can be trusted</h2>"
+            '<p class="missing">No map: no calibration tells a heading on this drive.</p>'
+        )
+    low, high = path.place.min(axis=0), path.place.max(axis=0)
+    span = float(max(np.max(high - low), 1.0))
+    scale = (WIDTH - 2.0 * MARGIN) / span
+    height = float(high[1] - low[1]) * scale + 2.0 * MARGIN
+    x = MARGIN + (path.place[:, 0] - low[0]) * scale
+    y = MARGIN + (high[1] - path.place[:, 1]) * scale
+    kinds = np.searchsorted(STEPS_UT, 1e6 * path.disturbance)
+    dots = "".join(
+        f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4" fill="{COLOURS[kind]}"/>'
+        for a, b, kind in zip(x, y, kinds, strict=True)
+    )
+    bounds = ["0", *(f"{step:g}" for step in STEPS_UT)]
+    legend = "".join(
+        f'<li><span style="color:{colour}">●</span> {name}: '
+        f"{100.0 * float(np.mean(kinds == kind)):.0f} %</li>"
+        for kind, (colour, name) in enumerate(zip(COLOURS, _names(bounds), strict=True))
+    )
+    trusted = 100.0 * float(np.mean(kinds <= 1))
+    return (
+        "<h2>Where the compass can be trusted</h2>"
+        f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {max(height, 60.0):.0f}" role="img">'
+        f"<title>The way that was driven, coloured by the disturbance of the field</title>"
+        f"{dots}{_bar(span, scale, max(height, 60.0))}</svg><figcaption>{_how(path)} Colour: how "
+        f"far the field was off the calibrated one. On {trusted:.0f} % of the points it was off by "
+        f"less than {STEPS_UT[1]:g} µT.</figcaption></figure><ul>{legend}</ul>"
+    )
+
+
+def _names(bounds: list[str]) -> list[str]:
+    named = [f"{a} to {b} µT" for a, b in itertools.pairwise(bounds)]
+    return [*named, f"more than {bounds[-1]} µT"]
+
+
+def _how(path: DrivePath) -> str:
+    if path.is_measured:
+        return "North is up; places by the receiver."
+    guess = "" if path.has_speed else " and a guessed speed of 5 m/s"
+    return (
+        f"North is up; no fixes: places reckoned from the compass{guess}, so take the shape only."
+    )
+
+
+def _bar(span: float, scale: float, height: float) -> str:
+    metres = 10.0 ** math.floor(math.log10(0.4 * span))
+    end = MARGIN + metres * scale
+    return (
+        f'<line x1="{MARGIN}" y1="{height - 8:.1f}" x2="{end:.1f}" y2="{height - 8:.1f}" '
+        f'stroke="#1c1f23" stroke-width="3"/><text x="{MARGIN}" y="{height - 14:.1f}" '
+        f'font-size="16">{metres:g} m</text>'
+    )

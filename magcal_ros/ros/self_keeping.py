@@ -1,0 +1,246 @@
+"""A calibration that keeps itself, in the node: fits in a process beside it, decisions told."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Protocol
+
+from rclpy.node import Node
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.keeping.candidates import CourseSwing
+from magcal_ros.core.keeping.decisions import Decision, Verb
+from magcal_ros.core.keeping.jobs import DriveJob, Findings, run
+from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.keeping.story import DriveStory
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.session.turn_events import Conclusion
+from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.former import keep_former
+from magcal_ros.files.reading import promptly
+from magcal_ros.ros.aside import Aside
+from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.reporter import NO_REPORTS, reports_of
+from magcal_ros.ros.services import Tell
+from magcal_ros.ros.travel import Travel
+
+NICENESS = 10
+"""Of the process that fits: whatever else the machine does comes first."""
+IDLE_LOOKS = 300
+"""Heartbeats without a job after which the process and its memory are given back."""
+
+
+class Owner(Protocol):
+    """What the node does for it."""
+
+    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+        """Apply a calibration at once; returns the work of storing it, which says what it did."""
+
+    def drive_knowledge(self) -> Knowledge | None:
+        """Return what is known beforehand; None while a turn is under way."""
+
+
+class SelfKeeping:
+    """Lets a calibration keep itself.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Whose executor takes what was found.
+    owner : Owner
+    keeper : Keeper
+        Has what is in force, and its file.
+    files : Errands
+        Does the disk's work.
+    find_path : callable
+        Returns the calibration's file.
+    say : callable
+        Takes one line for the log.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        owner: Owner,
+        keeper: Keeper,
+        files: Errands,
+        find_path: Callable[[], Path],
+        say: Callable[[str], object],
+    ) -> None:
+        self._owner, self._keeper, self._files, self._say = owner, keeper, files, say
+        self._find_path = find_path
+        self._machine = SelfCalibration()
+        self._jobs = Errands(node, "magcal-keep")
+        self._aside = Aside()
+        self._sensors = ""
+        self._idle = 0
+        self._reports = NO_REPORTS
+
+    def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
+        """Take a field sample with the newest IMU sample and what the vehicle does."""
+        if imu is None or not math.isfinite(imu.rate[0]):
+            return
+        force, own = imu.force, travel.own_acceleration
+        if own is not None:
+            force = (force[0] - own[0], force[1] - own[1], force[2] - own[2])
+        if self._machine.add(sample.stamp, sample.field, force, imu.rate, travel.speed):
+            self._look()
+
+    def use(self, calibration: Calibration | None) -> None:
+        """Take note of what is in force."""
+        self._machine.put_in_force(calibration)
+
+    def meet(self, sensors: str) -> None:
+        """Take note of which sensors are heard: what others did on the drive is no witness."""
+        if self._sensors and sensors != self._sensors:
+            self._machine.forget()
+        self._sensors = sensors
+
+    def follow(self, mode: str, reports: str, course: CourseSwing | None) -> None:
+        """Look after the rest, once a second.
+
+        Parameters
+        ----------
+        mode, reports : str
+            The parameters self_calibration and report_folder.
+        course : CourseSwing or None
+            How the compass in force swings against course.
+        """
+        self._jobs.deliver()
+        self._reports = reports
+        self._machine.note_course(course)
+        self._idle += 1
+        if self._machine.mode is not Mode(mode):
+            self._machine.mode = Mode(mode)
+            self._machine.forget()
+        if self._idle == IDLE_LOOKS:
+            self._aside.stop()
+
+    @property
+    def proposal(self) -> Calibration | None:
+        """What waits for a person's word."""
+        return self._machine.proposal
+
+    def accept(self, tell: Tell) -> None:
+        """Put what is proposed in force; there must be something."""
+        proposal = self._machine.proposal
+        assert proposal is not None
+        self.put_in_force(proposal.on_users_word(), tell)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what `~/status` tells."""
+        machine = self._machine
+        return {
+            "mode": machine.mode.value,
+            "doing": machine.in_words,
+            "proposal": None
+            if machine.proposal is None
+            else {
+                "summary": machine.proposal.evidence.summary,
+                "why": " ".join(machine.proposal.evidence.reasons),
+            },
+            "decisions": [
+                {"decision": made.verb.value, "at_s": round(made.clock, 1), "why": made.words}
+                for made in machine.decisions[-5:]
+            ],
+        }
+
+    def end(self) -> None:
+        """End the process for good."""
+        self._aside.end()
+
+    def _look(self) -> None:
+        knowledge = self._owner.drive_knowledge()
+        if knowledge is None:
+            return
+        self._idle = 0
+        job = self._machine.job(knowledge)
+        self._jobs.run(lambda: self._aside.run(run_kindly, job), self._note, self._lost)
+
+    def _lost(self, error: Exception) -> None:
+        self._machine.fail()
+        if not isinstance(error, EOFError):
+            self._say(f"self-calibration: a fit was lost: {error!r}")
+
+    def _note(self, findings: Findings) -> None:
+        for decision in self._machine.note(findings):
+            self._say(
+                f"self-calibration: {decision.verb.value.replace('_', ' ')}: {decision.words}"
+            )
+            if decision.calibration is not None:
+                self._leave_page(decision.calibration)
+                self._act(decision, decision.calibration)
+
+    def _act(self, decision: Decision, calibration: Calibration) -> None:
+        if decision.verb is Verb.PROPOSED:
+            self._say("self-calibration: call ~/accept to put it in force")
+        else:
+            self.put_in_force(calibration, lambda done: self._tell(done.message))
+
+    def _tell(self, words: str) -> None:
+        self._say(f"self-calibration: {words}")
+
+    def _leave_page(self, calibration: Calibration) -> None:
+        """Have a page written on what was driven, believed and decided."""
+        if self._reports == NO_REPORTS:
+            return
+        machine = self._machine
+        told = tuple((made.clock, made) for made in machine.decisions)
+        before = self._keeper.calibration
+        story = DriveStory(
+            told, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
+        )
+        log, reports = machine.log(), self._reports
+        self._jobs.run(
+            lambda: self._aside.run(write_page, reports_of(reports), story, log),
+            lambda page: self._tell(f"report: {page}"),
+            lambda error: self._tell(f"no report: {error}"),
+        )
+
+    def put_in_force(self, calibration: Calibration, tell: Tell) -> None:
+        """Apply a calibration and store it; what was in force before is kept beside it."""
+        old, origin = self._keeper.calibration, self._keeper.origin
+        work = self._owner.put_in_force(calibration)
+
+        def store() -> str:
+            if old is not None and origin is not None:
+                # What is in force now matters more than what was.
+                with contextlib.suppress(FileTrouble, OSError):
+                    path = self._find_path()
+                    promptly(lambda: keep_former(path, old, origin), path)
+            return work()
+
+        self._files.run(
+            store,
+            lambda words: tell(Conclusion(True, words)),
+            lambda error: tell(Conclusion(True, f"In force, but not saved: {error!r}")),
+        )
+
+
+def run_kindly(job: DriveJob) -> Findings:
+    """Do a job in a process that lets all others go first."""
+    if hasattr(os, "setpriority"):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
+    return run(job)
+
+
+def write_page(parent: Path, story: DriveStory, log: DriveLog) -> Path:
+    """Draw the page on a decision, with the map of what is remembered; returns it."""
+    from magcal_ros.core.keeping.story import path_of_log
+    from magcal_ros.report import new_folder
+    from magcal_ros.report.drive_page import write_drive_page
+
+    assert story.ended is not None
+    folder = new_folder(parent, datetime.now(timezone.utc))
+    whole = replace(story, path=path_of_log(log, story.ended))
+    return write_drive_page(folder, whole, "decided while driving")

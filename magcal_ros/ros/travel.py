@@ -1,0 +1,240 @@
+"""Speed and fixes in: up through starts and bends, the vehicle's front, the compass by course."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import NavSatFix
+
+from magcal_ros.core.driving.driving_tuning import SpeedSource
+from magcal_ros.core.driving.front import Declination, Front, VehicleYaw, where_is_the_front
+from magcal_ros.core.driving.local_plane import LocalPlane
+from magcal_ros.core.driving.mounting_watch import fault_words
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.keeping.candidates import CourseSwing
+from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.messages import fix_of, speed_of, velocity_of
+from magcal_ros.core.monitoring.course_check import (
+    CourseCheckTuning,
+    accusation,
+    check_by_course,
+)
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.up import UpFollower
+from magcal_ros.ros.announcer import Announcer
+from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.messages import diagnostic, key_values
+from magcal_ros.ros.seat import Seat
+
+BETTER = 0.7
+"""Share of the sigma that is kept, below which a newly found yaw is kept instead."""
+
+
+class Travel:
+    """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the subscriptions live.
+    errands : Errands
+        Does the fits beside the messages.
+    """
+
+    def __init__(self, node: Node, errands: Errands) -> None:
+        self._node, self._errands = node, errands
+        self._plane = LocalPlane()
+        self._odd: dict[str, str] = {}
+        self._topics = {
+            SpeedSource.ODOMETRY: node.resolve_topic_name("odom"),
+            SpeedSource.VELOCITY: node.resolve_topic_name("gps/vel"),
+            SpeedSource.FIXES: node.resolve_topic_name("gps/fix"),
+        }
+        self._travelling = Travelling(run=self._run)
+        self.front = Front()
+        self.own_acceleration: Triple | None = None
+        """Of the vehicle at the newest IMU sample, m/s², body axes; None where nobody knows."""
+        self.kept: VehicleYaw | None = None
+        """The yaw that lies beside the calibration in force."""
+        for kind, topic, callback in (
+            (Odometry, "odom", self._on_odometry),
+            (TwistStamped, "gps/vel", self._on_velocity),
+            (NavSatFix, "gps/fix", self._on_fix),
+        ):
+            node.create_subscription(kind, topic, callback, qos_profile_sensor_data)
+
+    @property
+    def yaw(self) -> VehicleYaw | None:
+        """How the IMU sits in the vehicle: what is found now, else what was kept."""
+        found, kept = self.front.yaw, self.kept
+        if found is None or (kept is not None and found.sigma > kept.sigma and _agree(found, kept)):
+            return kept
+        return found
+
+    def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
+        """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
+        self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)
+        return self.own_acceleration
+
+    @property
+    def speed(self) -> float:
+        """The newest speed, m/s; NaN where nobody tells it."""
+        track = self._travelling.speedometer.track
+        return math.nan if track is None else track.last
+
+    @property
+    def swing(self) -> CourseSwing | None:
+        """How the compass in force swings against course, where enough was driven."""
+        course = self._travelling.course
+        if course is None or self._travelling.known_mounting is None:
+            return None
+        if course.sectors < CourseCheckTuning.sectors:
+            return None
+        return CourseSwing(course.offset, course.harmonics, course.covariance[1:, 1:])
+
+    def on_moment(self, moment: Moment) -> None:
+        """Take what a field message comes to."""
+        if moment.heading is not None:
+            self._travelling.add_yaw(moment.heading.yaw)
+
+    def use(self, kept: VehicleYaw | None) -> None:
+        """Another calibration is in force; take what lies beside it."""
+        self._travelling.forget_compass()
+        if kept is not None:
+            self.kept = kept
+            self._travelling.believe(kept.offset, kept.sigma)
+
+    def look(self, reference: ReferenceField) -> VehicleYaw | None:
+        """Compare what is known, once a second; returns a yaw that is to be kept, if there is."""
+        travelling = self._travelling
+        if not travelling.is_heard:
+            return None
+        known = reference.declination
+        sigma = reference.declination_sigma
+        declination = Declination() if known is None else Declination(known, sigma)
+        self.front = where_is_the_front(
+            travelling.known_mounting, travelling.course, declination, travelling.tuning.front
+        )
+        found, kept = self.front.yaw, self.kept
+        if found is None or found.sigma > travelling.tuning.front.useful:
+            return None
+        if kept is not None and found.sigma > BETTER * kept.sigma and _agree(found, kept):
+            return None
+        self.kept = found
+        return found
+
+    def follow(
+        self, reference: ReferenceField, seat: Seat, announcer: Announcer
+    ) -> VehicleYaw | None:
+        """Use what is known, once a second, and say what is new; returns what is to be kept."""
+        news = self.look(reference)
+        seat.note_vehicle_yaw(self.yaw)
+        if self.verdict:
+            announcer.tell("course", self.verdict, wrong=True)
+        if news is not None:
+            announcer.tell("front", news.words)
+        return news
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is wrong with speeds, compass or declination, in words."""
+        watch = self._travelling.mounting
+        words = [
+            fault_words(self._topics[source], fault, watch.seen[source])
+            for source, fault in watch.faults.items()
+            if source in watch.seen
+        ]
+        words += [f"{topic}: {why}" for topic, why in self._odd.items()]
+        if self.front.suspicion:
+            words.append(self.front.suspicion)
+        return words
+
+    @property
+    def verdict(self) -> str:
+        """What course says against the calibration in force; empty if nothing."""
+        if self._travelling.known_mounting is None:
+            # What does not go where it looks accuses every compass.
+            return ""
+        return accusation(check_by_course(self._travelling.course))
+
+    def facts(self) -> dict[str, Any] | None:
+        """Return what `~/status` tells of the drive; None where no speed and no fix came."""
+        travelling, yaw = self._travelling, self.yaw
+        if not travelling.is_heard and yaw is None:
+            return None
+        course, source = travelling.course, travelling.source
+        return {
+            "speed_from": None if source is None else self._topics[source],
+            "own_acceleration_taken_off": travelling.takes_off,
+            "metres": round(travelling.metres, -1),
+            "drifts": travelling.drift.is_drifting,
+            "course_gap_deg": _degrees(self.front.compass_gap),
+            "course_gap_sigma_deg": _degrees(self.front.compass_sigma),
+            "course_metres": None if course is None else round(course.metres, -1),
+            "course_swing_deg": None if course is None else _degrees(course.swing(1)[0]),
+            "verdict": self.verdict,
+        }
+
+    def diagnostics(self, name: str) -> list[DiagnosticStatus]:
+        """Say what the drive has told so far; nothing where no speed and no fix has come."""
+        if not self._travelling.is_heard:
+            return []
+        status = diagnostic(name, "Drive")
+        yaw, verdict = self.yaw, self.verdict
+        told = "the vehicle's front is not known yet" if yaw is None else yaw.words
+        wrong = [*self.complaints, *([verdict] if verdict else [])]
+        status.level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
+        status.message = "; ".join([told, *wrong])
+        facts = self.facts() or {}
+        status.values = key_values({key: str(value) for key, value in facts.items()})
+        return [status]
+
+    def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
+        def fail(error: Exception) -> None:
+            self._travelling.give_up_fit()
+            self._node.get_logger().error(f"a fit of the drive has failed: {error!r}")
+
+        self._errands.run(work, then, fail)
+
+    def _on_odometry(self, message: Odometry) -> None:
+        sample = speed_of(message)
+        self._note(SpeedSource.ODOMETRY, sample)
+        if not isinstance(sample, str):
+            self._travelling.add_speed(sample)
+
+    def _on_velocity(self, message: TwistStamped) -> None:
+        sample = velocity_of(message)
+        self._note(SpeedSource.VELOCITY, sample)
+        if not isinstance(sample, str):
+            self._travelling.add_velocity(sample)
+
+    def _note(self, source: SpeedSource, heard: object) -> None:
+        """Note what is wrong with the newest message of a topic, or that nothing is."""
+        if isinstance(heard, str):
+            self._odd[self._topics[source]] = heard
+        else:
+            self._odd.pop(self._topics[source], None)
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        # What is wrong with fixes is said where the place is looked up.
+        position = self._plane.position(fix_of(message))
+        if position is not None:
+            self._travelling.add_position(position)
+
+
+def _agree(one: VehicleYaw, other: VehicleYaw) -> bool:
+    gap = math.remainder(one.offset - other.offset, math.tau)
+    return abs(gap) < 3.0 * math.hypot(one.sigma, other.sigma)
+
+
+def _degrees(angle: float) -> float | None:
+    return round(math.degrees(angle), 1) if math.isfinite(angle) else None

@@ -1,0 +1,84 @@
+"""`magcal drive`: a recorded drive told again."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from drives import write_bag, write_csv
+
+from magcal_ros.cli.main import main
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import Leg, city
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.files.calibration_file import read_calibration
+
+ROBOT = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
+REFERENCE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]
+
+
+def sensors(legs, seed=1):
+    rng = np.random.default_rng(seed)
+    drive = simulated_drive(travel(legs, rng, rate=20.0), rng, Vehicle(ROBOT))
+    return drive, list(drive._sensors())
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A drive of some minutes as a CSV folder."""
+    _, samples = sensors(city(np.random.default_rng(1), 330.0))
+    return write_csv(tmp_path_factory.mktemp("driven") / "csv", samples)
+
+
+def test_a_drive_from_nothing_ends_with_a_calibration_and_a_page(driven, tmp_path, capsys):
+    status = main(["drive", str(driven), *REFERENCE, "--output", str(tmp_path), "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert told["decisions"][-1]["decision"] in ("applied", "refined")
+    found, _ = read_calibration(tmp_path / "calibration.yaml")
+    apart = 1e6 * (found.correction.hard_iron - ROBOT.hard_iron)
+    assert np.abs(apart[:2]).max() < 3.0
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("<circle") > 400
+    assert "put in force" in page
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_a_robot_that_stands_decides_nothing(tmp_path, capsys):
+    _, samples = sensors([Leg(40.0)])
+    folder = write_csv(tmp_path / "csv", samples)
+    status = main(["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")])
+    assert status == 3
+    assert "waiting for movement" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "calibration.yaml").exists()
+    assert "No map" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_an_older_report_stays(tmp_path, capsys):
+    _, samples = sensors([Leg(10.0)])
+    folder = write_csv(tmp_path / "csv", samples)
+    arguments = ["drive", str(folder), *REFERENCE, "--output", str(tmp_path / "out")]
+    main(arguments)
+    assert main(arguments) == 5
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_fit_takes_a_whole_drive_without_a_turn(driven, tmp_path, capsys):
+    status = main(
+        ["fit", str(driven), *REFERENCE, "--output", str(tmp_path), "--method", "smoother"]
+    )
+    assert status == 0
+    words = capsys.readouterr().out
+    assert "of ordinary driving" in words
+    found, _ = read_calibration(tmp_path / "calibration.yaml")
+    assert np.abs(1e6 * (found.correction.hard_iron - ROBOT.hard_iron)[:2]).max() < 3.0
+    assert found.evidence.method == "smoother"
+
+
+def test_a_bag_without_fixes_and_wheels_is_told_by_its_compass(driven, tmp_path, capsys):
+    _, samples = sensors(city(np.random.default_rng(2), 30.0))
+    bag = write_bag(tmp_path / "bag", samples)
+    assert main(["drive", str(bag), *REFERENCE, "--output", str(tmp_path / "out")]) == 3
+    assert "Written" in capsys.readouterr().out

@@ -1,0 +1,101 @@
+"""The guided half minute in virtual time."""
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.doctor.guide import Guide, GuideStep, GuideStepState
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot
+
+PERIOD = 0.01
+
+
+class Person:
+    def __init__(self, spoil=lambda sample: sample):
+        self.ride = Ride(Robot(), np.random.default_rng(1), start=0.0)
+        self.guide = Guide(0.0)
+        self.now = 0.0
+        self.spoil = spoil
+
+    def does(self, seconds, rate=0.0, pitch=0.0):
+        for _ in range(round(seconds / PERIOD)):
+            for sample in self.ride.step(rate, tipping=np.array([0.0, pitch, 0.0])):
+                self.guide.add(self.spoil(sample))
+            self.now += PERIOD
+            self.guide.pass_time(self.now)
+
+    def does_all(self):
+        self.does(6.0)
+        self.does(2.5, rate=0.8)
+        self.does(2.0)
+        self.does(1.0, pitch=-0.35)
+        self.does(2.0)
+
+
+def scaled(factor):
+    def spoil(sample):
+        if isinstance(sample, ImuSample):
+            return sample._replace(rate=tuple(factor * value for value in sample.rate))
+        return sample
+
+    return spoil
+
+
+def in_other_units(sample):
+    if isinstance(sample, FieldSample):
+        return sample._replace(field=tuple(1e6 * value for value in sample.field))
+    return sample._replace(force=tuple(-value / 9.81 for value in sample.force))
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda sample: sample,
+        scaled(-1.0),
+        scaled(57.3),
+        scaled(0.0),
+        scaled(float("nan")),
+        in_other_units,
+    ],
+    ids=["good", "mirrored", "degrees", "dead", "no gyro", "other units"],
+)
+def test_what_is_done_is_seen_whatever_the_sensors_get_wrong(spoil):
+    person = Person(spoil)
+    assert person.guide.current is GuideStep.STAND
+    person.does_all()
+    assert set(person.guide.states.values()) == {GuideStepState.SEEN}
+    assert person.guide.current is None
+    assert person.guide.turned_left is True
+
+
+def test_the_stages_are_asked_for_one_after_the_other():
+    person = Person()
+    person.does(6.0)
+    assert person.guide.current is GuideStep.TURN
+    person.does(0.6, rate=0.8)
+    person.does(3.0)
+    assert person.guide.current is GuideStep.TURN  # 27° are too little
+    person.does(2.0, rate=0.8)
+    assert person.guide.current is GuideStep.TURN  # it has not stopped
+    person.does(2.0)
+    assert person.guide.current is GuideStep.LIFT
+
+
+def test_what_is_not_done_is_given_up_and_told():
+    person = Person()
+    person.does(60.0)
+    person.does(60.0)
+    assert list(person.guide.states.values()) == [
+        GuideStepState.SEEN,
+        GuideStepState.MISSED,
+        GuideStepState.MISSED,
+    ]
+    assert person.guide.turned_left is None
+
+
+def test_silence_is_given_up_too():
+    guide = Guide(0.0)
+    for tick in range(1000):
+        guide.pass_time(0.3 * tick)
+    assert set(guide.states.values()) == {GuideStepState.MISSED}

@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from magcal_ros.core.doctor.health import (
+    alive_finding,
+    field_findings,
+    gravity_size_finding,
+    repeats_finding,
+    stamps_finding,
+)
+
+COUNT = 600
+
+
+@pytest.fixture
+def field():
+    angle = np.linspace(0.0, 7.0, COUNT)
+    noise = np.random.default_rng(1).standard_normal((COUNT, 3))
+    level = np.column_stack([np.cos(angle), -np.sin(angle), np.full(COUNT, 1.5)])
+    return 25e-6 * level + 0.3e-6 * noise
+
+
+@pytest.fixture
+def force():
+    return np.array([0.0, 0.0, 9.8]) + 0.05 * np.random.default_rng(2).standard_normal((COUNT, 3))
+
+
+def found_in(field):
+    return [*field_findings(field), repeats_finding("field", field)]
+
+
+def wrong(findings):
+    return {f.key for f in findings if f.is_wrong}
+
+
+def test_good_streams_are_called_good(field, force):
+    jitter = np.random.default_rng(3).uniform(-4e-3, 4e-3, COUNT)
+    assert not stamps_finding("field", 0.025 * np.arange(COUNT) + jitter).is_wrong
+    assert not wrong(found_in(field))
+    assert not gravity_size_finding(force).is_wrong
+    assert not alive_finding("gyro", force).is_wrong
+
+
+def test_one_gap_is_no_burst():
+    time = 0.025 * np.arange(COUNT) + 3.0 * (np.arange(COUNT) > 300)
+    assert not stamps_finding("field", time).is_wrong
+
+
+@pytest.mark.parametrize("period", [0.2, 1.0])
+def test_stamps_in_bursts_are_named(period):
+    time = np.sort(
+        np.floor(0.025 * np.arange(COUNT) / period) * period + 1e-3 * np.tile(range(40), 15)
+    )
+    found = stamps_finding("field", time)
+    assert found.key == "bursts"
+    assert "bursts" in found.remedy
+
+
+def test_stamps_that_jitter_by_most_of_a_gap_are_named():
+    time = np.sort(0.025 * (np.arange(COUNT) + np.random.default_rng(5).uniform(-3, 3, COUNT)))
+    assert "jitter" in stamps_finding("field", time).remedy
+
+
+def repeated(field):
+    out = field.copy()
+    for row in np.flatnonzero(np.random.default_rng(4).random(COUNT) < 0.12):
+        out[row] = out[max(row - 1, 0)]
+    return out
+
+
+def shifted(field):
+    moved = field + np.array([115e-6, 0.0, 0.0])
+    return np.clip(moved, -130e-6, 130e-6)
+
+
+def dead(field):
+    return field * np.array([1.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("fault", "key", "words"),
+    [
+        (repeated, "repeats", "publishes faster"),
+        (lambda field: np.round(field / 0.6e-6) * 0.6e-6, "resolution", "finer range"),
+        (shifted, "saturation", "x stops at one value"),
+        (dead, "frozen", "y never changes"),
+        (lambda field: field * 1e6, "field_unit", "microtesla"),
+        (lambda field: field * 1e4, "field_unit", "gauss"),
+    ],
+)
+def test_a_fault_of_the_field_is_named_alone(field, fault, key, words):
+    found = {f.key: f for f in found_in(fault(field)) if f.is_wrong}
+    assert set(found) == {key}
+    assert words in found[key].remedy
+
+
+def test_a_robot_that_rests_at_the_top_of_a_coarse_swing_is_not_saturated(field):
+    resting = np.concatenate([np.round(field / 0.6e-6) * 0.6e-6, np.tile(field[:1], (300, 1))])
+    resting[COUNT:, 0] = resting[:, 0].max()
+    assert "saturation" not in wrong(field_findings(resting))
+
+
+def test_coarse_numbers_of_a_quiet_sensor_are_no_repeats():
+    quiet = 20e-6 + 0.1e-6 * np.random.default_rng(6).standard_normal((COUNT, 3))
+    coarse = np.round(quiet / 0.6e-6) * 0.6e-6
+    assert not repeats_finding("field", coarse).is_wrong
+
+
+@pytest.mark.parametrize(("factor", "words"), [(1.0 / 9.8, "g published"), (2.0, "scale")])
+def test_a_wrong_size_of_gravity_is_named(force, factor, words):
+    assert words in gravity_size_finding(factor * force).remedy

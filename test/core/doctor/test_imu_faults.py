@@ -1,0 +1,152 @@
+"""Each fault put on good sensors is named, and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imu_faults_cases import FAULTS, good_case
+
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.geometry.signed_axes import signed_permutations
+
+MOST_SEEN = "half minute"
+
+
+def page_of(case, log=None):
+    return examine(log or case.log, case.knowledge, Told(case.turned_left))
+
+
+def wrong(page):
+    return {finding.key for finding in page.findings if finding.is_wrong}
+
+
+@pytest.mark.parametrize("motion", ["turn", "lift", "half minute", "quarter"])
+def test_nothing_is_said_of_good_sensors(motion):
+    assert wrong(page_of(good_case(np.random.default_rng(11), motion))) == set()
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_named_alone(name):
+    fault, keys = FAULTS[name]
+    rng = np.random.default_rng([5, 1])
+    case = good_case(rng, MOST_SEEN)
+    assert wrong(page_of(case, fault(rng, case.log))) == set(keys)
+
+
+@pytest.mark.parametrize(
+    ("one", "two"),
+    [
+        ("gravity's sign", "gyro z mirrored"),
+        ("degrees for rad", "latency 20-500 ms"),
+        ("rate z as x", "10 % repeats"),
+        ("gyro x, y swapped", "g for m/s²"),
+        ("bursts of 1 s", "gyro y mirrored"),
+    ],
+)
+def test_two_faults_at_once_are_both_named(one, two):
+    rng = np.random.default_rng([5, 2])
+    case = good_case(rng, MOST_SEEN)
+    log = FAULTS[two][0](rng, FAULTS[one][0](rng, case.log))
+    assert wrong(page_of(case, log)) >= {*FAULTS[one][1], *FAULTS[two][1]}
+
+
+@pytest.mark.parametrize("number", [1, 5, 17, 24, 30, 47])
+def test_the_magnetometer_is_blamed_where_gyro_and_accelerometer_agree(number):
+    case = good_case(np.random.default_rng([5, 3]), MOST_SEEN)
+    axes = signed_permutations()[number]
+    page = page_of(case, replace(case.log, field=case.log.field @ axes.T))
+    assert wrong(page) == {"field_axes"}
+
+
+@pytest.mark.parametrize("axes", [np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0])])
+def test_the_accelerometer_is_blamed_where_gyro_and_field_agree(axes):
+    case = good_case(np.random.default_rng([5, 4]), MOST_SEEN)
+    keys = wrong(page_of(case, replace(case.log, force=case.log.force @ axes.T)))
+    assert keys & {"force_axes", "imu_axes", "gravity_sign"}
+    assert not keys & {"gyro_axes", "field_axes"}
+
+
+def test_an_imu_that_lies_upside_down_is_told_from_gravity_of_the_wrong_sign():
+    case = good_case(np.random.default_rng([5, 5]), MOST_SEEN)
+    over = np.diag([1.0, -1.0, -1.0])
+    turned = replace(
+        case.log,
+        force=case.log.force @ over,
+        rate=case.log.rate @ over,
+        field=case.log.field @ over,
+    )
+    assert wrong(page_of(case, turned)) == {"imu_axes"}
+    assert wrong(page_of(case, replace(case.log, force=-case.log.force))) == {"gravity_sign"}
+
+
+def test_what_a_level_turn_cannot_tell_names_both_and_the_movement():
+    for seed in range(6):
+        case = good_case(np.random.default_rng([6, seed]), "turn")
+        mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
+        lines = {f.key: f for f in page_of(case, mirrored).findings if f.is_wrong}
+        assert "gyro_axes" in lines
+        if "field_axes" in lines:
+            assert "lift the nose" in lines["field_axes"].remedy
+            return
+    pytest.fail("every floor leaned enough to tell")
+
+
+@pytest.mark.parametrize("lag", [-0.2, -0.04, 0.04, 0.3])
+def test_latency_is_measured(lag):
+    case = good_case(np.random.default_rng([5, 6]), MOST_SEEN)
+    late = replace(case.log, field_time=case.log.field_time + lag)
+    (found,) = [f for f in page_of(case, late).findings if f.key == "latency"]
+    assert found.is_wrong
+    milliseconds = float(found.evidence.split(" is ")[1].split(" ")[0])
+    assert milliseconds == pytest.approx(lag * 1e3, abs=12.0)
+
+
+def test_a_field_that_steps_with_the_motors_is_named():
+    case = good_case(np.random.default_rng([5, 7]), MOST_SEEN)
+    log = case.log
+    moving = np.linalg.norm(log.rate, axis=1) > 0.1
+    on = np.interp(log.field_time, log.imu_time, moving.astype(float)) > 0.5
+    current = replace(log, field=log.field + np.outer(on, [3e-6, -2e-6, 4e-6]))
+    assert "motors" in wrong(page_of(case, current))
+
+
+def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():
+    case = good_case(np.random.default_rng([5, 8]), MOST_SEEN)
+    blind = replace(case.log, rate=np.full_like(case.log.rate, np.nan), force=-case.log.force)
+    lines = {f.key: f for f in page_of(case, blind).findings if f.is_wrong}
+    assert set(lines) == {"no_gyro", "gravity_sign"}
+    assert "drive straight" in lines["no_gyro"].remedy
+
+
+def test_little_and_still_logs_are_no_crash_and_no_blame():
+    case = good_case(np.random.default_rng([5, 9]), MOST_SEEN)
+    log = case.log
+    still = replace(
+        log,
+        imu_time=log.imu_time[:200],
+        force=log.force[:200],
+        rate=log.rate[:200],
+        field_time=log.field_time[:80],
+        field=log.field[:80],
+    )
+    assert wrong(page_of(case, still)) == set()
+    for count in (0, 1, 2, 5):
+        short = replace(
+            log,
+            imu_time=log.imu_time[:count],
+            force=log.force[:count],
+            rate=log.rate[:count],
+            field_time=log.field_time[:count],
+            field=log.field[:count],
+        )
+        assert wrong(page_of(case, short)) == set()
+
+
+def test_the_mounting_that_mends_is_offered_alone():
+    rng = np.random.default_rng([5, 10])
+    case = good_case(rng, MOST_SEEN)
+    ned = replace(case.log, field=case.log.field * np.array([1.0, -1.0, -1.0]))
+    assert page_of(case, ned).parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
+    mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
+    assert page_of(case, mirrored).parameters == ""

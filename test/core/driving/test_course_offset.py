@@ -1,0 +1,202 @@
+"""The compass against course: streets are the witnesses, and nothing else is taken for one."""
+
+import math
+
+import numpy as np
+import pytest
+from follow_drive import ROBOT, driven, follow
+
+from magcal_ros.core.driving.chords import Chord
+from magcal_ros.core.driving.course_cells import CourseCells
+from magcal_ros.core.driving.course_offset import fit_course_offset
+from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.monitoring.course_check import accusation, check_by_course
+from magcal_ros.core.simulation.drive import Fence, Vehicle
+from magcal_ros.core.simulation.legs import (
+    Leg,
+    circles,
+    city,
+    joined,
+    one_street,
+    reversing,
+    standing,
+)
+from magcal_ros.core.simulation.reckoning import Receiver
+from magcal_ros.core.simulation.street_field import StreetField, Streets
+
+TUNING = CourseTuning()
+LEVEL = 21e-6
+"""Tesla of the level field that the streets of these tests bend."""
+
+
+def chord(east, north, course, gap, sigma=0.05, stamp=0.0):
+    return Chord(stamp, east, north, course, math.remainder(gap, math.tau), 0.0, sigma, 10.0)
+
+
+def bent(street, places):
+    return -street.at(np.asarray(places, dtype=float))[:, 0] / LEVEL
+
+
+def fitted(chords):
+    cells = CourseCells()
+    for each in chords:
+        cells.add(each)
+    return fit_course_offset(cells.table(), TUNING)
+
+
+def walk(rng, metres, street, offset=0.2, noise=0.05, iid=0.0):
+    """Chords of a walk through blocks of 120 m, every 20 m of way."""
+    place, course, chords = np.zeros(2), 0.0, []
+    for _ in range(int(metres / 120.0)):
+        ahead = np.array([math.cos(course), math.sin(course)])
+        places = place + np.arange(10.0, 120.0, 20.0)[:, None] * ahead
+        gaps = offset + bent(street, places) + noise * rng.standard_normal(len(places))
+        gaps += iid * rng.standard_normal(len(places))
+        chords += [chord(*p, course, g) for p, g in zip(places, gaps, strict=True)]
+        place = place + 120.0 * ahead
+        course += rng.choice([-1.0, 0.0, 1.0]) * 0.5 * math.pi
+    return chords
+
+
+def honesty(metres, drives, **options):
+    """RMS error in degrees, and the mean of its square over the said variance."""
+    errors, sigmas = [], []
+    for seed in range(drives):
+        rng = np.random.default_rng(seed)
+        street = StreetField(Streets(size=options.get("size", 3e-6), waves=80), rng)
+        found = fitted(walk(rng, metres, street, iid=options.get("iid", 0.0)))
+        errors.append(found.offset - 0.2)
+        sigmas.append(found.sigma)
+    errors = np.array(errors)
+    return np.degrees(np.sqrt(np.mean(errors**2))), np.mean((errors / sigmas) ** 2)
+
+
+@pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.5), (2000.0, 1.5)])
+def test_it_is_as_right_as_the_streets_allow_and_says_so(metres, bound):
+    rms, nees = honesty(metres, 30)
+    assert rms < bound
+    assert 0.2 < nees < 2.5
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(("metres", "bound"), [(500.0, 2.0), (2000.0, 1.0)])
+def test_over_two_hundred_drives(metres, bound):
+    rms, nees = honesty(metres, 200)
+    assert rms < bound
+    assert 0.5 < nees < 2.0
+
+
+@pytest.mark.nightly
+def test_plain_noise_instead_of_streets_is_not_believed_too_little_either():
+    _, nees = honesty(1000.0, 200, size=1e-9, iid=math.radians(8.0))
+    assert 0.25 < nees < 2.0
+
+
+def again_and_again(seed, times, back):
+    rng = np.random.default_rng(seed)
+    street = StreetField(Streets(waves=80), rng)
+    chords = []
+    for time in range(times):
+        west = back and time % 2
+        across = 3.0 if west else 0.0
+        places = [(x + rng.uniform(0.0, 5.0), across) for x in np.arange(5.0, 200.0, 12.0)]
+        places = places[::-1] if west else places
+        gaps = bent(street, places) + 0.05 * rng.standard_normal(len(places))
+        course = math.pi if west else 0.0
+        chords += [chord(*p, course, g) for p, g in zip(places, gaps, strict=True)]
+    return fitted(chords).sigma
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_one_street_driven_twenty_times_is_one_street(back):
+    ratios = [again_and_again(seed, 20, back) / again_and_again(seed, 1, back) for seed in range(8)]
+    assert np.median(ratios) > 0.9
+    assert min(ratios) > 0.8
+
+
+def test_a_street_alone_gives_no_offset_that_would_be_applied():
+    assert again_and_again(1, 20, True) > math.radians(3.0)
+
+
+def test_the_grid_stays_small_on_a_long_way():
+    rng = np.random.default_rng(1)
+    cells = CourseCells()
+    for east, north in np.cumsum(rng.normal(0.0, 30.0, (6000, 2)), axis=0).tolist():
+        cells.add(chord(east, north, rng.uniform(-3.0, 3.0), 0.1))
+    assert len(cells) <= TUNING.most_cells
+    assert cells.table().count.sum() == 6000
+    assert cells.side > TUNING.cell
+    assert fit_course_offset(cells.table(), TUNING).offset == pytest.approx(0.1, abs=0.02)
+
+
+def test_hard_iron_swings_once_around_and_accuses_the_calibration():
+    rng = np.random.default_rng(2)
+    street = StreetField(Streets(waves=80), rng)
+    chords = [
+        each._replace(gap=each.gap + math.radians(9.0) * math.cos(each.course - 1.0))
+        for each in walk(rng, 3000.0, street)
+    ]
+    found = fitted(chords)
+    swing, sigmas = found.swing(1)
+    assert math.degrees(swing) == pytest.approx(9.0, abs=2.5)
+    assert sigmas > 4.0
+    words = accusation(check_by_course(found))
+    assert "made where the field was bent: heading swings once around by" in words
+    assert accusation(check_by_course(fitted(walk(rng, 3000.0, street)))) == ""
+    assert check_by_course(None) == ()
+
+
+def gap_deg(found, true):
+    return math.degrees(math.remainder(found.offset - true, math.tau))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.6, 6.0])
+def test_late_fixes_do_no_harm_on_straight_ways(delay):
+    legs = city(np.random.default_rng(3), 150.0)
+    drive = driven(legs, 3, Vehicle(ROBOT, imu_yaw=0.1), receiver=Receiver(delay=delay))
+    found = follow(drive).fit_course()
+    if delay < 6.0:
+        assert found.sigma < math.radians(4.0)
+    assert found is None or abs(gap_deg(found, 0.1)) < 3.0 * math.degrees(found.sigma)
+
+
+@pytest.mark.parametrize("legs", [circles(120.0), standing(120.0)])
+def test_tight_circles_and_standing_tell_nothing(legs):
+    assert follow(driven(legs, 4)).fit_course() is None
+
+
+def test_walking_pace_by_poor_fixes_is_refused():
+    legs = city(np.random.default_rng(5), 150.0, fastest=1.2)
+    assert follow(driven(legs, 5, receiver=Receiver(noise=0.5))).fit_course() is None
+
+
+def test_a_boat_that_drifts_about_is_refused():
+    """The current takes it along while it looks about: the course is not the heading."""
+    rng = np.random.default_rng(6)
+    legs = [Leg(float(rng.uniform(4.0, 8.0)), 0.0, 0.0, rng.normal(0.0, 0.04)) for _ in range(40)]
+    drive = driven(legs, 6, current=(2.5, 0.5), wheels=None)
+    travelling = follow(drive)
+    assert travelling.drift.is_drifting
+    assert travelling.fit_course() is None
+
+
+def test_backwards_half_of_the_time_turns_the_offset_by_nothing():
+    rng = np.random.default_rng(7)
+    legs = joined(city(rng, 120.0), reversing(rng, 8))
+    drive = driven(legs, 7, Vehicle(ROBOT, imu_yaw=0.1))
+    found = follow(drive).fit_course()
+    assert abs(gap_deg(found, 0.1)) < 3.0 * math.degrees(found.sigma)
+
+
+def test_steel_on_one_side_of_one_way_is_within_what_is_said():
+    fence = Fence((0.0, 6e-6, 0.0), heading=0.3)
+    drive = driven(one_street(6, 250.0), 8, fences=(fence,))
+    found = follow(drive).fit_course()
+    assert abs(gap_deg(found, 0.0)) < 2.5 * math.degrees(found.sigma)
+
+
+def test_an_outage_and_houses_leave_an_honest_offset():
+    receiver = Receiver(multipath=0.03, outages=((40.0, 80.0),))
+    legs = city(np.random.default_rng(9), 200.0)
+    found = follow(driven(legs, 9, receiver=receiver)).fit_course()
+    assert abs(gap_deg(found, 0.0)) < 3.0 * math.degrees(found.sigma)

@@ -1,0 +1,108 @@
+"""Which is askew: the IMU in the vehicle, the magnetometer against it, or the declination."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.front import Declination, VehicleYaw, where_is_the_front
+from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.heading.mended_pose import mend
+
+DEGREE = math.pi / 180.0
+EAST = Declination(9.0 * DEGREE, 0.5 * DEGREE)
+
+
+def mounting(yaw_deg, sigma_deg=0.5):
+    return MountingYaw(yaw_deg * DEGREE, sigma_deg * DEGREE, 1.0, 0.0, 0.9, 90.0, 90.0, 200.0, 0.1)
+
+
+def course(offset_deg, sigma_deg=1.0):
+    covariance = np.eye(5) * (sigma_deg * DEGREE) ** 2
+    return CourseOffset(
+        offset_deg * DEGREE, sigma_deg * DEGREE, np.zeros(4), covariance, 0.07, 80, 900.0, 8
+    )
+
+
+def test_an_askew_imu_shows_in_both_and_they_are_weighed():
+    front = where_is_the_front(mounting(5.0), course(9.0 + 6.0), EAST)
+    assert front.suspicion == ""
+    assert 5.0 < math.degrees(front.yaw.offset) < 5.5
+    assert front.yaw.sigma < 0.5 * DEGREE
+    assert "to the left of the vehicle's front, by accelerations and course" in front.words
+
+
+def test_a_turned_magnetometer_is_told_from_an_askew_imu():
+    front = where_is_the_front(mounting(5.0), course(9.0 + 5.0 + 12.0), EAST)
+    assert math.degrees(front.yaw.offset) == pytest.approx(5.0)
+    assert front.yaw.source == "accelerations"
+    assert "the magnetometer is turned against the IMU" in front.suspicion
+    assert "+12.0" in front.suspicion
+
+
+def test_the_wrong_sign_of_a_declination_is_named():
+    """It is -9 degrees in truth: the compass reads 9 less than it is corrected by, twice."""
+    front = where_is_the_front(mounting(5.0), course(-9.0 + 5.0), EAST)
+    assert "its sign is wrong" in front.suspicion
+    assert "reference.declination_deg: -9.0" in front.suspicion
+
+
+def test_an_unknown_declination_is_guessed_and_accuses_nobody():
+    front = where_is_the_front(mounting(5.0), course(-9.0 + 5.0), Declination())
+    assert front.yaw.source == "accelerations"
+    assert "the declination is about -9°" in front.suspicion
+    assert where_is_the_front(None, course(3.0), Declination()).yaw is None
+
+
+def test_course_alone_gives_the_front_where_true_north_is_known():
+    front = where_is_the_front(None, course(9.0 - 20.0, 1.2), EAST)
+    assert math.degrees(front.yaw.offset) == pytest.approx(-20.0)
+    assert math.degrees(front.yaw.sigma) == pytest.approx(1.3)
+    assert "20.0° ± 1.3° to the right" in front.words
+
+
+def test_a_course_that_tells_nothing_is_not_asked():
+    front = where_is_the_front(mounting(5.0), course(120.0, 15.0), EAST)
+    assert front.suspicion == ""
+    assert front.yaw.source == "accelerations"
+
+
+def test_across_the_turn_of_180_degrees_nothing_breaks():
+    front = where_is_the_front(mounting(179.8), course(9.0 - 179.6), EAST)
+    assert abs(math.degrees(front.yaw.offset)) > 179.0
+
+
+def yaw_deg(pose):
+    return math.degrees(rpy_from_rotation(pose)[2])
+
+
+class TestMended:
+    DESCRIBED = rotation_from_rpy(0.02, -0.03, 0.1)
+
+    def found(self, degrees, sigma=0.5):
+        return VehicleYaw(degrees * DEGREE, sigma * DEGREE, "accelerations")
+
+    def test_a_yaw_found_by_driving_mends_the_described_one(self):
+        mended = mend(self.DESCRIBED, None, self.found(10.0))
+        assert yaw_deg(mended.pose) == pytest.approx(10.0)
+        assert rpy_from_rotation(mended.pose)[:2] == pytest.approx((0.02, -0.03))
+        assert mended.contradiction == ""
+
+    def test_a_poor_one_does_not(self):
+        assert mend(self.DESCRIBED, None, self.found(10.0, 2.5)).pose is self.DESCRIBED
+
+    def test_one_far_from_the_description_is_said_and_not_used(self):
+        mended = mend(self.DESCRIBED, None, self.found(90.0))
+        assert mended.pose is self.DESCRIBED
+        assert "mend its joint" in mended.contradiction
+
+    def test_by_hand_wins_and_a_contradiction_is_said(self):
+        mended = mend(self.DESCRIBED, 20.0 * DEGREE, self.found(10.0))
+        assert yaw_deg(mended.pose) == pytest.approx(20.0)
+        assert "vehicle_yaw_deg says 20.0°, which is used" in mended.contradiction
+        assert mend(self.DESCRIBED, 10.5 * DEGREE, self.found(10.0)).contradiction == ""
+
+    def test_without_a_description_there_is_nothing_to_mend(self):
+        assert mend(None, 0.3, self.found(10.0)).pose is None

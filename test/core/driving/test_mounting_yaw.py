@@ -1,0 +1,163 @@
+"""The yaw of the IMU in the vehicle from force and speed, and what must not fool it."""
+
+import math
+
+import numpy as np
+import pytest
+from follow_drive import ROBOT, driven, follow
+
+from magcal_ros.core.driving.driving_tuning import SpeedSource
+from magcal_ros.core.driving.mounting_watch import SpeedFault, fault_words
+from magcal_ros.core.simulation.drive import Vehicle
+from magcal_ros.core.simulation.legs import (
+    Leg,
+    circles,
+    city,
+    joined,
+    motorway,
+    parking,
+    reversing,
+    standing,
+)
+from magcal_ros.core.simulation.reckoning import Receiver, Wheels
+
+DEGREE = math.pi / 180.0
+ODOMETRY, VELOCITY, FIXES = SpeedSource
+
+
+def city_legs(seed, seconds=150.0):
+    return city(np.random.default_rng(seed), seconds)
+
+
+def error(found, true):
+    return math.degrees(math.remainder(found.yaw - true, math.tau))
+
+
+@pytest.mark.parametrize("yaw_deg", [-170.0, -30.0, 4.0, 90.0])
+def test_it_is_found_wherever_the_imu_looks(yaw_deg):
+    vehicle = Vehicle(ROBOT, imu_yaw=yaw_deg * DEGREE, imu_roll=0.1, imu_ahead=1.2)
+    found = follow(driven(city_legs(2), 2, vehicle)).known_mounting
+    assert found is not None
+    assert abs(error(found, vehicle.imu_yaw)) < 3.0 * math.degrees(found.sigma)
+    assert math.degrees(found.sigma) < 1.2
+    assert found.scale == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("receiver", [Receiver(speed_noise=0.1), Receiver(multipath=0.02)])
+def test_a_receiver_is_enough(receiver):
+    vehicle = Vehicle(ROBOT, imu_yaw=0.5)
+    drive = driven(city_legs(3), 3, vehicle, wheels=None, receiver=receiver)
+    found = follow(drive).known_mounting
+    assert abs(error(found, 0.5)) < 3.0 * math.degrees(found.sigma)
+
+
+@pytest.mark.nightly
+def test_after_four_minutes_it_is_right_within_a_degree_and_says_so():
+    errors, sigmas = [], []
+    for seed in range(40):
+        yaw = np.random.default_rng(seed).uniform(-math.pi, math.pi)
+        vehicle = Vehicle(ROBOT, imu_yaw=yaw, imu_ahead=seed % 3 - 0.5)
+        found = follow(driven(city_legs(seed, 240.0), seed, vehicle)).known_mounting
+        errors.append(error(found, yaw))
+        sigmas.append(math.degrees(found.sigma))
+    assert np.sqrt(np.mean(np.square(errors))) < 1.0
+    assert 0.3 < np.mean(np.square(np.divide(errors, sigmas))) < 2.0
+
+
+def test_one_circle_and_standing_are_not_called_known_to_a_degree():
+    """The lever arm turns the pull of an even circle by as much as an askew IMU."""
+    circling = driven(circles(90.0), 4, Vehicle(ROBOT, imu_yaw=0.2, imu_ahead=1.0))
+    found = follow(circling).known_mounting
+    assert found is None or abs(error(found, 0.2)) < 3.0 * math.degrees(found.sigma)
+    assert found is None or found.sigma > 1.5 * DEGREE
+    assert follow(driven(standing(120.0), 4)).known_mounting is None
+
+
+def test_a_motorway_without_starts_says_little():
+    legs = motorway(np.random.default_rng(1), 100.0)
+    found = follow(driven(legs, 5, Vehicle(ROBOT, imu_yaw=0.2))).known_mounting
+    assert found is None or abs(error(found, 0.2)) < 3.0 * math.degrees(found.sigma)
+
+
+@pytest.mark.parametrize(
+    ("wheels", "fault", "words"),
+    [
+        (Wheels(scale=3.6), SpeedFault.SCALE, "km/h"),
+        (Wheels(scale=0.5), SpeedFault.SCALE, "0.5"),
+        (Wheels(delay=4.0), SpeedFault.LATE, "late by 4"),
+        (Wheels(jumps=0.1), SpeedFault.JUMPS, "jumps"),
+        (Wheels(frozen_from=1.0), SpeedFault.FROZEN, "stuck"),
+    ],
+)
+def test_wrong_odometry_is_found_named_and_replaced_by_the_receiver(wheels, fault, words):
+    vehicle = Vehicle(ROBOT, imu_yaw=0.3)
+    travelling = follow(driven(city_legs(6), 6, vehicle, wheels=wheels))
+    watch = travelling.mounting
+    assert watch.faults[ODOMETRY] is fault
+    assert words in fault_words("/odom", fault, watch.seen[ODOMETRY])
+    assert travelling.source is FIXES
+    found = travelling.known_mounting
+    assert abs(error(found, 0.3)) < 3.0 * math.degrees(found.sigma)
+
+
+def test_odometry_that_freezes_on_the_way_is_given_up():
+    drive = driven(city_legs(7, 200.0), 7, wheels=Wheels(frozen_from=110.0))
+    assert ODOMETRY in follow(drive).mounting.faults
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.6, 2.0])
+def test_the_latency_of_a_speed_is_measured(delay):
+    wheels = Wheels(delay=delay)
+    travelling = follow(driven(city_legs(8), 8, wheels=wheels, receiver=None))
+    assert travelling.speedometer.tracks[ODOMETRY].delay == pytest.approx(delay, abs=0.2)
+
+
+def directions(drive, after):
+    """Signs of travel at the ends of trips: what was taken for it, and the truth."""
+    ends = np.flatnonzero(
+        (np.abs(drive.truth.speed[:-1]) > 0.8) & (np.abs(drive.truth.speed[1:]) <= 0.8)
+    )
+    moments = iter([t for t in drive.time[ends] if t > drive.time[0] + after])
+    true, taken = [], []
+    moment = next(moments)
+
+    def watch(travelling, stamp):
+        nonlocal moment
+        if stamp >= moment:
+            true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
+            taken.append(travelling.direction)
+            moment = next(moments, math.inf)
+
+    follow(drive, watch=watch)
+    return np.array(true), np.array(taken)
+
+
+def test_backwards_is_known_by_the_force_where_the_speed_has_no_sign():
+    rng = np.random.default_rng(9)
+    legs = joined(city(rng, 100.0), reversing(rng, 12, share=0.5))
+    drive = driven(legs, 9, Vehicle(ROBOT, imu_yaw=0.4), wheels=Wheels(is_signed=False))
+    true, taken = directions(drive, 100.0)
+    assert len(true) > 8
+    assert (true < 0.0).any()
+    assert (true == taken).all()
+
+
+@pytest.mark.nightly
+def test_no_direction_of_travel_is_wrong_in_a_thousand_trips():
+    wrong = trips = 0
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        legs = joined(city(rng, 100.0), reversing(rng, 20), parking(rng))
+        drive = driven(legs, seed, Vehicle(ROBOT, imu_yaw=0.4), wheels=Wheels(is_signed=False))
+        true, taken = directions(drive, 100.0)
+        trips, wrong = trips + len(true), wrong + int((true != taken).sum())
+    assert trips > 1000
+    assert wrong == 0
+
+
+def test_a_parking_place_turns_nothing_round():
+    rng = np.random.default_rng(10)
+    legs = joined(city(rng, 120.0), parking(rng), [Leg(5.0)])
+    vehicle = Vehicle(ROBOT, imu_yaw=-0.3)
+    found = follow(driven(legs, 10, vehicle, wheels=Wheels(is_signed=False))).known_mounting
+    assert abs(error(found, -0.3)) < 3.0 * math.degrees(found.sigma)

@@ -1,0 +1,102 @@
+"""Up is right in starts, stops and bends where a speed is told, and never worse by a wrong one."""
+
+import math
+
+import numpy as np
+import pytest
+from follow_drive import ROBOT, driven, tilts
+
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.simulation.drive import Vehicle
+from magcal_ros.core.simulation.legs import circles, city
+from magcal_ros.core.simulation.reckoning import Receiver, Wheels
+
+VEHICLE = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
+KINDS = {
+    "odometry": {"receiver": None},
+    "velocity": {"wheels": None, "receiver": Receiver(speed_noise=0.1)},
+    "fixes": {"wheels": None, "receiver": Receiver()},
+}
+
+
+def city_legs(seed, seconds=150.0):
+    return city(np.random.default_rng(seed), seconds)
+
+
+@pytest.mark.parametrize(("kind", "bound"), [("odometry", 2.0), ("velocity", 3.0), ("fixes", 3.5)])
+def test_stop_and_go_does_not_tilt_it(kind, bound):
+    drive = driven(city_legs(1), 1, VEHICLE, **KINDS[kind])
+    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    assert np.percentile(with_it, 90) < bound
+    assert np.percentile(with_it, 90) < 0.6 * np.percentile(without, 90)
+
+
+@pytest.mark.parametrize(
+    "wheels",
+    [
+        Wheels(scale=3.6),
+        Wheels(delay=3.0),
+        Wheels(jumps=0.1),
+        Wheels(frozen_from=40.0),
+        Wheels(frozen_from=0.0),
+        Wheels(is_signed=False),
+    ],
+)
+def test_wrong_odometry_makes_it_no_worse(wheels):
+    drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
+    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    rms = [math.sqrt(np.mean(np.square(each))) for each in (with_it, without)]
+    assert rms[0] < 1.1 * rms[1]
+
+
+def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
+    drive = driven(city_legs(3), 3, Vehicle(ROBOT, imu_yaw=3.0), receiver=None)
+    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    assert np.percentile(with_it, 90) < np.percentile(without, 90)
+
+
+def test_a_circle_by_fixes_alone_is_left_to_the_gyro():
+    drive = driven(circles(60.0), 4, VEHICLE, **KINDS["fixes"])
+    with_it, without = tilts(drive, Travelling()), tilts(drive)
+    assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.3
+
+
+def test_nothing_is_done_where_nobody_tells_a_speed():
+    travelling = Travelling()
+    assert travelling.add_imu(ImuSample(1.0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.1)), (0.0,) * 3) is None
+    assert not travelling.is_heard
+
+
+@pytest.mark.parametrize("wild", [math.nan, math.inf, -math.inf, 1e300])
+def test_nonsense_is_left_out(wild):
+    travelling = Travelling()
+    drive = driven(city_legs(5, 20.0), 5, VEHICLE)
+    for count, sample in enumerate(drive.samples()):
+        if isinstance(sample, ImuSample):
+            own = travelling.add_imu(sample, (0.0,) * 3)
+            assert own is None or math.isfinite(sum(own))
+        if count % 50 == 0:
+            travelling.add_speed(SpeedSample(sample.stamp, wild))
+            travelling.add_velocity(VelocitySample(sample.stamp, wild, 0.0, 0.1))
+            travelling.add_position(PositionSample(sample.stamp, 0.0, wild))
+            travelling.add_speed(SpeedSample(wild, 3.0))
+        if isinstance(sample, SpeedSample):
+            travelling.add_speed(sample)
+            # A stamp that goes back says nothing new.
+            travelling.add_speed(sample._replace(stamp=sample.stamp - 1.0, speed=50.0))
+    assert travelling.speedometer.track is not None
+
+
+def test_time_that_is_set_back_starts_anew():
+    travelling = Travelling()
+    drive = driven(city_legs(6, 40.0), 6, VEHICLE)
+    for _ in range(2):
+        for sample in drive.samples():
+            if isinstance(sample, ImuSample):
+                own = travelling.add_imu(sample, (0.0,) * 3)
+                assert own is None or max(map(abs, own)) < 20.0
+            elif isinstance(sample, SpeedSample):
+                travelling.add_speed(sample)
+    assert travelling.takes_off

@@ -1,0 +1,68 @@
+"""Follows a simulated drive as the node does, with a compass that knows up and its calibration."""
+
+import numpy as np
+
+from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.up import UpFollower
+
+ROBOT = Robot(noise_force=0.05, noise_rate=2e-3, noise_field=0.3e-6)
+
+
+def driven(legs, seed=1, vehicle=None, rate=25.0, heading=0.3, current=(0.0, 0.0), **options):
+    """Return a simulated drive."""
+    rng = np.random.default_rng(seed)
+    truth = travel(legs, rng, rate=rate, heading=heading, current=current)
+    return simulated_drive(truth, rng, vehicle or Vehicle(ROBOT), **options)
+
+
+def follow(drive, travelling=None, watch=lambda travelling, stamp: None, added=0.0):
+    """Show everything to a `Travelling`; returns it. `added` turns the compass, radians."""
+    travelling = travelling or Travelling()
+    field = drive.correction_at(drive.time[0]).apply(drive.field)
+    yaws = iter((yaw_from_up_and_field(drive.up, field) + added).tolist())
+    for sample in drive.samples():
+        kind = type(sample)
+        if kind is ImuSample:
+            travelling.add_imu(sample, (0.0, 0.0, 0.0))
+            watch(travelling, sample.stamp)
+        elif kind is FieldSample:
+            travelling.add_yaw(next(yaws))
+        elif kind is SpeedSample:
+            travelling.add_speed(sample)
+        elif kind is PositionSample:
+            travelling.add_position(sample)
+        else:
+            travelling.add_velocity(sample)
+    return travelling
+
+
+def tilts(drive, travelling=None):
+    """Return by how much an up that is told the own acceleration is off, degrees."""
+    follower, found = UpFollower(), []
+    for sample in drive.samples():
+        kind = type(sample)
+        if kind is ImuSample:
+            own = None
+            if travelling is not None:
+                own = travelling.add_imu(sample, follower.gyro_bias.rate)
+            follower.add(sample, own)
+            found.append(follower.newest)
+        elif kind is FieldSample:
+            follower.add_field(sample.stamp, sample.field)
+        elif travelling is None:
+            continue
+        elif kind is SpeedSample:
+            travelling.add_speed(sample)
+        elif kind is PositionSample:
+            travelling.add_position(sample)
+        else:
+            travelling.add_velocity(sample)
+    ups = np.array(found)
+    ups /= np.linalg.norm(ups, axis=1)[:, None]
+    return np.degrees(np.arccos(np.clip(np.sum(ups * drive.up, axis=1), -1.0, 1.0)))

@@ -1,0 +1,257 @@
+"""A calibration that keeps itself: what is believed, proved, put in force and taken back."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.keeping.candidates import (
+    DriveCandidate,
+    Kind,
+    difference,
+    heading_sigma,
+)
+from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.jobs import Findings, run
+from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.simulation.drive import Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import Leg, city
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+
+BOSTON = knowledge_of(51.3, inclination_deg=66.3)
+ROBOT = Robot(
+    strength=51.3e-6,
+    inclination=math.radians(66.3),
+    noise_force=0.05,
+    noise_rate=2e-3,
+    noise_field=0.3e-6,
+)
+LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
+PROVED = Proof(60.0, 0, 0.0, 0.0, 20.0, (9.0, 11.0))
+
+
+def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_likelihood"):
+    """The true one with another hard iron, tesla, and a heading sigma, radians."""
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
+    correction = Vehicle(ROBOT).with_iron(np.array(iron)).robot.true_correction
+    evidence = Evidence(method, "good", "good", "")
+    return Calibration(
+        correction, covariance, 5e-7, 0.01, ROBOT.strength, ROBOT.inclination, evidence
+    )
+
+
+def candidate(iron, end, kind=Kind.ALL, sigma=math.radians(2.0), sectors=9):
+    found = calibration(iron, sigma, "smoother")
+    return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
+
+
+def findings(clock, *candidates, since=None, **proofs):
+    return Findings(clock, candidates, since, proofs)
+
+
+class Keeper:
+    """A machine that is told findings as if it had asked for them."""
+
+    def __init__(self, in_force=None, mode=Mode.APPLY):
+        self.machine = SelfCalibration(mode)
+        self.machine.put_in_force(in_force)
+
+    def note(self, found):
+        self.machine.job(BOSTON)
+        made = self.machine.note(found)
+        for decision in made:
+            if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+                self.machine.put_in_force(decision.calibration)
+        return [decision.verb for decision in made]
+
+
+FAR = (6e-6, 0.0, 0.0)
+
+
+def test_headings_differ_by_the_iron_over_the_level_field():
+    apart = difference(calibration(), calibration((0.5e-6, 0.0, 0.0)))
+    assert apart == pytest.approx(0.5e-6 / LEVEL / math.sqrt(2.0), rel=0.05)
+    assert heading_sigma(calibration(sigma=0.02)) == pytest.approx(0.02, rel=0.1)
+
+
+def test_two_windows_that_agree_begin_where_nothing_was_in_force():
+    keeper = Keeper()
+    assert keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0))) == [Verb.PROBATION]
+    assert keeper.note(findings(140.0, candidate((0.4e-6, 0.0, 0.0), 140.0))) == [Verb.APPLIED]
+
+
+def test_two_windows_that_disagree_begin_nothing():
+    keeper = Keeper()
+    keeper.note(findings(120.0, candidate((0.0, 0.0, 0.0), 120.0)))
+    assert keeper.note(findings(140.0, candidate(FAR, 140.0))) == []
+    assert keeper.note(findings(160.0, candidate(FAR, 160.0))) == [Verb.APPLIED]
+
+
+@pytest.mark.parametrize("bad", [{"sigma": math.radians(4.0)}, {"sectors": 5}])
+def test_a_candidate_that_saw_too_little_is_not_believed(bad):
+    keeper = Keeper()
+    for clock in (120.0, 140.0, 160.0):
+        assert keeper.note(findings(clock, candidate(FAR, clock, **bad))) == []
+
+
+def test_a_candidate_that_differs_is_proved_first():
+    keeper = Keeper(calibration())
+    assert keeper.note(findings(120.0, candidate(FAR, 120.0))) == [Verb.PROBATION]
+    assert keeper.note(findings(140.0, all=Proof(20.0))) == []
+    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.APPLIED]
+    assert keeper.machine.before[-1].correction is not None
+
+
+def test_what_is_not_proved_within_its_time_is_dropped():
+    keeper = Keeper(calibration())
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    assert keeper.note(findings(310.0, all=Proof(190.0))) == [Verb.DROPPED]
+
+
+def test_what_agrees_mends_nothing():
+    keeper = Keeper(calibration())
+    assert keeper.note(findings(120.0, candidate((0.3e-6, 0.0, 0.0), 120.0))) == []
+
+
+def test_the_old_one_comes_back_when_it_was_better():
+    old = calibration()
+    keeper = Keeper(old)
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    keeper.note(findings(180.0, all=PROVED))
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
+    assert keeper.machine.decisions[-1].calibration.correction is old.correction
+    assert keeper.note(findings(280.0, **{TRIAL: PROVED})) == []
+
+
+def test_a_trial_ends():
+    keeper = Keeper(calibration())
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    keeper.note(findings(180.0, all=PROVED))
+    assert keeper.note(findings(500.0, **{TRIAL: Proof(310.0)})) == [Verb.CONFIRMED]
+
+
+def test_a_proposal_waits_for_a_word():
+    old = calibration()
+    keeper = Keeper(old, Mode.PROPOSE)
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    assert keeper.note(findings(180.0, all=PROVED)) == [Verb.PROPOSED]
+    machine = keeper.machine
+    assert machine.proposal is machine.decisions[-1].calibration
+    assert "accept" in machine.in_words
+    machine.put_in_force(machine.proposal.on_users_word())
+    assert machine.proposal is None
+    assert keeper.note(findings(260.0, **{TRIAL: PROVED})) == [Verb.PROPOSED]
+    assert machine.proposal.correction is old.correction
+
+
+def test_findings_of_another_calibration_do_not_count():
+    keeper = Keeper()
+    machine = keeper.machine
+    keeper.note(findings(120.0, candidate(FAR, 120.0)))
+    machine.job(BOSTON)
+    machine.put_in_force(calibration())
+    assert machine.note(findings(140.0, candidate(FAR, 140.0))) == []
+
+
+def test_only_so_many_are_kept():
+    keeper = Keeper(calibration())
+    for number in range(6):
+        keeper.machine.put_in_force(calibration((number * 1e-6, 0.0, 0.0)))
+    assert len(keeper.machine.before) == 3
+
+
+def test_a_lost_job_is_asked_for_again():
+    machine = SelfCalibration()
+    machine.job(BOSTON)
+    machine.fail()
+    assert machine.note(findings(120.0, candidate(FAR, 120.0))) == []
+    machine.job(BOSTON)
+    assert machine.note(findings(140.0, candidate(FAR, 140.0))) != []
+
+
+@pytest.mark.parametrize(
+    ("proof", "stands"),
+    [
+        (Proof(), False),
+        (PROVED, True),
+        (dataclasses.replace(PROVED, halves=(21.0, -1.0)), False),
+        (Proof(90.0, 4, 3.0, 0.5), True),
+        (Proof(90.0, 1, 3.0, 0.5), False),
+        (Proof(90.0, 4, 3.0, 0.05), False),
+    ],
+)
+def test_a_proof_stands_on_turns_or_on_both_halves_of_the_road(proof, stands):
+    assert bool(proof.stands()) is stands
+
+
+def driven(seed, legs, **options):
+    rng = np.random.default_rng(seed)
+    return simulated_drive(travel(legs, rng), rng, Vehicle(ROBOT), receiver=None, **options)
+
+
+def follow(drive, machine):
+    """Let the machine decide along a drive; returns its decisions with their seconds."""
+    made = []
+    rows = (drive.time, drive.field, drive.force, drive.rate)
+    for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
+        if machine.add(stamp, field, force, rate):
+            for decision in machine.note(run(machine.job(BOSTON))):
+                made.append((stamp - drive.time[0], decision))
+                if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
+                    machine.put_in_force(decision.calibration)
+    return made
+
+
+def heading_error(correction, robot):
+    yaw = np.arange(36) * (math.tau / 36)
+    attitude = np.array([rotation_from_rpy(0.0, 0.0, angle).T for angle in yaw])
+    raw = robot.raw_field(attitude @ robot.field_enu)
+    turn = np.exp(1j * (yaw_from_up_and_field(attitude[:, :, 2], correction.apply(raw)) - yaw))
+    return math.degrees(math.sqrt(np.mean(np.angle(turn / turn.mean()) ** 2)))
+
+
+def test_an_ordinary_drive_calibrates_from_nothing():
+    machine = SelfCalibration(Mode.APPLY)
+    drive = driven(5, city(np.random.default_rng(5), 360.0))
+    made = follow(drive, machine)
+    applied = [decision for _, decision in made if decision.verb is Verb.APPLIED]
+    assert len(applied) == 1
+    assert heading_error(applied[0].calibration.correction, ROBOT) < 5.0
+
+
+@pytest.mark.nightly
+def test_iron_that_was_added_is_noticed_and_mended():
+    drive = driven(2, city(np.random.default_rng(4), 400.0), irons=(Iron((0.0, 9e-6, 0.0), 150.0),))
+    machine = SelfCalibration(Mode.APPLY)
+    machine.put_in_force(calibration())
+    made = follow(drive, machine)
+    noticed = [seconds for seconds, decision in made if decision.verb is Verb.NOTICED]
+    applied = [(at, found) for at, found in made if found.verb is Verb.APPLIED]
+    assert 150.0 < noticed[0] < 260.0
+    assert applied[0][0] < 390.0
+    robot = Vehicle(ROBOT).with_iron(np.array([0.0, 9e-6, 0.0])).robot
+    assert heading_error(ROBOT.true_correction, robot) > 12.0
+    assert heading_error(applied[-1][1].calibration.correction, robot) < 4.0
+
+
+def test_a_robot_that_stands_beside_a_car_asks_for_nothing():
+    drive = driven(3, [Leg(90.0)])
+    machine = SelfCalibration(Mode.APPLY)
+    assert follow(drive, machine) == []
+    assert machine.in_words == "waiting for movement"
+    assert machine.seconds < 10.0
+
+
+def test_nothing_is_remembered_where_it_is_off():
+    machine = SelfCalibration(Mode.OFF)
+    assert follow(driven(3, city(np.random.default_rng(3), 60.0)), machine) == []
+    assert machine.seconds == 0.0

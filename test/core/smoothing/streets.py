@@ -1,0 +1,66 @@
+"""Simulated drives for the smoother, and how far a calibration is off."""
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.smoothing.log import log_of
+
+BOSTON = knowledge_of(51.3, inclination_deg=66.3)
+
+
+def random_vehicle(rng):
+    soft = 0.5 * rng.normal(0.0, 0.02, (3, 3))
+    soft = (soft + soft.T) * np.array([[1.0, 1.0, 0.3], [1.0, 1.0, 0.3], [0.3, 0.3, 0.3]])
+    robot = Robot(
+        strength=51.3e-6,
+        inclination=math.radians(66.3),
+        roll=math.radians(rng.normal(0.0, 3.0)),
+        pitch=math.radians(rng.normal(0.0, 3.0)),
+        hard_iron=rng.normal(0.0, 25e-6, 3),
+        soft_iron=soft,
+        noise_force=0.05,
+        noise_rate=2e-3,
+        noise_field=0.3e-6,
+        gyro_bias=np.radians(rng.normal(0.0, 0.1, 3)),
+    )
+    return Vehicle(robot)
+
+
+def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
+    """A drive through a city, or along other legs."""
+    rng = np.random.default_rng(seed)
+    vehicle = random_vehicle(rng) if vehicle is None else vehicle
+    truth = travel(city(rng, seconds) if legs is None else legs, rng)
+    return simulated_drive(truth, rng, vehicle, receiver=None, **options)
+
+
+def log_from(drive, *, speed=False):
+    """What is remembered of it; with a speed its own acceleration is taken off."""
+    truth, force = drive.truth, drive.force
+    if speed:
+        spin = np.gradient(truth.yaw, truth.period)
+        own = np.column_stack(
+            [np.gradient(truth.speed, truth.period), truth.speed * spin, np.zeros(len(spin))]
+        )
+        force = force - own @ drive.vehicle.imu_pose
+    window = Window(drive.time, drive.field, force, drive.rate)
+    return log_of(window, truth.speed if speed else None)
+
+
+def heading_error(correction, robot):
+    """RMS over headings on the level, the constant taken off, degrees."""
+    yaw = np.arange(72) * (math.tau / 72)
+    attitude = np.array([rotation_from_rpy(0.0, 0.0, angle).T for angle in yaw])
+    raw = robot.raw_field(attitude @ robot.field_enu)
+    turn = np.exp(1j * (yaw_from_up_and_field(attitude[:, :, 2], correction.apply(raw)) - yaw))
+    away = np.angle(turn / turn.mean())
+    return math.degrees(math.sqrt(np.mean(away**2)))

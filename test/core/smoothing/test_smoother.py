@@ -1,0 +1,226 @@
+"""The smoother finds a calibration in a drive, and says how sure it is."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from streets import BOSTON, driven, heading_error, log_from
+
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.simulation.legs import Leg
+from magcal_ros.core.simulation.long_windows import (
+    PAPER_SOFT_IRON,
+    swaying,
+    swaying_robot,
+    swaying_window,
+)
+from magcal_ros.core.smoothing.certainty import cluster_scores
+from magcal_ros.core.smoothing.chain import eliminate, own_covariances
+from magcal_ros.core.smoothing.descent import Problem, Standpoint, descend
+from magcal_ros.core.smoothing.drive_model import SHARED, SOFT, Unknowns, field_jacobians, field_of
+from magcal_ros.core.smoothing.drive_prior import free_prior
+from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, held_fit
+from magcal_ros.core.smoothing.log import log_of
+from magcal_ros.core.smoothing.start import linear_start
+
+MICRO = 1e6
+NOBODY = np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return driven(4, 300.0)
+
+
+@pytest.fixture(scope="module")
+def nodes(drive):
+    return log_from(drive).nodes(NOBODY)
+
+
+@pytest.fixture(scope="module")
+def fitted(nodes):
+    return fit_nodes(nodes, BOSTON)
+
+
+def somewhere(nodes, rng):
+    shared = free_prior(BOSTON).mean + rng.normal(0.0, 0.05, SHARED)
+    return Unknowns(shared, rng.normal(0.0, 2.0, len(nodes)), rng.normal(0.0, 3.0, (len(nodes), 3)))
+
+
+def test_the_jacobians_are_the_slopes_of_the_field(nodes, rng):
+    nodes = nodes.take(np.arange(5))
+    place = somewhere(nodes, rng)
+    local, every = field_jacobians(nodes, place)
+    for k in range(SHARED):
+        step = np.zeros(SHARED)
+        step[k] = 1e-5
+        still = np.zeros((5, 4))
+        ends = [field_of(nodes, place.moved(way * step, still)) for way in (1.0, -1.0)]
+        assert every[:, :, k] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-5)
+    for k in range(4):
+        step = np.zeros((5, 4))
+        step[:, k] = 1e-5
+        ends = [field_of(nodes, place.moved(np.zeros(SHARED), way * step)) for way in (1.0, -1.0)]
+        assert local[:, :, k] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-5)
+
+
+def test_the_gradient_is_the_slope_of_the_cost(nodes, rng):
+    nodes = dataclasses.replace(
+        nodes.take(np.arange(6)), course=np.full(6, 0.3), course_sigma=np.full(6, 0.1)
+    )
+    place = somewhere(nodes, rng)
+    problem = Problem(nodes, free_prior(BOSTON))
+    chain = Standpoint(problem, place).chain
+
+    def cost(shared, local):
+        return Standpoint(problem, place.moved(shared, local)).cost
+
+    for k in range(SHARED):
+        step = np.zeros(SHARED)
+        step[k] = 1e-6
+        still = np.zeros((6, 4))
+        slope = (cost(step, still) - cost(-step, still)) / 2e-6
+        assert -2.0 * chain.shared_gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-2)
+    for j, k in ((0, 0), (2, 0), (2, 1), (5, 3), (0, 2)):
+        step = np.zeros((6, 4))
+        step[j, k] = 1e-6
+        slope = (cost(np.zeros(SHARED), step) - cost(np.zeros(SHARED), -step)) / 2e-6
+        assert -2.0 * chain.local_gradient[j, k] == pytest.approx(slope, rel=1e-4, abs=1e-2)
+
+
+def test_the_chain_is_solved_as_the_whole_matrix_would_be(nodes, rng):
+    nodes = nodes.take(np.arange(8))
+    chain = Standpoint(Problem(nodes, free_prior(BOSTON)), somewhere(nodes, rng)).chain
+    n = len(nodes)
+    whole = np.zeros((4 * n + SHARED, 4 * n + SHARED))
+    for j in range(n):
+        own = slice(4 * j, 4 * j + 4)
+        whole[own, own] = chain.blocks[j]
+        whole[own, 4 * n :] = chain.coupling[j]
+        whole[4 * n :, own] = chain.coupling[j].T
+        if j:
+            before = slice(4 * j - 4, 4 * j)
+            whole[before, own] = whole[own, before] = np.diag(chain.ties[j - 1])
+    local = whole[: 4 * n, : 4 * n].copy()
+    whole[4 * n :, 4 * n :] = chain.shared
+    right = np.concatenate([chain.local_gradient.ravel(), chain.shared_gradient])
+    step = np.linalg.solve(whole, right)
+    found = eliminate(chain)
+    assert found.shared_step == pytest.approx(step[4 * n :], rel=1e-6, abs=1e-9)
+    assert found.local_step.ravel() == pytest.approx(step[: 4 * n], rel=1e-6, abs=1e-9)
+    assert found.log_determinant == pytest.approx(np.linalg.slogdet(whole)[1], rel=1e-9)
+    own, between = own_covariances(chain)
+    inverse = np.linalg.inv(local)
+    assert own[3] == pytest.approx(inverse[12:16, 12:16], rel=1e-6, abs=1e-12)
+    assert between[3] == pytest.approx(inverse[12:16, 16:20], rel=1e-6, abs=1e-12)
+
+
+def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
+    error = heading_error(fitted.twelve.correction, drive.vehicle.robot)
+    said = math.degrees(fitted.twelve.heading_sigma)
+    assert error < 3.0
+    assert said < 3.0
+    assert error < 2.5 * said
+    assert fitted.smoothed.converged
+    assert fitted.sectors >= 6
+
+
+def test_the_pulls_of_the_roads_add_up_to_the_priors(fitted):
+    smoothed = fitted.smoothed
+    pull = cluster_scores(smoothed).sum(axis=0)
+    prior = smoothed.problem.prior.information @ smoothed.here.shared_gap
+    sigma = np.sqrt(np.diag(np.linalg.inv(smoothed.eliminated.information)))
+    assert (pull - prior) * sigma == pytest.approx(np.zeros(SHARED), abs=0.02)
+
+
+def test_nothing_moves_when_it_starts_at_the_optimum(fitted):
+    again = descend(fitted.smoothed.problem, fitted.smoothed.unknowns)
+    assert again.rounds == 1
+
+
+def test_a_start_eighty_degrees_off_is_found_all_the_same(drive):
+    vehicle = dataclasses.replace(
+        drive.vehicle,
+        robot=dataclasses.replace(drive.vehicle.robot, hard_iron=np.array([90e-6, -60e-6, 40e-6])),
+    )
+    other = driven(5, 240.0, vehicle=vehicle)
+    found = fit_nodes(log_from(other).nodes(NOBODY), BOSTON)
+    assert heading_error(found.twelve.correction, vehicle.robot) < 4.0
+
+
+def test_a_wrong_gyro_does_not_shrink_the_compass(nodes):
+    """The yaw is given wrongly: E stays within three sigmas of its prior, and A does not vanish."""
+    wrong = dataclasses.replace(nodes, turned=-nodes.turned)
+    prior = free_prior(BOSTON)
+    start, prior = linear_start(wrong, prior)
+    found = descend(Problem(wrong, prior), start)
+    assert np.abs(found.unknowns.shared[SOFT] / prior.sigma[SOFT]).max() < 3.0
+    assert np.linalg.det(found.unknowns.distortion) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_standing_robot_adds_one_node():
+    drive = driven(3, legs=[Leg(120.0)])
+    assert len(log_from(drive).nodes(NOBODY)) <= 4
+    with pytest.raises(Refusal, match="drive on"):
+        fit_nodes(log_from(drive).nodes(NOBODY), BOSTON)
+
+
+def test_nodes_that_are_left_out_leave_their_way(nodes):
+    rows = np.arange(0, len(nodes), 3)
+    some = nodes.take(rows)
+    assert some.heading[-1] == pytest.approx(nodes.heading[rows[-1]])
+    assert some.metres.sum() == pytest.approx(nodes.metres[: rows[-1] + 1].sum(), abs=5.0)
+    assert not some.is_tied[0]
+    assert some.is_tied[1:].all()
+
+
+def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
+    robot = drive.vehicle.robot
+    changed = drive.vehicle.with_iron(np.array([8e-6, -6e-6, 0.0]))
+    other = driven(9, 90.0, vehicle=changed)
+    found = fit_iron(log_from(other).nodes(NOBODY), robot.true_correction, BOSTON)
+    before = heading_error(robot.true_correction, changed.robot)
+    after = heading_error(found.twelve.correction, changed.robot)
+    assert before > 10.0
+    assert after < min(6.0, 3.0 * math.degrees(found.twelve.heading_sigma))
+
+
+def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, fitted):
+    robot = drive.vehicle.robot
+    wrong = drive.vehicle.with_iron(np.array([5e-6, 0.0, 0.0])).robot.true_correction
+    sizes = fitted.smoothed.problem.sizes
+    true, off = (
+        held_fit(fitted.nodes, each, BOSTON, sizes) for each in (robot.true_correction, wrong)
+    )
+    assert off.here.cost - true.here.cost > 48.0
+
+
+LONG = knowledge_of(47.3, inclination_deg=60.5)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
+def test_ten_minutes_of_weak_motion(turns, soft_iron):
+    robot = swaying_robot(soft_iron)
+    window = swaying_window(robot, swaying(600.0, turns=turns), np.random.default_rng(1))
+    found = fit_nodes(log_of(window).nodes(NOBODY), LONG)
+    error = heading_error(found.twelve.correction, robot)
+    assert error < 0.6
+    assert error < 2.5 * math.degrees(found.twelve.heading_sigma)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seconds", [120.0, 300.0])
+@pytest.mark.parametrize("speed", [False, True])
+def test_sigma_is_right_over_many_drives(seconds, speed):
+    squares, errors = [], []
+    for seed in range(100):
+        drive = driven(seed, seconds)
+        found = fit_nodes(log_from(drive, speed=speed).nodes(NOBODY), BOSTON)
+        errors.append(heading_error(found.twelve.correction, drive.vehicle.robot))
+        squares.append((errors[-1] / math.degrees(found.twelve.heading_sigma)) ** 2)
+    assert 0.3 < np.mean(squares) < 2.0
+    assert math.sqrt(np.mean(np.square(errors))) < (3.0 if seconds > 200.0 else 4.5)

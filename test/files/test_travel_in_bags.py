@@ -1,0 +1,70 @@
+"""What wheels and receiver said is read from a bag, by the library and from the bytes alike."""
+
+import math
+
+import numpy as np
+import pytest
+from drives import STORE2, drive, write_bag
+
+from magcal_ros.core.messages import speed_of
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.files.ros_reader import _odometry
+from magcal_ros.files.sources import open_recording
+
+TYPES = STORE2.types
+
+
+def header(stamp, frame):
+    time = TYPES["builtin_interfaces/msg/Time"](*divmod(round(stamp * 1e9), 1_000_000_000))
+    return TYPES["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def odometry(stamp, speed, frame="odom", child="base_link"):
+    vector = TYPES["geometry_msgs/msg/Vector3"]
+    pose = TYPES["geometry_msgs/msg/Pose"](
+        TYPES["geometry_msgs/msg/Point"](1.0, 2.0, 3.0),
+        TYPES["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
+    twist = TYPES["geometry_msgs/msg/Twist"](vector(speed, 0.1, 0.2), vector(0.0, 0.0, 0.3))
+    return TYPES["nav_msgs/msg/Odometry"](
+        header(stamp, frame),
+        child,
+        TYPES["geometry_msgs/msg/PoseWithCovariance"](pose, np.arange(36.0)),
+        TYPES["geometry_msgs/msg/TwistWithCovariance"](twist, np.arange(36.0) + 0.5),
+    )
+
+
+def fix(stamp, latitude):
+    status = TYPES["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
+    return TYPES["sensor_msgs/msg/NavSatFix"](
+        header(stamp, "gps"), status, latitude, 11.0, 500.0, np.zeros(9), 0
+    )
+
+
+def test_fixes_and_speeds_come_by_their_stamps(tmp_path):
+    extra = [("/fix", fix(1001.0, 48.0)), ("/odom", odometry(1000.5, -2.0))]
+    extra += [("/fix", fix(1002.0, 48.0 + math.degrees(100.0 / 6_371_000.0)))]
+    bag = write_bag(tmp_path / "bag", [*drive(90.0), *extra])
+    with open_recording(bag) as source:
+        found = source.travel()
+    assert [type(sample) for sample in found] == [SpeedSample, PositionSample, PositionSample]
+    assert found[0].speed == pytest.approx(-2.0, abs=0.01)
+    assert found[2].north == pytest.approx(100.0, abs=0.01)
+
+
+def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
+    with open_recording(write_bag(tmp_path / "bag", drive(90.0))) as source:
+        assert source.travel() == []
+
+
+@pytest.mark.parametrize("frame", ["", "o", "od", "odo", "odom", "odom_frame"])
+@pytest.mark.parametrize("child", ["", "b", "base", "base_link"])
+def test_an_odometry_is_read_from_its_bytes(frame, child):
+    message = odometry(12.25, 3.5, frame, child)
+    found = _odometry(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
+    assert (found.header.frame_id, found.child_frame_id) == (frame, child)
+    linear = found.twist.twist.linear
+    assert (linear.x, linear.y, linear.z) == (3.5, 0.1, 0.2)
+    assert found.twist.covariance[0] == 0.5
+    sample = speed_of(found)
+    assert isinstance(sample, SpeedSample) or frame == child

@@ -1,0 +1,69 @@
+"""What the node may take: enough for its work, and not what a request claims to hold."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from support import PATIENCE
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts data memory so")
+
+TAKE = """
+from magcal_ros.ros import memory_limit
+memory_limit.bound(300)
+{before}
+try:
+    print(len(bytearray({megabytes} * 10**6)))
+except MemoryError:
+    print("refused")
+"""
+
+
+def take(megabytes, before=""):
+    """Return what a bounded process says when it takes so much."""
+    code = TAKE.format(megabytes=megabytes, before=before)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return run.stdout.strip()
+
+
+def test_what_is_within_the_bound_is_had_and_more_is_refused():
+    assert take(200) == "200000000"
+    assert take(400) == "refused"
+
+
+def test_a_process_for_a_fit_has_all():
+    assert take(400, "memory_limit.unbound()") == "400000000"
+
+
+def test_a_lower_bound_that_the_system_sets_stays():
+    hard = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (350 * 10**6,) * 2)"
+    assert take(400, f"{hard}; memory_limit.bound(10**6)") == "refused"
+
+
+def test_the_executable_bounds_itself(graph):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args", "-p", "memory_limit_mb:=500"],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        assert 500e6 < soft_limit(process.pid) < 1500e6
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def soft_limit(pid, patience_s=PATIENCE):
+    """Return the bound on a process's data memory in bytes, once it is there."""
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        line = next(
+            line
+            for line in Path(f"/proc/{pid}/limits").read_text().splitlines()
+            if line.startswith("Max data size")
+        )
+        if (soft := line.split()[3]) != "unlimited":
+            return float(soft)
+        time.sleep(0.1)
+    raise AssertionError("the node did not bound its memory")

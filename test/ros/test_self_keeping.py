@@ -1,0 +1,92 @@
+"""A calibration that keeps itself, over real middleware."""
+
+import numpy as np
+import pytest
+from support import PATIENCE, REFERENCE, store_calibration
+from test_travel import Car
+
+from magcal_ros.core.keeping.decisions import Decision, Verb
+from magcal_ros.core.keeping.jobs import Findings
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.former import former_files, keep_former
+
+
+@pytest.fixture
+def known(tmp_path):
+    """What a file has: where it lies, the calibration, and where it comes from."""
+    path = store_calibration(tmp_path / "calibration.yaml")
+    return path, *read_calibration(path)
+
+
+def test_the_last_three_lie_beside_the_file(known):
+    path, calibration, origin = known
+    for number in range(5):
+        keep_former(path, calibration, origin)
+        made = former_files(path)[: number + 1]
+        assert all(file.exists() for file in made)
+    assert len(list(path.parent.glob("*.before_*"))) == 3
+    assert read_calibration(former_files(path)[2])[0].strength == calibration.strength
+
+
+class TestInTheNode:
+    @pytest.fixture
+    def house(self, start_node, known):
+        """The node with a calibration in force."""
+        path, *_ = known
+        return start_node({**REFERENCE, "calibration_file": str(path)})
+
+    def test_a_proposal_is_told_accepted_and_the_old_one_kept(self, house, actor, known):
+        path, calibration, _ = known
+        stage = actor()
+        # A sensor that is met while the other is known already would begin the drive anew.
+        sensors = house._inputs.imu, house._inputs.field
+        stage.run(
+            PATIENCE,
+            stop=lambda: stage.status["calibration"] and all(each.messages for each in sensors),
+        )
+        assert stage.status["self_calibration"]["mode"] == "propose"
+        proposed = calibration.on_users_word()
+        machine = house._keeping._machine
+        machine.proposal = proposed
+        machine._decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
+        stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"])
+        assert stage.status["self_calibration"]["decisions"][-1]["why"] == "it was better"
+        answer = stage.answer(stage.call("accept"))
+        assert answer.success
+        assert "saved" in answer.message
+        assert former_files(path)[0].exists()
+        assert read_calibration(path)[0].evidence.accepted_by_user
+        stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"] is None)
+        assert stage.status["self_calibration"]["proposal"] is None
+
+    def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
+        keeping, said = house._keeping, []
+        keeping._say = said.append
+        keeping._machine.job(house.drive_knowledge())
+        keeping._lost(OSError("no memory"))
+        assert "no memory" in said[0]
+        assert keeping._machine.note(Findings(0.0, (), None, {})) == []
+
+
+@pytest.mark.nightly
+def test_an_ordinary_drive_puts_a_calibration_in_force(start_node, tmp_path):
+    rng = np.random.default_rng(1)
+    robot = Robot(strength=48e-6, inclination=np.radians(65.0), noise_force=0.05, noise_rate=2e-3)
+    drive = simulated_drive(travel(city(rng, 400.0), rng, rate=25.0), rng, Vehicle(robot))
+    path = tmp_path / "calibration.yaml"
+    chosen = {"self_calibration": "apply", "report_folder": str(tmp_path / "reports")}
+    car = Car(start_node({**REFERENCE, "calibration_file": str(path), **chosen}))
+    car.drive(drive.samples())
+    car.run(PATIENCE, stop=lambda: car.status.get("state") == "calibrated")
+    assert car.status["state"] == "calibrated"
+    assert car.status["calibration"]["method"] == "smoother"
+    assert path.exists()
+    car.run(20.0, stop=lambda: list(tmp_path.glob("reports/*/report.html")))
+    page = next(tmp_path.glob("reports/*/report.html")).read_text()
+    assert "<circle" in page
+    assert "put in force" in page
+    car.node.destroy_node()
