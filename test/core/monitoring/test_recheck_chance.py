@@ -45,17 +45,17 @@ def test_means_over_headings_scatter_by_how_rarely_each_was_visited():
 
 
 def through_streets(seed, added):
-    """Five turns, each in a place with a field of its own, 3 µT an axis, 15 s apart."""
+    """Five turns through places of 5 s with a field of their own, 10 µT an axis."""
     rng = np.random.default_rng(seed)
     clean = measure(ROBOT, turn(arc=5.0 * math.tau, samples=1500, duration=75.0), rng)
     place = (clean.time // 5.0).astype(int)
-    field = clean.field + rng.normal(0.0, 3e-6, (16, 3))[place] + added
+    field = clean.field + rng.normal(0.0, 10e-6, (16, 3))[place] + added
     return Window(clean.time, field, clean.specific_force)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed(seed):
     made = calibrate(measure(ROBOT, turn(), np.random.default_rng(seed)), ROBOT.knowledge())
     assert check(through_streets(seed, np.zeros(3)), made.calibration).state != "stale"
-    changed = check(through_streets(seed, np.array([5e-6, 0.0, 0.0])), made.calibration)
+    changed = check(through_streets(seed, np.array([10e-6, 0.0, 0.0])), made.calibration)
     assert changed.state in ("doubtful", "stale")
