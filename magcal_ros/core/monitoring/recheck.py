@@ -20,6 +20,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, yaw_from_up_and_field
 from magcal_ros.core.monitoring.gyro_compass import gyro_compass
+from magcal_ros.core.monitoring.recheck_chance import chances, check_beside_chance, own_swings
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
@@ -94,8 +95,11 @@ def check(
     after, swing = figures(window, up, heading, calibration.correction, calibration, tuning)
     arc = Coverage.of(heading).arc
     found = after | {Figure.ARC: arc}
+    chance = _chances(window, up, heading, calibration, swing, tuning)
     checks = tuple(
-        bound.check(found[bound.figure], before=before.get(bound.figure))
+        check_beside_chance(
+            bound, found[bound.figure], chance.get(bound.figure, 0.0), before.get(bound.figure)
+        )
         for bound in tuning.bounds
         if bound.figure in found
     )
@@ -103,6 +107,40 @@ def check(
     verdict = Verdict(checks, not_shown, "")
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
     return Recheck(replace(verdict, summary=_summary(verdict)), estimate)
+
+
+def _chances(
+    window: Window,
+    up: FloatArray,
+    heading: FloatArray,
+    calibration: Calibration,
+    swing: GyroSwing | None,
+    tuning: RecheckTuning,
+) -> dict[Figure, float]:
+    """Return what of each figure the calibration's uncertainty and the places may explain."""
+    size, level, dip = _parts(calibration.correction.apply(window.field), up)
+    seen = {
+        Figure.HEADING_SWING: level / max(float(level.mean()), 1e-12),
+        Figure.STRENGTH_SPREAD: size / calibration.strength,
+        Figure.DIP_SPREAD: dip,
+    }
+    visit = ((window.time - window.time[0]) / tuning.visit).astype(np.int64)
+    around = _sectors(heading, tuning.bins)
+    own = own_swings(calibration, unit(up.mean(axis=0)))
+    return chances(seen, visit, around, swing, own, tuning.bins)
+
+
+def _parts(field: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return strength, level part and dip (radians) of corrected fields, each shape (n,)."""
+    size = np.linalg.norm(field, axis=1)
+    rise = np.sum(field * up, axis=1)
+    level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
+    return size, level, np.arctan2(-rise, level)
+
+
+def _sectors(heading: FloatArray, bins: int) -> IntArray:
+    """Return the sector of each heading, shape (n,)."""
+    return np.asarray((np.mod(heading, math.tau) * (bins / math.tau)).astype(np.int64) % bins)
 
 
 def _summary(verdict: Verdict) -> str:
@@ -179,11 +217,8 @@ def figures(
         Compass against gyro, where there is one.
     """
     field = correction.apply(window.field)
-    size = np.linalg.norm(field, axis=1)
-    rise = np.sum(field * up, axis=1)
-    level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
-    dip = np.arctan2(-rise, level)
-    around = (np.mod(heading, math.tau) * (tuning.bins / math.tau)).astype(np.int64) % tuning.bins
+    size, level, dip = _parts(field, up)
+    around = _sectors(heading, tuning.bins)
 
     def spread(values: FloatArray) -> float:
         return _spread(values, around, tuning.bins)

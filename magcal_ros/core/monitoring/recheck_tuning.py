@@ -79,6 +79,9 @@ class RecheckTuning:
         Sectors of heading over which a mean is taken: narrow against two swings a turn.
     longest_piece : float
         Seconds over which the gyro's drift is taken as steady.
+    visit : float
+        Seconds within which a robot that drives meets the same disturbance: streets are alike for
+        25 to 30 m.
     steepest_nose : float
         Squared share of up along body x (60°) beyond which yaw is not compared.
     """
@@ -86,4 +89,5 @@ class RecheckTuning:
     bounds: tuple[Bound, ...] = RECHECK_BOUNDS
     bins: int = 36
     longest_piece: float = 60.0
+    visit: float = 12.0
     steepest_nose: float = 0.75

@@ -1,0 +1,129 @@
+"""How much a good calibration may seem to have changed: what chance makes of a recheck's figures.
+
+Two things do. The calibration was uncertain when it was made, and what its hard iron is off shows
+as a swing around the turn. And fields differ from place to place: headings that were seen in other
+places have other means, as the visits to one heading tell.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.estimate import GyroSwing
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+
+
+def chances(
+    seen: dict[Figure, FloatArray],
+    visit: IntArray,
+    around: IntArray,
+    swing: GyroSwing | None,
+    own: dict[Figure, float],
+    bins: int,
+) -> dict[Figure, float]:
+    """Return what chance makes of each figure, in its own unit.
+
+    Parameters
+    ----------
+    seen : dict of Figure to ndarray, shape (n,)
+        What a figure is the spread of, over the same as it.
+    visit, around : ndarray of int, shape (n,)
+        Stretch of time within which places are alike, and sector of the heading.
+    swing : GyroSwing or None
+        Compass less gyro: what does not come back with the heading is not the calibration's.
+    own : dict of Figure to float
+        Of `own_swings`.
+    bins : int
+        Sectors of the heading.
+    """
+    found = {
+        figure: math.hypot(own[figure], scatter_of_means(values, around, visit))
+        for figure, values in seen.items()
+    }
+    if swing is not None:
+        figure = Figure.GYRO_COMPASS_DIFFERENCE
+        found[figure] = math.hypot(own[figure], _unrepeated(swing, bins))
+    return found
+
+
+def _unrepeated(swing: GyroSwing, bins: int) -> float:
+    """Return the RMS of compass less gyro about its mean at each heading, radians."""
+    sector = (np.mod(swing.heading, math.tau) * (bins / math.tau)).astype(np.int64) % bins
+    count = np.maximum(np.bincount(sector, minlength=bins), 1)
+    middle = np.bincount(sector, swing.deviation, bins) / count
+    return math.sqrt(float(np.mean((swing.deviation - middle[sector]) ** 2)))
+
+
+def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
+    """Return the swings that the calibration's own uncertainty makes of hard iron, one sigma.
+
+    A hard iron off by A in the plane of the turn makes the level field vary by A/sqrt(2), RMS
+    around the turn, and the heading by as much over the level field.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    up : ndarray, shape (3,)
+        Unit, body axes: the turn's plane is across it.
+    """
+    matrix = calibration.correction.matrix
+    of_iron = matrix @ calibration.covariance[9:, 9:] @ matrix.T
+    across = float(np.trace(of_iron) - up @ of_iron @ up)
+    swing = math.sqrt(max(across, 0.0) / 2.0) / calibration.strength
+    level, steep = math.cos(calibration.inclination), abs(math.sin(calibration.inclination))
+    return {
+        Figure.HEADING_SWING: swing / max(level, 1e-3),
+        Figure.GYRO_COMPASS_DIFFERENCE: swing / max(level, 1e-3),
+        Figure.STRENGTH_SPREAD: swing * level,
+        Figure.DIP_SPREAD: swing * steep,
+    }
+
+
+def scatter_of_means(values: FloatArray, around: IntArray, visit: IntArray) -> float:
+    """Return by how much the means over headings vary because each heading was seen so rarely.
+
+    Zero where no heading was visited twice: then nothing tells places apart.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    around : ndarray of int, shape (n,)
+        Sector of the heading.
+    visit : ndarray of int, shape (n,)
+        Stretch of time within which places are alike.
+    """
+    cells, index, counts = np.unique(
+        np.column_stack([around, visit]), axis=0, return_inverse=True, return_counts=True
+    )
+    means = np.bincount(index.ravel(), values) / counts
+    sector = cells[:, 0]
+    visits = np.bincount(sector)
+    middle = np.bincount(sector, means) / np.maximum(visits, 1)
+    squares = float(np.sum((means - middle[sector]) ** 2))
+    filled = visits[visits > 0]
+    freedom = int(np.sum(filled - 1))
+    if freedom == 0:
+        return 0.0
+    return math.sqrt(squares / freedom * float(np.mean(1.0 / filled)))
+
+
+def check_beside_chance(bound: Bound, figure: float, chance: float, before: float | None) -> Check:
+    """Grade what of a figure chance does not explain.
+
+    Where chance alone reaches the bound of what is stale, the turn does not show it: doubtful.
+    """
+    excess = math.sqrt(max(figure**2 - chance**2, 0.0))
+    seen = chance * bound.scale
+    note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
+    check = bound.check(figure, excess=excess, note=note, before=before)
+    if seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
+        return check
+    words = f"{check.words}: not shown by this turn; turn once, in one place away from iron"
+    return Check(
+        check.figure, check.aspect, Grade.WARN, words, check.value, check.before, check.bound
+    )

@@ -1,0 +1,61 @@
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.monitoring.recheck import check
+from magcal_ros.core.monitoring.recheck_chance import check_beside_chance, scatter_of_means
+from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
+
+BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)
+ROBOT = Robot(noise_field=0.3e-6)
+
+
+def degrees(value):
+    return value / BOUND.scale
+
+
+def test_what_chance_explains_is_not_stale():
+    assert check_beside_chance(BOUND, degrees(8.0), 0.0, None).grade is Grade.REFUSED
+    found = check_beside_chance(BOUND, degrees(8.0), degrees(6.9), None)
+    assert found.grade is Grade.WARN
+    assert "chance may be 6.9°" in found.words
+
+
+def test_where_chance_reaches_the_bound_nothing_is_shown():
+    found = check_beside_chance(BOUND, degrees(5.0), degrees(9.0), None)
+    assert found.grade is Grade.WARN
+    assert "not shown" in found.words
+
+
+def test_means_over_headings_scatter_by_how_rarely_each_was_visited():
+    rng = np.random.default_rng(2)
+    visits, sectors, per = 4, 36, 10
+    around = np.tile(np.repeat(np.arange(sectors), per), visits)
+    visit = np.repeat(np.arange(visits), sectors * per)
+    places = rng.normal(0.0, 1.0, (visits, sectors))
+    values = places[visit, around] + np.sin(around)
+    assert scatter_of_means(values, around, visit) == pytest.approx(0.5, rel=0.2)
+    assert scatter_of_means(values[: sectors * per], around[: sectors * per], visit[:360]) == 0.0
+
+
+def through_streets(seed, added):
+    """Five turns through places of 5 s with a field of their own, 10 µT an axis."""
+    rng = np.random.default_rng(seed)
+    clean = measure(ROBOT, turn(arc=5.0 * math.tau, samples=1500, duration=75.0), rng)
+    place = (clean.time // 5.0).astype(int)
+    field = clean.field + rng.normal(0.0, 10e-6, (16, 3))[place] + added
+    return Window(clean.time, field, clean.specific_force)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed(seed):
+    made = calibrate(measure(ROBOT, turn(), np.random.default_rng(seed)), ROBOT.knowledge())
+    assert check(through_streets(seed, np.zeros(3)), made.calibration).state != "stale"
+    changed = check(through_streets(seed, np.array([10e-6, 0.0, 0.0])), made.calibration)
+    assert changed.state in ("doubtful", "stale")
