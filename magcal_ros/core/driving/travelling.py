@@ -80,6 +80,11 @@ class Travelling:
         return self._own.sign
 
     @property
+    def direction_is_clear(self) -> bool:
+        """Whether the force has decided on the direction since the vehicle stood."""
+        return self._own.sign_score > self.tuning.trip.clear
+
+    @property
     def takes_off(self) -> bool:
         """Whether the vehicle's own acceleration is being taken off."""
         return self._own.is_used
