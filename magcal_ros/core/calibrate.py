@@ -10,7 +10,7 @@ from typing import cast
 
 import numpy as np
 
-from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
+from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -34,6 +34,8 @@ JOINS = METHODS[0]
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
 
+ROUGH = VerdictTuning().rough
+"""Radians of heading sigma from which a turn gives way to a drive that is more certain."""
 CLEARLY = 12.0
 """Independent units of minus log likelihood by which a drive contradicts a turn's calibration."""
 PAUSE = 1.0
@@ -135,8 +137,9 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
 def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: Knowledge) -> bool:
     """Whether a recording is told better as a drive than as a turn.
 
-    A good turn stays with the turn's model. Where that refuses, or warns, the drive's answers if it
-    is more certain, or if along the road its calibration is by far the likelier.
+    A turn that was accepted stays with the turn's model, which knows that it came back to the same
+    place. The drive's answers where that refuses, where it is rough and the drive is more certain,
+    or where along the road the drive's calibration is by far the likelier.
 
     Parameters
     ----------
@@ -153,7 +156,7 @@ def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: 
     if turn.verdict.is_good:
         return False
     sigmas = [predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)]
-    if sigmas[1] < sigmas[0]:
+    if sigmas[0] > ROUGH and sigmas[1] < sigmas[0]:
         return True
     from magcal_ros.core.smoothing.fit import favour
 

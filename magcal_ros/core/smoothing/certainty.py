@@ -70,6 +70,8 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
     plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
     widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
+    least = _by_new_road(smoothed) / rms_sigma(by_heading, plain)
+    widened = max(widened, least**2)
     covariance = widened * jacobian @ plain @ jacobian.T
     sigma = math.sqrt(widened) * rms_sigma(by_heading, plain)
     return Twelve(correction, 0.5 * (covariance + covariance.T), field, sigma, widened)
@@ -108,16 +110,38 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
 def _repeated(smoothed: Smoothed) -> float:
     """Return how often the road went through the same places, at least one.
 
-    A street that is driven again tells what it told before. The way is reckoned from yaw and
-    metres; cells of one reach of the street are counted.
+    A street that is driven again tells what it told before.
     """
-    nodes, tuning = smoothed.problem.nodes, smoothed.problem.tuning
+    again = float(smoothed.problem.nodes.metres.sum()) / _new_metres(smoothed)
+    return min(max(1.0, again), smoothed.problem.tuning.most_repeated)
+
+
+def _new_metres(smoothed: Smoothed) -> float:
+    """Return the length of road without what was driven again.
+
+    The way is reckoned from yaw and metres; cells of one reach of the street are counted.
+    """
+    nodes, reach = smoothed.problem.nodes, smoothed.problem.tuning.reach
     steps = nodes.metres[:, None] * np.column_stack(
         [np.cos(smoothed.unknowns.yaw), np.sin(smoothed.unknowns.yaw)]
     )
-    cells = np.unique((np.cumsum(steps, axis=0) // tuning.reach).astype(int), axis=0)
-    again = float(nodes.metres.sum()) / (tuning.reach * len(cells))
-    return min(max(1.0, again), tuning.most_repeated)
+    return reach * len(np.unique((np.cumsum(steps, axis=0) // reach).astype(int), axis=0))
+
+
+def _by_new_road(smoothed: Smoothed) -> float:
+    """Return the heading sigma, radians, below which streets let nobody go.
+
+    Two reaches of new road are one witness of how far the street bends the level field. In a small
+    place the calibration takes the bend for its own, so what was found of the street's size counts
+    by its witnesses beside the usual size.
+    """
+    tuning = smoothed.problem.tuning
+    witnesses = _new_metres(smoothed) / (2.0 * tuning.reach)
+    found = (tuning.street * smoothed.problem.sizes.street) ** 2
+    street = (witnesses * found + tuning.usual_witnesses * tuning.street**2) / (
+        witnesses + tuning.usual_witnesses
+    )
+    return math.sqrt(street / witnesses) / float(smoothed.unknowns.shared[LEVEL_FIELD])
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

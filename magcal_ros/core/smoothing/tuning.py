@@ -73,6 +73,9 @@ class SmootherTuning:
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
+    usual_witnesses : float
+        Witnesses of new road that the usual size of the street counts as, in the sigma below which
+        streets let nobody go.
     most_rounds, enough, largest_turn : int, float, float
         Steps at most; a heading that moves less than this many radians has converged; the largest
         turn of any node in one step.
@@ -125,6 +128,7 @@ class SmootherTuning:
     least_noise: float = 0.1
     cluster: float = 150.0
     most_repeated: float = 4.0
+    usual_witnesses: float = 6.0
     most_rounds: int = 40
     enough: float = math.radians(0.01)
     largest_turn: float = 0.3

