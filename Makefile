@@ -13,7 +13,7 @@ export OMP_NUM_THREADS := 1
 .PHONY: demo test lint types unit ros nightly bench soak matrix docs clean
 
 demo: $(VENV)/.demo
-	@$(BIN)/magcal demo
+	@$(BIN)/magcal demo --speed 4
 
 test: $(VENV)/.test
 	$(MAKE) --jobs 3 --output-sync=target lint unit types

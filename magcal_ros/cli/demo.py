@@ -102,6 +102,7 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
     print(f"\n\n{answer.message}\n")
     if not answer.success:
         return Exit.REFUSED
+    print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)
     calibration, _ = read_calibration(output)
     after = _both(rehearsal.published_errors)
     print(_comparison(calibration))
