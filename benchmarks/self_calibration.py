@@ -23,7 +23,14 @@ from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import Drive, Fence, Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.drive import (
+    Drive,
+    Fence,
+    Iron,
+    Vehicle,
+    random_vehicle,
+    simulated_drive,
+)
 from magcal_ros.core.simulation.legs import Leg, city, one_street
 from magcal_ros.core.simulation.long_windows import (
     PAPER_SOFT_IRON,
@@ -31,7 +38,6 @@ from magcal_ros.core.simulation.long_windows import (
     swaying_robot,
     swaying_window,
 )
-from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.fit import fit_nodes
 from magcal_ros.core.smoothing.log import log_of
@@ -42,27 +48,9 @@ CHANGE_AT = 180.0
 WORSE = 0.3
 
 
-def vehicle_of(rng: np.random.Generator) -> Vehicle:
-    soft = 0.5 * rng.normal(0.0, 0.02, (3, 3))
-    soft = (soft + soft.T) * np.array([[1.0, 1.0, 0.3], [1.0, 1.0, 0.3], [0.3, 0.3, 0.3]])
-    robot = Robot(
-        strength=51.3e-6,
-        inclination=math.radians(66.3),
-        roll=math.radians(rng.normal(0.0, 3.0)),
-        pitch=math.radians(rng.normal(0.0, 3.0)),
-        hard_iron=rng.normal(0.0, 25e-6, 3),
-        soft_iron=soft,
-        noise_force=0.05,
-        noise_rate=2e-3,
-        noise_field=0.3e-6,
-        gyro_bias=np.radians(rng.normal(0.0, 0.1, 3)),
-    )
-    return Vehicle(robot, imu_yaw=math.radians(rng.normal(0.0, 5.0)))
-
-
 def drive_of(seed: int, seconds: float, legs: list[Leg] | None = None, **options: object) -> Drive:
     rng = np.random.default_rng(seed)
-    vehicle = vehicle_of(rng)
+    vehicle = replace(random_vehicle(rng), imu_yaw=math.radians(rng.normal(0.0, 5.0)))
     way = travel(city(rng, seconds) if legs is None else legs, rng, rate=20.0)
     return simulated_drive(way, rng, vehicle, receiver=None, **options)  # type: ignore[arg-type]
 

@@ -56,8 +56,6 @@ class AxesTuning:
         Radians of uncertainty beyond which the seen inclination says nothing.
     least_dip : float
         Radians of inclination from which its sign says something.
-    odd_angle : float
-        Radians off the nearest right angles from which it is said.
     most_named : int
         Candidates that are written out.
     """
@@ -75,7 +73,6 @@ class AxesTuning:
     attitude_error: float = math.radians(0.5)
     vaguest_dip: float = math.radians(15.0)
     least_dip: float = math.radians(10.0)
-    odd_angle: float = math.radians(15.0)
     most_named: int = 3
 
 

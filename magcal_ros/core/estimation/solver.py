@@ -25,7 +25,6 @@ from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.schedule import (
     FINISH,
     FINISH_LEANING,
-    FIRST_NOISE,
     HARMLESS,
     NOTICEABLE_WOBBLE,
     Damping,
@@ -33,7 +32,7 @@ from magcal_ros.core.estimation.schedule import (
     Schedule,
 )
 from magcal_ros.core.estimation.sigmas import largest_change
-from magcal_ros.core.estimation.weighting import Weighting, Weights, chi_squares, whitened
+from magcal_ros.core.estimation.weighting import Weights, chi_squares, whitened
 from magcal_ros.core.estimation.weights import gate, student_weights
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 
@@ -204,12 +203,6 @@ class Fit:
             factor = inefficiency_factor(residual, weights.data * weights.sample)
             blocks.append(block.weighted(replace(block.weighting, inefficiency=factor)))
         return self.with_blocks(blocks)
-
-    def restarted(self) -> Fit:
-        """Return the fit with the noise that the annealing begins from, every sample counted."""
-        return self.with_blocks(
-            [b.weighted(Weighting(FIRST_NOISE, Weights.ones(len(b.samples)))) for b in self.blocks]
-        )
 
 
 @dataclass(frozen=True, eq=False)

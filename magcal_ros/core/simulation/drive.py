@@ -97,6 +97,25 @@ class Vehicle:
         return dataclasses.replace(self, robot=dataclasses.replace(self.robot, hard_iron=iron))
 
 
+def random_vehicle(rng: np.random.Generator) -> Vehicle:
+    """Draw a car's compass: installation, hard and soft iron, gyro bias; the field is Boston's."""
+    soft = 0.5 * rng.normal(0.0, 0.02, (3, 3))
+    soft = (soft + soft.T) * np.array([[1.0, 1.0, 0.3], [1.0, 1.0, 0.3], [0.3, 0.3, 0.3]])
+    robot = Robot(
+        strength=51.3e-6,
+        inclination=math.radians(66.3),
+        roll=math.radians(rng.normal(0.0, 3.0)),
+        pitch=math.radians(rng.normal(0.0, 3.0)),
+        hard_iron=rng.normal(0.0, 25e-6, 3),
+        soft_iron=soft,
+        noise_force=0.05,
+        noise_rate=2e-3,
+        noise_field=0.3e-6,
+        gyro_bias=np.radians(rng.normal(0.0, 0.1, 3)),
+    )
+    return Vehicle(robot)
+
+
 @dataclass(frozen=True, eq=False)
 class Drive:
     """What was heard on a drive, in arrays, and the truth.

@@ -8,31 +8,12 @@ from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.drive import random_vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.log import log_of
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
-
-
-def random_vehicle(rng):
-    soft = 0.5 * rng.normal(0.0, 0.02, (3, 3))
-    soft = (soft + soft.T) * np.array([[1.0, 1.0, 0.3], [1.0, 1.0, 0.3], [0.3, 0.3, 0.3]])
-    robot = Robot(
-        strength=51.3e-6,
-        inclination=math.radians(66.3),
-        roll=math.radians(rng.normal(0.0, 3.0)),
-        pitch=math.radians(rng.normal(0.0, 3.0)),
-        hard_iron=rng.normal(0.0, 25e-6, 3),
-        soft_iron=soft,
-        noise_force=0.05,
-        noise_rate=2e-3,
-        noise_field=0.3e-6,
-        gyro_bias=np.radians(rng.normal(0.0, 0.1, 3)),
-    )
-    return Vehicle(robot)
 
 
 def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
