@@ -10,7 +10,7 @@ from datetime import date, datetime, timezone
 
 from magcal_ros.cli.common import number
 from magcal_ros.core.earth_field.reference import Local, Reference, resolve
-from magcal_ros.core.earth_field.wmm import ALTITUDES, Place, decimal_year, year_of
+from magcal_ros.core.earth_field.wmm import VALIDITY, Place, decimal_year, year_of
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
@@ -41,7 +41,7 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
     add("--reference-declination-sigma-deg", 0.0, 90.0, DECLINATION_SIGMA_DEG, "local part, °")
     add("--latitude", -90.0, 90.0, math.nan, "where it was recorded, positive north, °")
     add("--longitude", -180.0, 180.0, math.nan, "the same, positive east, °")
-    add("--altitude", *ALTITUDES, 0.0, "the same, m")
+    add("--altitude", *VALIDITY.altitudes, 0.0, "the same, m")
     group.add_argument(
         "--date",
         type=_year,

@@ -3,35 +3,53 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 
-LARGEST_GAIN = 1e4
-"""Of the matrix's entries; also radians of the noise: far within the floats' squares."""
 
-LARGEST_IRON = 0.1
-"""Tesla: a magnet touching the sensor has less, and no compass chip measures so much."""
+@dataclass(frozen=True)
+class Bounds:
+    """What numbers a calibration can hold.
 
-LARGEST_VARIANCE = 1e8
-"""Of the matrix and in tesla squared: far beyond every doubt, far within the floats."""
+    Attributes
+    ----------
+    largest_gain : float
+        Of the matrix's entries; also radians of the noise: far within the floats' squares.
+    largest_iron : float
+        Tesla: a magnet touching the sensor has less, and no compass chip measures so much.
+    largest_variance : float
+        Of the matrix and in tesla squared: far beyond every doubt, far within the floats.
+    largest_condition : float
+        Of the matrix: known gains from 0.1 to 10 make a hundred, and soft iron some more.
+    weakest_field : float
+        Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
+        times.
+    strongest_field : float
+        Tesla.
+    asymmetry : float
+        Relative to the two sigmas, as from a copy with few digits.
+    negative : float
+        Smallest eigenvalue of the correlations that rounding alone can make negative.
+    most_samples : float
+        More than a day of the fastest sensor: nothing averages the noise further than this.
+    """
 
-LARGEST_CONDITION = 1e4
-"""Of the matrix: known gains from 0.1 to 10 make a hundred, and soft iron some more."""
+    largest_gain: float = 1e4
+    largest_iron: float = 0.1
+    largest_variance: float = 1e8
+    largest_condition: float = 1e4
+    weakest_field: float = 5e-6
+    strongest_field: float = 300e-6
+    asymmetry: float = 1e-6
+    negative: float = 1e-6
+    most_samples: float = 1e8
 
-WEAKEST_FIELD, STRONGEST_FIELD = 5e-6, 300e-6
-"""Tesla. The Earth's field has 22 to 67 µT, and steel around multiplies it a few times."""
 
-ASYMMETRY = 1e-6
-"""Relative to the two sigmas, as from a copy with few digits."""
-
-NEGATIVE = 1e-6
-"""Smallest eigenvalue of the correlations that rounding alone can make negative."""
-
-MOST_SAMPLES = 1e8
-"""More than a day of the fastest sensor: nothing averages the noise further than this."""
+BOUNDS = Bounds()
 
 
 def require_possible(calibration: Calibration) -> None:
@@ -49,12 +67,12 @@ def require_possible(calibration: Calibration) -> None:
     """
     _require_sizes(calibration)
     condition = float(np.linalg.cond(calibration.correction.matrix))
-    if not condition <= LARGEST_CONDITION:
+    if not condition <= BOUNDS.largest_condition:
         raise ValueError(
             f"correction_matrix is all but singular (condition {condition:.0e}): it loses a "
             "direction of the field"
         )
-    if not WEAKEST_FIELD <= calibration.strength <= STRONGEST_FIELD:
+    if not BOUNDS.weakest_field <= calibration.strength <= BOUNDS.strongest_field:
         raise ValueError(
             f"the reference strength is {calibration.strength * 1e6:.3g} µT, and the Earth's "
             "field has 22 to 67 µT"
@@ -68,11 +86,11 @@ def require_possible(calibration: Calibration) -> None:
 def _require_sizes(calibration: Calibration) -> None:
     correction = calibration.correction
     for name, numbers, limit in (
-        ("correction_matrix", correction.matrix, LARGEST_GAIN),
-        ("hard_iron", correction.hard_iron, LARGEST_IRON),
-        ("covariance", calibration.covariance, LARGEST_VARIANCE),
-        ("noise_field", calibration.noise_field, LARGEST_IRON),
-        ("noise_up", calibration.noise_up, LARGEST_GAIN),
+        ("correction_matrix", correction.matrix, BOUNDS.largest_gain),
+        ("hard_iron", correction.hard_iron, BOUNDS.largest_iron),
+        ("covariance", calibration.covariance, BOUNDS.largest_variance),
+        ("noise_field", calibration.noise_field, BOUNDS.largest_iron),
+        ("noise_up", calibration.noise_up, BOUNDS.largest_gain),
     ):
         largest = float(np.abs(numbers).max())
         if largest > limit:
@@ -86,10 +104,10 @@ def _require_covariance(covariance: FloatArray) -> None:
     correlations = covariance / np.outer(scale, scale)
     if (np.abs(covariance[sigmas == 0.0]) > 0.0).any():
         raise ValueError("covariance ties a number to others that it calls exact")
-    if np.abs(correlations - correlations.T).max() > ASYMMETRY:
+    if np.abs(correlations - correlations.T).max() > BOUNDS.asymmetry:
         raise ValueError("covariance is not symmetric")
     smallest = float(np.linalg.eigvalsh((correlations + correlations.T) / 2.0)[0])
-    if smallest < -NEGATIVE:
+    if smallest < -BOUNDS.negative:
         raise ValueError(
             "covariance is not that of any numbers: some direction would have a negative variance"
         )
@@ -97,7 +115,7 @@ def _require_covariance(covariance: FloatArray) -> None:
 
 def _require_doubt(calibration: Calibration) -> None:
     sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
-    least = calibration.noise_field / math.sqrt(MOST_SAMPLES)
+    least = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
     if sigma < least:
         raise ValueError(
             f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from magcal_ros.core.calibrate import METHODS
-from magcal_ros.core.earth_field.wmm import ALTITUDES
+from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.knowledge import (
@@ -127,7 +127,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "reference.altitude_m",
         0.0,
         "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%",
-        *ALTITUDES,
+        *VALIDITY.altitudes,
         "m",
     ),
     Spec(

@@ -21,12 +21,7 @@ from magcal_ros.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from magcal_ros.files.claims import (
-    LARGEST_CONDITION,
-    LARGEST_IRON,
-    STRONGEST_FIELD,
-    WEAKEST_FIELD,
-)
+from magcal_ros.files.claims import BOUNDS
 
 pytestmark = pytest.mark.faults
 
@@ -34,8 +29,8 @@ ORIGIN = Origin("mag_link", "imu_link", "2024-05-01T12:00:00+00:00")
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(0.0, 0.1)
-strengths = st.floats(WEAKEST_FIELD, STRONGEST_FIELD)
-irons = st.floats(-LARGEST_IRON, LARGEST_IRON)
+strengths = st.floats(BOUNDS.weakest_field, BOUNDS.strongest_field)
+irons = st.floats(-BOUNDS.largest_iron, BOUNDS.largest_iron)
 dips = st.floats(-math.pi / 2, math.pi / 2)
 small = st.floats(-0.3, 0.3)
 words = st.text(max_size=40)
@@ -52,7 +47,7 @@ calibrations = st.builds(
         lambda matrix, iron: Correction(np.eye(3) + np.reshape(matrix, (3, 3)), np.array(iron)),
         st.tuples(*[small] * 9),
         st.tuples(*[irons] * 3),
-    ).filter(lambda correction: np.linalg.cond(correction.matrix) < LARGEST_CONDITION),
+    ).filter(lambda correction: np.linalg.cond(correction.matrix) < BOUNDS.largest_condition),
     st.integers(0, 2**31).map(random_covariance),
     st.floats(0.0, 1e-4),
     positive,

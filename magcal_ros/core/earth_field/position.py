@@ -5,25 +5,39 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from magcal_ros.core.earth_field.wmm import ALTITUDES, Place
+from magcal_ros.core.earth_field.wmm import VALIDITY, Place
 
-MOVED = 10_000.0
-"""Metres after which the field is looked up again: in that way it changes by less than
-0.1° and 0.1 µT at most places."""
 
-CONFIRMED = 3
-"""Fixes in a row that must agree on a new place: one alone may be wild."""
+@dataclass(frozen=True)
+class PositionTuning:
+    """When a place counts as another.
 
-FAR = 50_000.0
-"""Metres from where the robot is said to be, or was at first, that are worth a word."""
+    Attributes
+    ----------
+    moved : float
+        Metres after which the field is looked up again: in that way it changes by less than 0.1°
+        and 0.1 µT at most places.
+    confirmed : int
+        Fixes in a row that must agree on a new place: one alone may be wild.
+    far : float
+        Metres from where the robot is said to be, or was at first, that are worth a word.
+    altitude_unknown : float
+        Metres that are taken for it: a hundred change the strength by 0.005%.
+    """
+
+    moved: float = 10_000.0
+    confirmed: int = 3
+    far: float = 50_000.0
+    altitude_unknown: float = 0.0
+
+
+TUNING = PositionTuning()
+
 
 NO_FIX = "say that there is no fix"
 NOT_FINITE = "are not finite"
 OFF_EARTH = "lie outside of -90 to 90°, -180 to 180°, and -1 to 850 km of altitude"
 NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
-
-ALTITUDE_UNKNOWN = 0.0
-"""A hundred metres change the strength by 0.005%."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +64,8 @@ class Fix:
 def place_of(fix: Fix) -> Place | str:
     """Return the place of a fix, or what is wrong with it."""
     spot = (fix.latitude_deg, fix.longitude_deg)
-    low, high = ALTITUDES
-    altitude = fix.altitude if math.isfinite(fix.altitude) else ALTITUDE_UNKNOWN
+    low, high = VALIDITY.altitudes
+    altitude = fix.altitude if math.isfinite(fix.altitude) else TUNING.altitude_unknown
     if not fix.has_fix:
         return NO_FIX
     if not all(math.isfinite(value) for value in spot):
@@ -97,11 +111,13 @@ class Fixes:
 
     def _has_moved_to(self, place: Place) -> bool:
         assert self.place is not None
-        if self.place.distance(place) <= MOVED:
+        if self.place.distance(place) <= TUNING.moved:
             self._candidates = []
             return False
-        self._candidates = [c for c in self._candidates if c.distance(place) <= MOVED] + [place]
-        return len(self._candidates) >= CONFIRMED
+        self._candidates = [c for c in self._candidates if c.distance(place) <= TUNING.moved] + [
+            place
+        ]
+        return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
         """Say what is wrong with the fixes; empty if nothing is.
@@ -117,7 +133,7 @@ class Fixes:
             ]
         if given is not None:
             away = given.distance(self.place)
-            if away > FAR:
+            if away > TUNING.far:
                 return [
                     f"gps/fix says {self.place.words}, {away / 1000.0:.0f} km from the given place "
                     f"{given.words}, which is used: correct reference.latitude_deg and "
@@ -126,7 +142,7 @@ class Fixes:
             return []
         assert self._first is not None
         away = self._first.distance(self.place)
-        if away > FAR:
+        if away > TUNING.far:
             return [
                 f"gps/fix has moved by {away / 1000.0:.0f} km, from {self._first.words} to "
                 f"{self.place.words}: the reference field has followed"

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 from magcal_ros.core.assessment.verdict import NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.wmm import (
-    BLACKOUT,
-    CAUTION,
+    VALIDITY,
     ModelField,
     NoModel,
     Place,
@@ -160,7 +159,7 @@ def _filled(given: ReferenceField, local: Local, model: ModelField) -> Reference
         field = replace(field, strength=_widened(model.strength, local.strength))
     if given.inclination.is_unknown:
         field = replace(field, inclination=_widened(model.inclination, local.inclination))
-    if given.declination is None and model.level >= BLACKOUT:
+    if given.declination is None and model.level >= VALIDITY.blackout:
         declination = _widened(model.declination, local.declination)
         field = replace(field, declination=declination.value, declination_sigma=declination.sigma)
     return field
@@ -192,13 +191,13 @@ def _contradictions(
 def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
     found = []
     level = f"the level field is only {model.level * 1e6:.1f} µT this near to the magnetic pole"
-    if model.level < BLACKOUT:
+    if model.level < VALIDITY.blackout:
         words = "no true north is published unless the declination is given by hand"
         found.append(
             f"{level}: a compass is of no use here"
             + (f", and {words}" if field.declination is None else "")
         )
-    elif model.level < CAUTION:
+    elif model.level < VALIDITY.caution:
         sigma = math.degrees(model.declination.sigma)
         found.append(f"{level}: the declination is uncertain by {sigma:.1f}° (1σ) or more")
     if model.years_late > 0.0:

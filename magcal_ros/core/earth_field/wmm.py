@@ -14,28 +14,46 @@ from magcal_ros.core.earth_field.harmonics import Harmonics
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Belief
 
-ALTITUDES = (-1000.0, 850_000.0)
-"""Metres between which the model holds (WMM2025 Technical Report)."""
 
-FIRST_YEAR = 2015.0
-"""Begin of the oldest model that is shipped; a clock that was never set is earlier still."""
+@dataclass(frozen=True)
+class Validity:
+    """Where and for how long a model holds.
 
-LIFE = 5.0
-"""Years for which a model is made."""
+    Attributes
+    ----------
+    altitudes : tuple[float, float]
+        Metres between which the model holds (WMM2025 Technical Report).
+    first_year : float
+        Begin of the oldest model that is shipped; a clock that was never set is earlier still.
+    life : float
+        Years for which a model is made.
+    most_years_late : float
+        Years after the end of its life during which a model is still used, with grown sigmas.
+    drift_strength : float
+        Tesla that a model loses each year after its life, per component: WMM2010, 2015 and 2020
+        carried on for five to ten years differ from their successors by 24 to 28 nT and 0.03 to
+        0.05° a year (RMS over the globe).
+    drift_inclination : float
+        Radians of the same.
+    blackout : float
+        Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
+        zone).
+    caution : float
+        Tesla of level field below which it is to be doubted (caution zone).
+    """
 
-MOST_YEARS_LATE = 5.0
-"""Years after the end of its life during which a model is still used, with grown sigmas."""
+    altitudes: tuple[float, float] = (-1000.0, 850_000.0)
+    first_year: float = 2015.0
+    life: float = 5.0
+    most_years_late: float = 5.0
+    drift_strength: float = 30e-9
+    drift_inclination: float = math.radians(0.05)
+    blackout: float = 2000e-9
+    caution: float = 6000e-9
 
-DRIFT_STRENGTH = 30e-9
-DRIFT_INCLINATION = math.radians(0.05)
-"""What a model loses each year after its life, per component: WMM2010, 2015 and 2020 carried on
-for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05° a year (RMS
-over the globe)."""
 
-BLACKOUT = 2000e-9
-CAUTION = 6000e-9
-"""Level field in tesla below which a compass is of no use, or to be doubted (WMM2025 Technical
-Report, blackout and caution zones)."""
+VALIDITY = Validity()
+
 
 EARTH_RADIUS = 6_371_200.0
 NANO = 1e-9
@@ -88,7 +106,7 @@ class Place:
     altitude: float = 0.0
 
     def __post_init__(self) -> None:
-        low, high = ALTITUDES
+        low, high = VALIDITY.altitudes
         on_earth = abs(self.latitude_deg) <= 90.0 and abs(self.longitude_deg) <= 180.0
         if not (on_earth and low <= self.altitude <= high):
             raise ValueError(f"there is no field model for {self.words}, {self.altitude:g} m")
@@ -159,7 +177,7 @@ def year_of(stamps: Iterable[float], clock: float) -> float:
         Seconds since 1970 for where no stamp says anything.
     """
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
-    return min((year for year in years if year >= FIRST_YEAR), default=decimal_year(clock))
+    return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 
 
 def model_field(place: Place, year: float) -> ModelField:
@@ -183,20 +201,21 @@ def model_field(place: Place, year: float) -> ModelField:
         If no model comes near the date.
     """
     base = _newest_model(year)
-    late = max(year - (base + LIFE), 0.0)
+    late = max(year - (base + VALIDITY.life), 0.0)
     angles = math.radians(place.latitude_deg), math.radians(place.longitude_deg)
     north, east, down = _load(base).field(*angles, place.altitude / 1000.0, year)
     level = math.hypot(north, east)
     errors = ERRORS[base]
     by_place = errors.declination_nt_deg * NANO / max(level, NANO)
-    by_drift = late * DRIFT_STRENGTH / max(level, NANO)
+    by_drift = late * VALIDITY.drift_strength / max(level, NANO)
     declination = math.radians(math.hypot(errors.declination_deg, by_place))
     inclination = math.radians(errors.inclination_deg)
     return ModelField(
         Belief(
-            math.hypot(level, down), math.hypot(errors.strength_nt * NANO, late * DRIFT_STRENGTH)
+            math.hypot(level, down),
+            math.hypot(errors.strength_nt * NANO, late * VALIDITY.drift_strength),
         ),
-        Belief(math.atan2(down, level), math.hypot(inclination, late * DRIFT_INCLINATION)),
+        Belief(math.atan2(down, level), math.hypot(inclination, late * VALIDITY.drift_inclination)),
         Belief(math.atan2(east, north), min(math.hypot(declination, by_drift), math.pi)),
         f"World Magnetic Model {base}",
         late,
@@ -206,7 +225,7 @@ def model_field(place: Place, year: float) -> ModelField:
 def _newest_model(year: float) -> int:
     """Return the model of the date, or the newest one that came before, by its first year."""
     begun = [base for base in ERRORS if base <= year]
-    if not begun or not year <= max(begun) + LIFE + MOST_YEARS_LATE:
+    if not begun or not year <= max(begun) + VALIDITY.life + VALIDITY.most_years_late:
         raise NoModel(
             f"no World Magnetic Model is at hand for the year {year:.1f}: set the clock, or bring "
             "magcal_ros up to date"

@@ -11,14 +11,31 @@ from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 
-USEFUL = math.radians(2.0)
-"""Sigma below which a yaw found by driving is applied."""
-FAR_OFF = math.radians(15.0)
-"""Between a described and a found yaw: the description is wrong, which a person must see."""
-CLEAR = 3.0
-"""Sigmas by which a yaw contradicts one given by hand."""
-SMALLEST = math.radians(3.0)
-"""Contradictions below this are not worth a word."""
+
+@dataclass(frozen=True)
+class MendingTuning:
+    """When a yaw found by driving mends the described one.
+
+    Attributes
+    ----------
+    useful : float
+        Sigma below which a yaw found by driving is applied.
+    far_off : float
+        Radians between a described and a found yaw: the description is wrong, which a person must
+        see.
+    clear : float
+        Sigmas by which a yaw contradicts one given by hand.
+    smallest : float
+        Radians. Contradictions below this are not worth a word.
+    """
+
+    useful: float = math.radians(2.0)
+    far_off: float = math.radians(15.0)
+    clear: float = 3.0
+    smallest: float = math.radians(3.0)
+
+
+TUNING = MendingTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +68,10 @@ def mend(
     yaw = rpy_from_rotation(described)[2]
     if by_hand is not None:
         return MendedPose(_turned(described, by_hand - yaw), _doubt(found, by_hand))
-    if found is None or found.sigma > USEFUL:
+    if found is None or found.sigma > TUNING.useful:
         return MendedPose(described)
     gap = math.remainder(found.offset - yaw, math.tau)
-    if abs(gap) > FAR_OFF:
+    if abs(gap) > TUNING.far_off:
         return MendedPose(
             described,
             f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: mend "
@@ -71,6 +88,6 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     if found is None:
         return ""
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
-    if gap < max(CLEAR * found.sigma, SMALLEST):
+    if gap < max(TUNING.clear * found.sigma, TUNING.smallest):
         return ""
     return f"{found.words}, and vehicle_yaw_deg says {math.degrees(by_hand):.1f}°, which is used"

@@ -26,13 +26,30 @@ from magcal_ros.core.methods.tumbling import (
 )
 from magcal_ros.core.samples.window import Window
 
-LEAST_EXTENT = 0.9
-LARGEST_RATIO = 3.0
-"""Longest over shortest radius; no soft iron that leaves a compass usable does more."""
 
-ROUNDS = 4
-LEAST_SHARE = 0.5
-"""Of the samples that the ellipsoid must explain."""
+@dataclass(frozen=True)
+class EllipsoidTuning:
+    """Which clouds are an ellipsoid.
+
+    Attributes
+    ----------
+    least_extent : float
+        Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
+    largest_ratio : float
+        Longest over shortest radius; no soft iron that leaves a compass usable does more.
+    rounds : int
+        Times that outliers are left out and the rest is fitted again.
+    least_share : float
+        Of the samples that the ellipsoid must explain.
+    """
+
+    least_extent: float = 0.9
+    largest_ratio: float = 3.0
+    rounds: int = 4
+    least_share: float = 0.5
+
+
+TUNING = EllipsoidTuning()
 
 
 @dataclass(frozen=True)
@@ -85,7 +102,7 @@ def fit(
         If the samples cannot carry an answer; its text says why and what to do.
     """
     remedy = "Tumble again away from iron and moving loads."
-    settings = Settings("ellipsoid", LEAST_EXTENT, remedy, options)
+    settings = Settings("ellipsoid", TUNING.least_extent, remedy, options)
     return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
 
 
@@ -100,10 +117,10 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     nominal = nominal_field(window, knowledge)
     ellipsoid = fit_quadric(nominal, options.shape)
     kept = np.ones(len(nominal), dtype=np.bool_)
-    for _ in range(ROUNDS):
+    for _ in range(TUNING.rounds):
         points = (nominal - ellipsoid.centre) @ ellipsoid.to_unit_sphere
         believed = believed_samples(np.linalg.norm(points, axis=1))
-        if (believed == kept).all() or believed.mean() < LEAST_SHARE:
+        if (believed == kept).all() or believed.mean() < TUNING.least_share:
             break
         kept = believed
         ellipsoid = fit_quadric(nominal[kept], options.shape)
@@ -113,7 +130,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
 
 def _refuse_flattened(ellipsoid: Ellipsoid) -> None:
     ratio = float(ellipsoid.radii.max() / ellipsoid.radii.min())
-    if ratio > LARGEST_RATIO:
+    if ratio > TUNING.largest_ratio:
         raise Refusal(
             Reason.NO_SOLUTION,
             f"The longest radius of the ellipsoid is {ratio:.1f} times the shortest: too little "

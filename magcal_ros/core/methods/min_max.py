@@ -18,8 +18,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.tumbling import (
-    LEAST_GATE,
-    OUTLIER_DEVIATIONS,
+    CLOUD,
     Settings,
     Shape,
     TumblingOptions,
@@ -28,18 +27,36 @@ from magcal_ros.core.methods.tumbling import (
 )
 from magcal_ros.core.samples.window import Window
 
-SMALLEST_RANGE = 0.5
-"""Smallest over largest range of an axis; below it one axis never met the field."""
 
-LEAST_EXTENT = 1.6
-DIRECTION_CELLS = 4.0
-"""Half the number of cells along an edge of the cube on which directions are sorted."""
+@dataclass(frozen=True)
+class MinMaxTuning:
+    """What extremes are taken of.
 
-SPACE_CELLS = 12.0
-"""Number of cells along the range of an axis."""
+    Attributes
+    ----------
+    smallest_range : float
+        Smallest over largest range of an axis; below it one axis never met the field.
+    least_extent : float
+        Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
+    direction_cells : float
+        Half the number of cells along an edge of the cube on which directions are sorted.
+    space_cells : float
+        Number of cells along the range of an axis.
+    starting_quantile : float
+        Share of the places left out at either end of an axis to begin with.
+    most_rounds : int
+        Times that outliers are looked for.
+    """
 
-STARTING_QUANTILE = 0.05
-MOST_ROUNDS = 10
+    smallest_range: float = 0.5
+    least_extent: float = 1.6
+    direction_cells: float = 4.0
+    space_cells: float = 12.0
+    starting_quantile: float = 0.05
+    most_rounds: int = 10
+
+
+TUNING = MinMaxTuning()
 
 
 @dataclass(frozen=True)
@@ -86,7 +103,7 @@ def fit(
     remedy = "Tumble again away from iron, or fit a rotated ellipsoid."
     if not options.robust:
         remedy = "Use the robust variant if single samples are off, or fit a rotated ellipsoid."
-    settings = Settings("min_max", LEAST_EXTENT, remedy, options)
+    settings = Settings("min_max", TUNING.least_extent, remedy, options)
     return finish(lambda part, known: solve(part, known, options), window, knowledge, settings)
 
 
@@ -102,7 +119,7 @@ def solve(window: Window, knowledge: Knowledge, options: Options) -> Shape:
     kept = believed_on_sphere(nominal) if options.robust else np.ones(len(nominal), dtype=np.bool_)
     low, high = nominal[kept].min(axis=0), nominal[kept].max(axis=0)
     offset, half_range = 0.5 * (low + high), 0.5 * (high - low)
-    if half_range.min() < SMALLEST_RANGE * half_range.max():
+    if half_range.min() < TUNING.smallest_range * half_range.max():
         axis = "xyz"[int(half_range.argmin())]
         raise Refusal(
             Reason.PLANAR,
@@ -128,12 +145,12 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
     """
     low, high = _starting_range(nominal)
     kept = np.ones(len(nominal), dtype=np.bool_)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(TUNING.most_rounds):
         points = (nominal - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-300)
         distance = np.linalg.norm(points, axis=1)
         # Each cell of direction has one vote, however full it is.
         on_cube = points / np.maximum(np.abs(points).max(axis=1, keepdims=True), 1e-300)
-        believed = _near_the_usual(distance, _one_vote_each(DIRECTION_CELLS * on_cube))
+        believed = _near_the_usual(distance, _one_vote_each(TUNING.direction_cells * on_cube))
         if not believed.any() or (believed == kept).all():
             break
         kept = believed
@@ -142,11 +159,11 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
 
 
 def _starting_range(nominal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / SPACE_CELLS
+    size = np.maximum(np.ptp(nominal, axis=0).max(), 1e-300) / TUNING.space_cells
     weights = _one_vote_each(nominal / size)
     ends = [
         [_weighted_quantile(axis, weights, share) for axis in nominal.T]
-        for share in (STARTING_QUANTILE, 1.0 - STARTING_QUANTILE)
+        for share in (TUNING.starting_quantile, 1.0 - TUNING.starting_quantile)
     ]
     return np.array(ends[0]), np.array(ends[1])
 
@@ -159,8 +176,8 @@ def _one_vote_each(coordinates: FloatArray) -> FloatArray:
 def _near_the_usual(distance: FloatArray, weights: FloatArray) -> BoolArray:
     usual = _weighted_quantile(distance, weights, 0.5)
     off = np.abs(distance - usual)
-    gate = OUTLIER_DEVIATIONS * 1.4826 * _weighted_quantile(off, weights, 0.5)
-    return np.asarray(off <= max(gate, LEAST_GATE * usual))
+    gate = CLOUD.outlier_deviations * 1.4826 * _weighted_quantile(off, weights, 0.5)
+    return np.asarray(off <= max(gate, CLOUD.least_gate * usual))
 
 
 def _weighted_quantile(values: FloatArray, weights: FloatArray, share: float) -> float:

@@ -26,21 +26,37 @@ from magcal_ros.core.methods.mounting import SeenMounting, look_at_mounting
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
 
-THINNEST_CLOUD = 0.15
-"""Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
 
-LEAST_MOTION = 0.02
-"""Standard deviation of the field over its size; below it nothing moved."""
+@dataclass(frozen=True)
+class CloudTuning:
+    """Which clouds of field samples a tumble can have left.
 
-LARGEST_RESIDUAL = 0.15
-"""Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
+    Attributes
+    ----------
+    thinnest_cloud : float
+        Smallest over largest standard deviation of a cloud; below it is a plane with noise.
+    least_motion : float
+        Standard deviation of the field over its size; below it nothing moved.
+    largest_residual : float
+        Root mean square of the distance from the sphere over its radius; beyond it is no sphere.
+    outlier_deviations : float
+        Robust standard deviations from the usual distance beyond which a sample is an outlier.
+    least_gate : float
+        Share of the radius within which a sample is always believed.
+    least_level_share : float
+        Of the field that is taken to be level where it is steeper than a compass can bear.
+    """
 
-OUTLIER_DEVIATIONS = 5.0
-LEAST_GATE = 0.02
-"""Share of the radius within which a sample is always believed."""
+    thinnest_cloud: float = 0.15
+    least_motion: float = 0.02
+    largest_residual: float = 0.15
+    outlier_deviations: float = 5.0
+    least_gate: float = 0.02
+    least_level_share: float = 0.1
 
-LEAST_LEVEL_SHARE = 0.1
-"""Of the field that is taken to be level where it is steeper than a compass can bear."""
+
+CLOUD = CloudTuning()
+
 
 PROBES: FloatArray = unit(
     np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if d > (0.0, 0.0, 0.0)])
@@ -134,12 +150,12 @@ def _refuse_flat(nominal: FloatArray) -> None:
     """Refuse a cloud that did not move, or that lies on a plane."""
     spread = np.linalg.svd(nominal - nominal.mean(axis=0), compute_uv=False)
     spread = spread / math.sqrt(len(nominal))
-    if spread[0] < LEAST_MOTION * float(np.median(np.linalg.norm(nominal, axis=1))):
+    if spread[0] < CLOUD.least_motion * float(np.median(np.linalg.norm(nominal, axis=1))):
         raise Refusal(
             Reason.NO_MOTION,
             "The field hardly changed. Tumble the sensor through all orientations.",
         )
-    if spread[2] < THINNEST_CLOUD * spread[0]:
+    if spread[2] < CLOUD.thinnest_cloud * spread[0]:
         raise Refusal(
             Reason.PLANAR,
             "The field stayed near a plane, as in a turn about one axis: offset and scale across "
@@ -163,8 +179,8 @@ def believed_samples(distance: FloatArray) -> BoolArray:
         From the unit sphere's centre.
     """
     off = np.abs(distance - float(np.median(distance)))
-    gate = OUTLIER_DEVIATIONS * 1.4826 * float(np.median(off))
-    return np.asarray(off <= max(gate, LEAST_GATE))
+    gate = CLOUD.outlier_deviations * 1.4826 * float(np.median(off))
+    return np.asarray(off <= max(gate, CLOUD.least_gate))
 
 
 def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Settings) -> Estimate:
@@ -219,7 +235,7 @@ def finish(solve: Solve, window: Window, knowledge: Knowledge, settings: Setting
         inclination=inclination,
         noise_field=noise,
         # The field's own noise is in the scatter, too: rather too large than too small.
-        noise_up=mounting.scatter / max(math.cos(inclination), LEAST_LEVEL_SHARE),
+        noise_up=mounting.scatter / max(math.cos(inclination), CLOUD.least_level_share),
         inliers=inliers,
         residual=residual,
         figures=_figures(shape, extent, mounting, knowledge, options),
@@ -261,7 +277,7 @@ def _refuse_no_sphere(points: FloatArray, settings: Settings) -> float:
             "all orientations, upside down included.",
         )
     rms = float(np.sqrt(np.mean((np.linalg.norm(points, axis=1) - 1.0) ** 2)))
-    if rms > LARGEST_RESIDUAL:
+    if rms > CLOUD.largest_residual:
         raise Refusal(
             Reason.NO_SOLUTION,
             f"The corrected samples miss the sphere by {100.0 * rms:.0f}% of its radius. "

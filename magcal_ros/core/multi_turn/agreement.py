@@ -20,15 +20,32 @@ from magcal_ros.core.estimation.solver import Fit
 
 HARD_IRON_INDICES = np.arange(p.HARD_IRON.start, p.HARD_IRON.stop)
 
-LEAST_SHARE = 0.03
-"""Of a direction's information that both sides must have."""
-CERTAIN = 1e-6
-SUSPICIOUS = 1e-3
-"""Probability of a chance disagreement below which a turn is left out, and below which the
-covariance grows by what the turns differ."""
-PLACE_TO_PLACE = 0.003
-"""Field scales (0.15 µT of 50) by which hard iron may seem to differ between sound turns: no two
-places have quite the same field. It widens what is tolerated, not the covariance."""
+
+@dataclass(frozen=True)
+class AgreementTuning:
+    """When turns are taken to agree.
+
+    Attributes
+    ----------
+    least_share : float
+        Of a direction's information that both sides must have.
+    certain : float
+        Probability of a chance disagreement below which it is none.
+    suspicious : float
+        Probability of a chance disagreement below which a turn is left out, and below which the
+        covariance grows by what the turns differ.
+    place_to_place : float
+        Field scales (0.15 µT of 50) by which hard iron may seem to differ between sound turns: no
+        two places have quite the same field. It widens what is tolerated, not the covariance.
+    """
+
+    least_share: float = 0.03
+    certain: float = 1e-6
+    suspicious: float = 1e-3
+    place_to_place: float = 0.003
+
+
+TUNING = AgreementTuning()
 
 
 @dataclass(frozen=True)
@@ -57,7 +74,7 @@ class Agreement:
     @property
     def is_broken(self) -> bool:
         """Whether turn and others cannot belong together."""
-        return self.freedom > 0 and float(chdtrc(self.freedom, self.tolerant)) < CERTAIN
+        return self.freedom > 0 and float(chdtrc(self.freedom, self.tolerant)) < TUNING.certain
 
     @property
     def misfit(self) -> float:
@@ -67,7 +84,7 @@ class Agreement:
     @property
     def widening(self) -> float:
         """By how much the covariance must grow to cover the disagreement, one or more."""
-        return 1.0 if self.chance > SUSPICIOUS else max(1.0, self.misfit**2)
+        return 1.0 if self.chance > TUNING.suspicious else max(1.0, self.misfit**2)
 
 
 def agreements(joint: Fit) -> list[Agreement]:
@@ -83,12 +100,12 @@ def _agreement(joint: Fit, index: int) -> Agreement:
     roots = np.sqrt(np.maximum(values, 1e-13))
     whiten = size[:, None] * (vectors / roots)
     shares, turned = np.linalg.eigh(whiten.T @ mine @ whiten)
-    both = (shares > LEAST_SHARE) & (shares < 1.0 - LEAST_SHARE)
+    both = (shares > TUNING.least_share) & (shares < 1.0 - TUNING.least_share)
     slope = ((whiten @ turned).T @ gradient)[both]
     weight = shares[both] * (1.0 - shares[both])
     # The rows that take a step of the shared numbers to these axes; of hard iron only.
     back = (turned.T @ (vectors * roots).T / size)[both]
-    iron = PLACE_TO_PLACE * back[:, np.isin(joint.free, HARD_IRON_INDICES)]
+    iron = TUNING.place_to_place * back[:, np.isin(joint.free, HARD_IRON_INDICES)]
     difference = slope / weight
     allowed = np.diag(1.0 / weight) + iron @ iron.T
     return Agreement(

@@ -11,9 +11,24 @@ import numpy as np
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
 
-MOST_TURNS = 12
-MOST_SAMPLES = 4000
-"""Bounds of what is kept; the oldest turn leaves first, and a long one is thinned."""
+
+@dataclass(frozen=True)
+class KeptTuning:
+    """How much is kept of the turns: the oldest leaves first, and a long one is thinned.
+
+    Attributes
+    ----------
+    most_turns : int
+        Turns.
+    most_samples : int
+        Samples of each.
+    """
+
+    most_turns: int = 12
+    most_samples: int = 4000
+
+
+TUNING = KeptTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +51,7 @@ class Kept:
     def joined(self, window: Window, several: Several) -> Kept:
         """Return what is kept once a turn has joined; a turn that had to go for it goes."""
         windows, names = (*self.windows, window), (*self.names, self.next_name)
-        rows = several.joined[-MOST_TURNS:]
+        rows = several.joined[-TUNING.most_turns :]
         return Kept(
             tuple(_thinned(windows[row]) for row in rows),
             tuple(names[row] for row in rows),
@@ -50,7 +65,7 @@ class Kept:
 
 
 def _thinned(window: Window) -> Window:
-    step = math.ceil(len(window) / MOST_SAMPLES)
+    step = math.ceil(len(window) / TUNING.most_samples)
     return window if step <= 1 else window.take(np.arange(0, len(window), step))
 
 

@@ -9,28 +9,46 @@ explains, and the gyro is not believed where only the other one fits.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 
-SPANS = (math.radians(75.0), math.radians(150.0), math.radians(300.0))
-"""Radians that gyro or commands have turned before the field is asked: more tell more."""
 
-DISAGREE = 0.38
-"""Share of the span by which gyro and commands must differ before the field is asked."""
+@dataclass(frozen=True)
+class ObjectionTuning:
+    """When the field objects to what the gyro says.
 
-FACTORS = (0.85, 1.0, 1.2)
-"""How far an angle may be off in scale and still be taken for the true one."""
+    Attributes
+    ----------
+    spans : tuple[float, float, float]
+        Radians that gyro or commands have turned before the field is asked: more tell more.
+    disagree : float
+        Share of the span by which gyro and commands must differ before the field is asked.
+    factors : tuple[float, float, float]
+        How far an angle may be off in scale and still be taken for the true one.
+    clearly_worse : float
+        Times the squared misfit of the other angle, from which one is not believed.
+    smallest_radius : float
+        Tesla. A field on a smaller circle has not turned.
+    most_rows : int
+        Samples that are looked at, evenly over the span.
+    """
 
-CLEARLY_WORSE = 1.4
-"""Times the squared misfit of the other angle, from which one is not believed."""
+    spans: tuple[float, float, float] = (
+        math.radians(75.0),
+        math.radians(150.0),
+        math.radians(300.0),
+    )
+    disagree: float = 0.38
+    factors: tuple[float, float, float] = (0.85, 1.0, 1.2)
+    clearly_worse: float = 1.4
+    smallest_radius: float = 1.5e-6
+    most_rows: int = 200
 
-SMALLEST_RADIUS = 1.5e-6
-"""Tesla. A field on a smaller circle has not turned."""
 
-MOST_ROWS = 200
-"""Samples that are looked at, evenly over the span."""
+TUNING = ObjectionTuning()
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
@@ -43,7 +61,7 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
     level : ndarray, shape (n, 2)
         The field in two level axes, tesla.
     """
-    for span in SPANS:
+    for span in TUNING.spans:
         rows = _last(span, turned, commanded)
         if len(rows) < 10:
             return ""
@@ -57,12 +75,12 @@ def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, s
     gyro_span, told_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
     shown, told = math.degrees(gyro_span), math.degrees(told_span)
     misfit, radius = _best_fit(by_gyro, level)
-    if gyro_span >= span and radius < SMALLEST_RADIUS:
+    if gyro_span >= span and radius < TUNING.smallest_radius:
         return f"the gyro shows {shown:.0f}° of turn in which the field stood still"
-    if np.ptp(by_gyro - by_command) < DISAGREE * max(gyro_span, told_span):
+    if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, told_span):
         return ""
     other, radius = _best_fit(by_command, level)
-    if radius > SMALLEST_RADIUS and misfit > CLEARLY_WORSE * other:
+    if radius > TUNING.smallest_radius and misfit > TUNING.clearly_worse * other:
         return (
             f"the gyro shows {shown:.0f}° where the field turned with the {told:.0f}° that were "
             "commanded"
@@ -100,7 +118,7 @@ def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, f
 
 def _best_fit(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
     """Return mean square misfit (T²) and radius (T) of the best of the allowed scales."""
-    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in FACTORS)
+    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in TUNING.factors)
     return total / (2.0 * len(turned)), radius
 
 
@@ -115,5 +133,5 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
     if not len(enough):
         return np.empty(0, dtype=int)
     count = int(enough[0]) + 1
-    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, MOST_ROWS))
+    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, TUNING.most_rows))
     return np.unique(rows.round().astype(int))

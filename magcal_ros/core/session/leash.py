@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from magcal_ros.core.session.rotation_plan import Seen, planned_duration
 
-LEEWAY = 1.5
-"""The two turns may take so many times as long as planned, and be commanded so many times as far:
-wheels slip."""
 
-FARTHEST_BEYOND = math.radians(45.0)
-"""Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
+@dataclass(frozen=True)
+class LeashTuning:
+    """How far a robot that turns itself may go.
+
+    Attributes
+    ----------
+    leeway : float
+        The two turns may take so many times as long as planned, and be commanded so many
+        times as far: wheels slip.
+    farthest_beyond : float
+        Radians that a robot may stand beyond either end of its full turn, by the gyro: it
+        coasts.
+    """
+
+    leeway: float = 1.5
+    farthest_beyond: float = math.radians(45.0)
+
+
+TUNING = LeashTuning()
 
 
 class Leash:
@@ -36,7 +51,7 @@ class Leash:
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.objection = ""
-        self._deadline = now + min(longest, LEEWAY * planned_duration(speed))
+        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
         self._noted = now
         self._commanded = self._path = 0.0
 
@@ -51,12 +66,18 @@ class Leash:
         self._path += abs(step)
         if self.objection:
             return
-        if seen.by_gyro and not -FARTHEST_BEYOND <= seen.turned <= math.tau + FARTHEST_BEYOND:
+        if (
+            seen.by_gyro
+            and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
+        ):
             self.objection = (
                 f"by the gyro it stands at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
-        elif abs(self._commanded) > LEEWAY * math.tau or self._path > LEEWAY * 2.0 * math.tau:
+        elif (
+            abs(self._commanded) > TUNING.leeway * math.tau
+            or self._path > TUNING.leeway * 2.0 * math.tau
+        ):
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, and its turn is still not done"
             )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from magcal_ros.core.calibrate import (
@@ -31,11 +31,26 @@ from magcal_ros.core.smoothing.recorder import DriveRecorder
 Reading: TypeAlias = ImuSample | FieldSample | None
 """What a sensor said; None is an Imu message that says it has no acceleration."""
 
-LONGEST_DRIVE = 7200.0
-"""Seconds of movement that are remembered; of a longer drive the last ones."""
 
-SHORTEST_DRIVE = 25.0
-"""Seconds of movement below which a recording is a turn or nothing."""
+@dataclass(frozen=True)
+class RecordedTuning:
+    """Which part of a recording counts as a drive.
+
+    Attributes
+    ----------
+    longest_drive : float
+        Seconds of movement that are remembered; of a longer drive the last ones.
+    shortest_drive : float
+        Seconds of movement below which a recording is a turn or nothing.
+    """
+
+    longest_drive: float = 7200.0
+    shortest_drive: float = 25.0
+
+
+TUNING = RecordedTuning()
+
+
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Reasons that a longer recording would mend."""
 
@@ -69,7 +84,7 @@ class Gathering:
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
-        self._drive = DriveRecorder(LONGEST_DRIVE)
+        self._drive = DriveRecorder(TUNING.longest_drive)
 
     @property
     def heard(self) -> tuple[int, int]:
@@ -177,7 +192,7 @@ def fit_gathered(
     else:
         turn, window = calibrate(found, knowledge, method), found
     log = gathering.drive()
-    if method != METHODS[0] or log.seconds < SHORTEST_DRIVE or turn.verdict.is_good:
+    if method != METHODS[0] or log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
         return turn, window
     drive = calibrate_drive(log, knowledge)
     if drive_rather_than_turn(turn, drive, log, knowledge):

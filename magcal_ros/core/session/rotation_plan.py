@@ -10,20 +10,37 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
-ACCELERATION = 0.5
-"""rad/s² of the ramps."""
 
-PAUSE = 0.5
-"""Seconds at rest between the two ways."""
+@dataclass(frozen=True)
+class RotationTuning:
+    """How a robot turns itself, and what shows that it does not.
 
-LONGEST_STEP = 0.2
-"""Seconds. After a longer delay between two looks the ramp goes on as after this one."""
+    Attributes
+    ----------
+    acceleration : float
+        rad/s² of the ramps.
+    pause : float
+        Seconds at rest between the two ways.
+    longest_step : float
+        Seconds. After a longer delay between two looks the ramp goes on as after this one.
+    least_share : float
+        A robot that turns with less of the commanded rate does not turn.
+    most_share : float
+        A robot that turns with more than so many times the commanded rate, and `most_more`
+        on top, is far too fast.
+    most_more : float
+        rad/s on top of `most_share`.
+    """
 
-LEAST_SHARE = 0.3
-"""A robot that turns with less of the commanded rate does not turn."""
+    acceleration: float = 0.5
+    pause: float = 0.5
+    longest_step: float = 0.2
+    least_share: float = 0.3
+    most_share: float = 1.75
+    most_more: float = 0.1
 
-MOST_SHARE, MOST_MORE = 1.75, 0.1
-"""So many times the commanded rate, and so many rad/s on top, are far too fast."""
+
+TUNING = RotationTuning()
 
 
 class Phase(Enum):
@@ -83,7 +100,7 @@ class Patience:
 
 def planned_duration(speed: float) -> float:
     """Return seconds that a turn each way takes at `speed`, rad/s."""
-    return 2.0 * (math.tau / speed + speed / ACCELERATION) + PAUSE
+    return 2.0 * (math.tau / speed + speed / TUNING.acceleration) + TUNING.pause
 
 
 class RotationPlan:
@@ -133,7 +150,7 @@ class RotationPlan:
         seen : Seen
             What the sensors show.
         """
-        elapsed, self._last = min(now - self._last, LONGEST_STEP), now
+        elapsed, self._last = min(now - self._last, TUNING.longest_step), now
         if self.phase is not Phase.ENDED:
             self.fault = self._find_fault(now, seen)
         if self.phase is Phase.ENDED or self.fault is not None:
@@ -145,7 +162,7 @@ class RotationPlan:
         return self.command
 
     def _wait(self, now: float, seen: Seen) -> None:
-        if now - self._paused_at >= PAUSE:
+        if now - self._paused_at >= TUNING.pause:
             self._target = abs(seen.turned - self._from)
             self.phase, self._from, self._brakes = Phase.BACK, seen.turned, False
             self._suspected.clear()
@@ -153,10 +170,10 @@ class RotationPlan:
     def _drive(self, now: float, elapsed: float, seen: Seen) -> None:
         size = abs(self.command)
         covered = self.direction * (seen.turned - self._from)
-        braking_arc = size * size / (2.0 * ACCELERATION)
+        braking_arc = size * size / (2.0 * TUNING.acceleration)
         if covered + braking_arc >= self._target or (self.phase is Phase.OUT and seen.is_complete):
             self._brakes = True
-        change = ACCELERATION * elapsed
+        change = TUNING.acceleration * elapsed
         size = max(size - change, 0.0) if self._brakes else min(size + change, self._speed)
         self.command = self.direction * size
         if self._brakes and size == 0.0:
@@ -168,9 +185,9 @@ class RotationPlan:
         along = self.direction * seen.rate
         told = 0.0 if self._brakes else abs(self.command)
         shows = {
-            Fault.TOO_FAST: abs(seen.rate) > MOST_SHARE * self._speed + MOST_MORE,
-            Fault.WRONG_WAY: told > 0.0 and along < -LEAST_SHARE * self._speed,
-            Fault.NOT_TURNING: told > 0.0 and along < LEAST_SHARE * told,
+            Fault.TOO_FAST: abs(seen.rate) > TUNING.most_share * self._speed + TUNING.most_more,
+            Fault.WRONG_WAY: told > 0.0 and along < -TUNING.least_share * self._speed,
+            Fault.NOT_TURNING: told > 0.0 and along < TUNING.least_share * told,
         }
         patience = Patience.of(seen.by_gyro, self._speed)
         for fault, shown in shows.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,25 +16,43 @@ from magcal_ros.core.session.gyro_against_field import fit_circle_by_angle, obje
 from magcal_ros.core.session.rotation_plan import Fault, Seen
 from magcal_ros.core.session.session import Progress
 
-RATE_SPAN = 0.5
-"""Seconds over which the gyro's rate is averaged."""
 
-KEPT = 2000
-"""Samples kept to tell the compass's sense of rotation."""
+@dataclass(frozen=True)
+class ProofTuning:
+    """What shows that a robot turns, and to which side.
 
-SMALLEST_SWING = 4e-6
-"""Tesla. A field that moved less has not turned."""
+    Attributes
+    ----------
+    rate_span : float
+        Seconds over which the gyro's rate is averaged.
+    kept : int
+        Samples kept to tell the compass's sense of rotation.
+    smallest_swing : float
+        Tesla. A field that moved less has not turned.
+    asked_every : float
+        Seconds between two looks at the field.
+    recently : float
+        Seconds in which a field that turns must have moved.
+    smallest_move : float
+        Tesla between the means of the two halves of the last `recently` seconds, if the
+        field turns.
+    smallest_arc : float
+        Radians of the field's circle below which its sense of rotation is not asked.
+    clearly_better : float
+        Share of the other sense's misfit below which one sense is believed.
+    """
 
-ASKED_EVERY = 0.25
-"""Seconds between two looks at the field."""
+    rate_span: float = 0.5
+    kept: int = 2000
+    smallest_swing: float = 4e-6
+    asked_every: float = 0.25
+    recently: float = 2.0
+    smallest_move: float = 1.5e-6
+    smallest_arc: float = math.radians(10.0)
+    clearly_better: float = 0.5
 
-RECENTLY = 2.0
-SMALLEST_MOVE = 1.5e-6
-"""Tesla between the means of the two halves of the last `RECENTLY` seconds, if the field turns."""
 
-SMALLEST_ARC = math.radians(10.0)
-CLEARLY_BETTER = 0.5
-"""Share of the other sense's misfit below which one sense is believed."""
+TUNING = ProofTuning()
 
 
 class RotationProof:
@@ -52,8 +71,8 @@ class RotationProof:
         self._has_gyro = False
         self._commanded = 0.0
         self._asked = -math.inf
-        self._recent: deque[tuple[float, float]] = deque(maxlen=KEPT)
-        self._rows: deque[tuple[float, ...]] = deque(maxlen=KEPT)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=TUNING.kept)
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=TUNING.kept)
 
     def add(self, pair: Pair, command: float = 0.0) -> None:
         """Take the next sample, and the rate (rad/s) that is commanded meanwhile."""
@@ -71,7 +90,7 @@ class RotationProof:
                 self._commanded += step * command
         self._newest = (stamp, about_up)
         self._recent.append((stamp, self._turned))
-        while stamp - self._recent[0][0] > RATE_SPAN:
+        while stamp - self._recent[0][0] > TUNING.rate_span:
             self._recent.popleft()
         row = (self._turned, *pair.field.field, *force, stamp, self._commanded)
         self._rows.append(row)
@@ -91,7 +110,7 @@ class RotationProof:
         now : float
             Seconds on a steady clock.
         """
-        if not self._has_gyro or now - self._asked < ASKED_EVERY or len(self._rows) < 10:
+        if not self._has_gyro or now - self._asked < TUNING.asked_every or len(self._rows) < 10:
             return ""
         self._asked = now
         turned, level = self._level_field()
@@ -143,11 +162,11 @@ class RotationProof:
         if len(self._rows) < 10:
             return 0
         turned, level = self._level_field()
-        if np.ptp(turned) < SMALLEST_ARC:
+        if np.ptp(turned) < TUNING.smallest_arc:
             return 0
         misfits = [fit_circle_by_angle(sense * turned, level)[0] for sense in (1.0, -1.0)]
-        swings = np.ptp(level, axis=0).max() > SMALLEST_SWING
-        if not swings or min(misfits) > CLEARLY_BETTER * max(misfits):
+        swings = np.ptp(level, axis=0).max() > TUNING.smallest_swing
+        if not swings or min(misfits) > TUNING.clearly_better * max(misfits):
             return 0
         return 1 if misfits[0] < misfits[1] else -1
 
@@ -161,11 +180,11 @@ class RotationProof:
         if len(self._rows) < 10:
             return False
         stamps = np.array([row[7] for row in self._rows])
-        level = self._level_field()[1][stamps > stamps[-1] - RECENTLY]
+        level = self._level_field()[1][stamps > stamps[-1] - TUNING.recently]
         before, after = np.array_split(level, 2)
         if not len(before):
             return False
-        return bool(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > SMALLEST_MOVE)
+        return bool(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > TUNING.smallest_move)
 
     def _level_field(self) -> tuple[FloatArray, FloatArray]:
         """Return the gyro's angle (n,) and the field in two level axes (n, 2), right-handed."""

@@ -18,27 +18,45 @@ from magcal_ros.core.session.rotation_plan import Phase, RotationPlan
 from magcal_ros.core.session.rotation_proof import RotationProof
 from magcal_ros.core.session.session import Progress
 
-ZEROS = 10
-"""How often zero is sent at the end, for a single message may be lost."""
 
-SILENCE = 1.0
-"""Seconds without a sensor after which a moving robot is stopped."""
+@dataclass(frozen=True)
+class SelfTurnTuning:
+    """For how long a robot that turns itself may go without what it needs.
 
-GYRO_SILENCE = 0.5
-"""Seconds without an angular velocity after which a robot that is led by the gyro is stopped."""
+    Attributes
+    ----------
+    zeros : int
+        How often zero is sent at the end, for a single message may be lost.
+    silence : float
+        Seconds without a sensor after which a moving robot is stopped.
+    gyro_silence : float
+        Seconds without an angular velocity after which a robot that is led by the gyro is
+        stopped.
+    longest_look : float
+        Seconds between two looks at a moving robot; whoever looks away for longer could not
+        stop it.
+    listeners_within : float
+        Seconds within which something must have subscribed to the commands.
+    guarded_within : float
+        Seconds within which the guard must be ready; a small computer takes three to start
+        one.
+    """
 
-LONGEST_LOOK = 0.5
-"""Seconds between two looks at a moving robot; whoever looks away for longer could not stop it."""
+    zeros: int = 10
+    silence: float = 1.0
+    gyro_silence: float = 0.5
+    longest_look: float = 0.5
+    listeners_within: float = 3.0
+    guarded_within: float = 10.0
 
-LISTENERS_WITHIN = 3.0
-"""Seconds within which something must have subscribed to the commands."""
 
-GUARDED_WITHIN = 10.0
-"""Seconds within which the guard must be ready; a small computer takes three to start one."""
+TUNING = SelfTurnTuning()
+
 
 UNGUARDED = (
-    "the robot does not set off: the guard, a second process that would stop it if this node could "
-    f"not, was not ready within {GUARDED_WITHIN:g} s; see the log, and what keeps the machine busy"
+    "the robot does not set off: the guard, a second process that would stop it if this node "
+    f"could not, was not ready within {TUNING.guarded_within:g} s; see the log, and what keeps the "
+    "machine busy"
 )
 GUARD_GONE = (
     "its guard has ended, or has stopped it because this node was silent for too long: leave the "
@@ -230,7 +248,7 @@ class SelfTurn:
     def stop(self) -> Steering:
         """Let the robot stand, whatever it does."""
         if isinstance(self._stage, Moving):
-            self._stage = Stopping(ZEROS)
+            self._stage = Stopping(TUNING.zeros)
             return Steering(0.0)
         if isinstance(self._stage, Waiting):
             self._stage = Stopping(self._stage.zeros) if self._stage.zeros else None
@@ -248,16 +266,16 @@ class SelfTurn:
             return Steering(0.0)
         if not around.is_allowed:
             return self.break_off("rotate.enabled was switched off")
-        if max(around.imu_age, around.field_age) >= SILENCE:
+        if max(around.imu_age, around.field_age) >= TUNING.silence:
             return Steering()
         if not around.listeners:
-            if now - stage.since > LISTENERS_WITHIN:
+            if now - stage.since > TUNING.listeners_within:
                 topic = self._topics.command
                 remedy = "remap cmd_vel to the base's topic"
                 return self.break_off(f"nobody listens to {topic}: {remedy}")
         elif around.is_guarded:
             self._set_off(stage.order, now)
-        elif now - stage.since > GUARDED_WITHIN:
+        elif now - stage.since > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()
 
@@ -290,7 +308,7 @@ class SelfTurn:
 
     def _objection(self, stage: Moving, now: float, since: float, around: Around) -> str:
         """Say why the robot must not turn on; empty if it may."""
-        if since > LONGEST_LOOK:
+        if since > TUNING.longest_look:
             return (
                 f"the machine was too busy to look at it for {since:.1f} s: "
                 "leave the calibrator more time, or end what takes it"
@@ -307,17 +325,17 @@ class SelfTurn:
     def _silence(self, stage: Moving, now: float, around: Around) -> str:
         topics = self._topics
         is_pausing = stage.plan.phase is Phase.PAUSE
-        is_unpaired = now - self._paired > SILENCE and not is_pausing
+        is_unpaired = now - self._paired > TUNING.silence and not is_pausing
         by_gyro = self._gyro_heard is not None
         # Pairs end with the older of the two samples, a little before the sensor's silence.
-        longest = SILENCE / 2.0 if is_unpaired else SILENCE
+        longest = TUNING.silence / 2.0 if is_unpaired else TUNING.silence
         for topic, age, limit in (
-            (topics.imu, around.imu_age, GYRO_SILENCE if by_gyro else longest),
+            (topics.imu, around.imu_age, TUNING.gyro_silence if by_gyro else longest),
             (topics.field, around.field_age, longest),
         ):
             if age > limit:
                 return f"{topic} has been silent for {age:.1f} s"
-        if self._gyro_heard is not None and now - self._gyro_heard > GYRO_SILENCE:
+        if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
             return (
                 f"the gyro is not heard any more: for {now - self._gyro_heard:.1f} s "
                 f"{topics.imu} has brought no angular velocity"

@@ -20,28 +20,43 @@ from magcal_ros.core.samples.rest import bias_at_rest
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 
-LARGEST_BUFFER = 20_000
-"""Pairs. When it is full it is thinned to equal angles, or while none can be told to equal times,
-so neither an hour of waiting nor an hour of turning does harm."""
 
-ENOUGH_FOR_PROGRESS = 2_000
-"""Rows beyond which progress looks at every second, third ... row: it is asked ten times a second,
-between the messages."""
+@dataclass(frozen=True)
+class SessionTuning:
+    """What a session keeps, and when it takes a turn to be done.
 
-MOST_TURNS = 2.0
-"""Full turns after which more of the same hardly makes the answer more certain."""
+    Attributes
+    ----------
+    largest_buffer : int
+        Pairs. When it is full it is thinned to equal angles, or while none can be told to
+        equal times, so neither an hour of waiting nor an hour of turning does harm.
+    enough_for_progress : int
+        Rows beyond which progress looks at every second, third ... row: it is asked ten
+        times a second, between the messages.
+    most_turns : float
+        Full turns after which more of the same hardly makes the answer more certain.
+    stands_still : float
+        Seconds without turning, after a complete turn, from which the robot is taken to be
+        done.
+    slowest_turn : float
+        rad/s. Slower than this the robot stands.
+    no_turn : float
+        Radians of arc that a robot at rest may seem to have turned.
+    """
 
-STANDS_STILL = 3.0
-"""Seconds without turning, after a complete turn, from which the robot is taken to be done."""
+    largest_buffer: int = 20_000
+    enough_for_progress: int = 2_000
+    most_turns: float = 2.0
+    stands_still: float = 3.0
+    slowest_turn: float = math.radians(3.0)
+    no_turn: float = 0.1
 
-SLOWEST_TURN = math.radians(3.0)
-"""rad/s. Slower than this the robot stands."""
 
-NO_TURN = 0.1
-"""Radians of arc that a robot at rest may seem to have turned."""
+TUNING = SessionTuning()
 
 ROWS = 10
 """Columns of the buffer: stamp, field, specific force, angular rate."""
+
 
 UNSEEN = (
     "; if it did turn, the field does not show it: it is too steep for a compass here, or the "
@@ -126,7 +141,7 @@ class Progress:
             With what was seen of the turn.
         """
         if self.coverage.arc < smallest:
-            stood = self.coverage.arc < NO_TURN
+            stood = self.coverage.arc < TUNING.no_turn
             raise Refusal(
                 Reason.NO_MOTION if stood else Reason.ARC_TOO_SHORT,
                 f"too little of a turn: {self.in_words}. Turn the robot a full circle"
@@ -204,12 +219,12 @@ class Session:
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
-        rows = self._buffer[: self._size : 1 + self._size // ENOUGH_FOR_PROGRESS]
+        rows = self._buffer[: self._size : 1 + self._size // TUNING.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
-        flows = self._last_pair is not None and now - self._last_pair < STANDS_STILL
+        flows = self._last_pair is not None and now - self._last_pair < TUNING.stands_still
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
-        if abs(rate) > SLOWEST_TURN:
+        if abs(rate) > TUNING.slowest_turn:
             self._last_turning = now
         stage = self._stage(coverage, now)
         elapsed = now - self._started
@@ -270,16 +285,16 @@ class Session:
         """Whether waiting longer is pointless: certain enough, or no longer getting better."""
         return (
             max(self._sigmas) <= self.limits.target_sigma
-            or abs(coverage.turned) >= MOST_TURNS * math.tau
-            or now - self._last_turning > STANDS_STILL
+            or abs(coverage.turned) >= TUNING.most_turns * math.tau
+            or now - self._last_turning > TUNING.stands_still
         )
 
     def _thin_out(self) -> None:
-        if self._size < LARGEST_BUFFER:
-            more = np.empty((min(self._size, LARGEST_BUFFER - self._size), ROWS))
+        if self._size < TUNING.largest_buffer:
+            more = np.empty((min(self._size, TUNING.largest_buffer - self._size), ROWS))
             self._buffer = np.concatenate([self._buffer, more])
             return
-        most = LARGEST_BUFFER // 2
+        most = TUNING.largest_buffer // 2
         angle = self._angle(self._buffer)
         if angle is None:
             stamps = self._buffer[:, 0]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from magcal_ros.core.calibrate import JOINS, Outcome
@@ -29,11 +29,26 @@ from magcal_ros.core.session.turn_states import (
     TurnState,
 )
 
-PREVIEW_ARC = math.radians(120.0)
-"""Radians of arc before which a prediction is worth nothing."""
 
-PREVIEW_SHARE = 0.25
-"""Share of one core that may go into predicting the heading sigma while the robot turns."""
+@dataclass(frozen=True)
+class PreviewTuning:
+    """When the heading sigma is predicted in mid-turn.
+
+    Attributes
+    ----------
+    preview_arc : float
+        Radians of arc before which a prediction is worth nothing.
+    preview_share : float
+        Share of one core that may go into predicting the heading sigma while the robot
+        turns.
+    """
+
+    preview_arc: float = math.radians(120.0)
+    preview_share: float = 0.25
+
+
+TUNING = PreviewTuning()
+
 
 SET_BACK = "time was set back during the turn, and what came before was left out"
 UNCHANGED = "the calibration in force is unchanged"
@@ -186,7 +201,7 @@ class TurnMachine:
         """Ask now and then how certain a fit would be already."""
         if (
             stand.previewed_since is None
-            and progress.coverage.arc > PREVIEW_ARC
+            and progress.coverage.arc > TUNING.preview_arc
             and now > stand.next_preview
         ):
             window = self.last_window = stand.session.window()
@@ -200,7 +215,7 @@ class TurnMachine:
             return
         if stand.previewed_since is not None:
             stand.session.note_sigma(event.sigma)
-            pause = (now - stand.previewed_since) * (1.0 / PREVIEW_SHARE - 1.0)
+            pause = (now - stand.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
             self._stand = replace(stand, previewed_since=None, next_preview=now + pause)
 
     def _on_looked(self, event: ev.Looked, now: float) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.earth_field.position import FAR, MOVED, Fix, Fixes, place_of
+from magcal_ros.core.earth_field.position import TUNING, Fix, Fixes, place_of
 from magcal_ros.core.earth_field.wmm import EARTH_RADIUS, Place
 
 HOME = (48.1, 11.6)
@@ -61,9 +61,9 @@ def test_an_unknown_altitude_is_no_obstacle():
 def test_the_place_follows_only_when_it_matters_and_is_confirmed():
     fixes = Fixes()
     assert fixes.add(fix())
-    assert not any(fixes.add(north(0.9 * MOVED)) for _ in range(20))
-    assert [fixes.add(north(1.2 * MOVED)) for _ in range(3)] == [False, False, True]
-    assert fixes.place.distance(Place(*HOME)) == pytest.approx(1.2 * MOVED, rel=1e-3)
+    assert not any(fixes.add(north(0.9 * TUNING.moved)) for _ in range(20))
+    assert [fixes.add(north(1.2 * TUNING.moved)) for _ in range(3)] == [False, False, True]
+    assert fixes.place.distance(Place(*HOME)) == pytest.approx(1.2 * TUNING.moved, rel=1e-3)
 
 
 def test_wild_fixes_move_nothing():
@@ -87,7 +87,7 @@ def test_the_newest_good_stamp_tells_the_date():
 def test_a_fix_far_from_the_given_place_is_said():
     fixes = Fixes()
     fixes.add(fix())
-    assert fixes.complaints(Place(HOME[0] + 0.9 * FAR / DEGREE, HOME[1])) == []
+    assert fixes.complaints(Place(HOME[0] + 0.9 * TUNING.far / DEGREE, HOME[1])) == []
     (complaint,) = fixes.complaints(Place(52.5, 13.4))
     assert "km from the given place 52.50°N 13.40°E, which is used" in complaint
 
@@ -96,7 +96,7 @@ def test_a_place_far_from_the_first_is_said():
     fixes = Fixes()
     fixes.add(fix())
     for _ in range(3):
-        fixes.add(north(1.5 * FAR))
+        fixes.add(north(1.5 * TUNING.far))
     (complaint,) = fixes.complaints(None)
     assert "gps/fix has moved by 75 km, from 48.10°N" in complaint
 

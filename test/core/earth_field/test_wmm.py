@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.earth_field import wmm
-from magcal_ros.core.earth_field.position import MOVED
+from magcal_ros.core.earth_field.position import TUNING
 from magcal_ros.core.earth_field.wmm import NoModel, Place, decimal_year, model_field, year_of
 from magcal_ros.core.geometry.attitude import wrap_angle
 
@@ -192,7 +192,7 @@ def test_ten_kilometres_change_little_at_most_places():
     # Even steps of the sine are even in area; this is all but the polar caps beyond 67°.
     latitudes_even = np.degrees(np.arcsin(np.linspace(-0.92, 0.92, 15))).tolist()
     places = [(lat, lon) for lat in latitudes_even for lon in range(-180, 180, 20)]
-    north = math.degrees(MOVED / wmm.EARTH_RADIUS)
+    north = math.degrees(TUNING.moved / wmm.EARTH_RADIUS)
     turned, stronger = [], []
     for lat, lon in places:
         east = north / math.cos(math.radians(lat))

@@ -6,7 +6,7 @@ from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core.calibrate import take_turn
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.multi_turn.keep import MOST_SAMPLES, MOST_TURNS, Kept, names_of
+from magcal_ros.core.multi_turn.keep import TUNING, Kept, names_of
 from magcal_ros.core.multi_turn.result import Several, Shown, TurnFate
 
 METHOD = "maximum_likelihood"
@@ -63,15 +63,15 @@ def test_without_accumulation_a_turn_stands_alone_and_nothing_is_kept(windows, f
 
 
 def test_what_is_kept_is_bounded(windows):
-    window = window_on(LEVEL, np.random.default_rng(2), samples=MOST_SAMPLES + 1)
+    window = window_on(LEVEL, np.random.default_rng(2), samples=TUNING.most_samples + 1)
     shown = Shown(0.1, (0.0,) * 6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     kept = Kept()
-    for _ in range(MOST_TURNS + 2):
+    for _ in range(TUNING.most_turns + 2):
         fates = tuple(TurnFate(f"{k}", True, "") for k in range(len(kept.windows) + 1))
         kept = kept.joined(window, Several(fates, shown, ()))
-    assert len(kept.windows) == MOST_TURNS
-    assert max(len(each) for each in kept.windows) <= MOST_SAMPLES
-    assert kept.names[-1] == f"turn {MOST_TURNS + 2}"
+    assert len(kept.windows) == TUNING.most_turns
+    assert max(len(each) for each in kept.windows) <= TUNING.most_samples
+    assert kept.names[-1] == f"turn {TUNING.most_turns + 2}"
 
 
 def test_recordings_that_come_twice_are_told_apart():

@@ -10,7 +10,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
-from magcal_ros.core.session.session import LARGEST_BUFFER, Limits
+from magcal_ros.core.session.session import TUNING, Limits
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot, heading_errors, measure, turn
 from magcal_ros.files.sources import open_recording
@@ -98,7 +98,7 @@ def test_hours_stay_within_the_sessions_memory():
     ):
         gathering.take([ImuSample(stamp, tuple(f), tuple(w)), FieldSample(stamp, tuple(b))])
     kept = gathering.window()
-    assert LARGEST_BUFFER // 8 < len(kept) <= LARGEST_BUFFER
+    assert TUNING.largest_buffer // 8 < len(kept) <= TUNING.largest_buffer
     assert kept.time[-1] == stamps[-1]
     assert gathering.heard == (60_000, 60_000)
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from magcal_ros.core.session.rotation_plan import (
-    ACCELERATION,
+    TUNING,
     Fault,
     Phase,
     RotationPlan,
@@ -74,7 +74,7 @@ def test_the_way_out_ends_when_every_heading_was_seen():
 def test_velocities_ramp_softly_and_a_slipping_base_is_no_fault(speed, gain, gyro):
     _, _, commands = run(Base(gain, gyro=gyro), speed)
     steps = [abs(b - a) for a, b in zip([0.0, *commands], commands, strict=False)]
-    assert max(steps) <= ACCELERATION * PERIOD + 1e-9
+    assert max(steps) <= TUNING.acceleration * PERIOD + 1e-9
     assert commands[-1] == 0.0
 
 

@@ -7,7 +7,7 @@ import pytest
 from scene import NO_RATE, Scene
 
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.session.self_turn import GYRO_SILENCE, LONGEST_LOOK, ZEROS
+from magcal_ros.core.session.self_turn import TUNING
 from magcal_ros.core.session.turn_events import CancelAsked, Faulted, FinishAsked
 from magcal_ros.core.session.turn_states import TurnState
 
@@ -186,7 +186,7 @@ def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
     assert scene.open().success
     scene.until_moving()
     rates = [rate for _, rate in scene.said]
-    assert rates[rates.index(0.0) :][:ZEROS] == [0.0] * ZEROS
+    assert rates[rates.index(0.0) :][: TUNING.zeros] == [0.0] * TUNING.zeros
     scene.live(60.0, stop=lambda: len(scene.concluded) > 1)
     assert scene.conclusion.success
 
@@ -206,7 +206,7 @@ class TestGyro:
         words = scene.until_concluded(20.0).message
         assert "the gyro is not heard any more" in words
         assert "/imu has brought no angular velocity" in words
-        assert scene.now - since < GYRO_SILENCE + 0.15
+        assert scene.now - since < TUNING.gyro_silence + 0.15
         scene.assert_stopped_and_silent()
         assert scene.swept - before < math.radians(30.0)
 
@@ -218,7 +218,7 @@ class TestGyro:
         scene.mangle = with_rate(lambda _: np.array(NO_RATE))
         since = scene.now
         assert not scene.until_concluded(20.0).success
-        assert scene.now - since < GYRO_SILENCE + 0.15
+        assert scene.now - since < TUNING.gyro_silence + 0.15
         scene.assert_stopped_and_silent()
 
     def test_a_short_dropout_is_lived_with(self):
@@ -312,5 +312,5 @@ class TestBounds:
     def test_a_hiccup_is_none(self):
         scene = robot()
         scene.live(3.0)
-        scene.freeze(0.8 * LONGEST_LOOK)
+        scene.freeze(0.8 * TUNING.longest_look)
         assert scene.until_concluded().success

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
-from magcal_ros.core.session.session import LARGEST_BUFFER, Limits, Session, Stage
+from magcal_ros.core.session.session import TUNING, Limits, Session, Stage
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 
 ROBOT = Robot()
@@ -245,9 +246,9 @@ class TestMemory:
         for k, pair in enumerate(pairs_of(window)):
             session.add(pair, 0.02 * k)
             most = max(most, len(session._buffer))
-        assert most == LARGEST_BUFFER
+        assert most == TUNING.largest_buffer
         found = session.window()
-        assert len(found) > LARGEST_BUFFER // 8
+        assert len(found) > TUNING.largest_buffer // 8
         assert found.time[-1] == window.time[-1] + 100.0
         assert found.time[0] < 105.0
         arc = session.progress(2000.0).coverage.arc
@@ -266,7 +267,8 @@ class TestMemory:
     @pytest.mark.parametrize("gyro", first_of([True, False]))
     def test_one_slow_turn_stays_whole_however_long_it_takes(self, monkeypatch, gyro):
         """As an hour at 1 kHz in the real buffer: 180 times what it holds."""
-        monkeypatch.setattr("magcal_ros.core.session.session.LARGEST_BUFFER", 1024)
+        smaller = replace(TUNING, largest_buffer=1024)
+        monkeypatch.setattr("magcal_ros.core.session.session.TUNING", smaller)
         steady = Robot(gyro_bias=np.zeros(3), noise_rate=1e-6)
         window = simulated(steady, gyro=gyro, arc=math.tau, samples=60_000, duration=60.0)
         found = session_with(window).window()

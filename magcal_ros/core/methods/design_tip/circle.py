@@ -13,9 +13,24 @@ from magcal_ros.core.geometry.planes import Plane
 from magcal_ros.core.methods.design_tip.options import Options
 from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
 
-LARGEST_NORMAL_SIGMA = np.radians(10.0)
-LARGEST_THICKNESS = 0.25
-"""Root mean square distance from the plane as a share of the radius: more is a tumble."""
+
+@dataclass(frozen=True)
+class CircleTuning:
+    """What counts as a circle in space.
+
+    Attributes
+    ----------
+    largest_normal_sigma : float
+        Radians of uncertainty of the plane's normal.
+    largest_thickness : float
+        Root mean square distance from the plane as a share of the radius: more is a tumble.
+    """
+
+    largest_normal_sigma: float = np.radians(10.0)
+    largest_thickness: float = 0.25
+
+
+TUNING = CircleTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +143,7 @@ def derotation(normal: FloatArray) -> FloatArray:
 def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
     least_noise = ROUNDING * float(np.linalg.norm(raw, axis=1).mean())
     smallest, middle, largest = plane.spread
-    if plane.normal_sigma(least_noise) > LARGEST_NORMAL_SIGMA:
+    if plane.normal_sigma(least_noise) > TUNING.largest_normal_sigma:
         if largest < 2.0 * smallest:
             raise Refusal(
                 Reason.NO_MOTION,
@@ -140,7 +155,7 @@ def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:
                 "The field's samples lie on a line within their noise. Turn further round.",
             )
         raise _not_a_plane()
-    if plane.thickness > LARGEST_THICKNESS * conic.radius:
+    if plane.thickness > TUNING.largest_thickness * conic.radius:
         raise _not_a_plane()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,18 +25,39 @@ from magcal_ros.core.methods.design_tip.tip_frame import TipSamples, enter, leav
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
 
-SHORTEST_ARC = math.radians(45.0)
-STEEPEST_INCLINATION = math.radians(80.0)
-SMALLEST_RADIUS = 0.15
-"""Share of the field's strength below which the circle shows no direction."""
 
-TILTED_AXIS = math.radians(20.0)
-STRENGTH_MARGIN = 0.1
-"""Share of the strength by which an installation may fit the reference worse than the best."""
+@dataclass(frozen=True)
+class TipTuning:
+    """Which turns can be answered, and when two answers are told apart.
 
-RIVAL_MARGIN = math.radians(2.0)
-RIVAL_DISTANCE = math.radians(5.0)
-"""Rivals nearer than this are one answer."""
+    Attributes
+    ----------
+    shortest_arc : float
+        Radians of turn.
+    steepest_inclination : float
+        Radians.
+    smallest_radius : float
+        Share of the field's strength below which the circle shows no direction.
+    tilted_axis : float
+        Radians of tilt from which a small circle is blamed on an axis along the field.
+    strength_margin : float
+        Share of the strength by which an installation may fit the reference worse than the best.
+    rival_margin : float
+        Radians by which a rival's installation may be larger than the chosen one's and as likely.
+    rival_distance : float
+        Rivals nearer than this are one answer.
+    """
+
+    shortest_arc: float = math.radians(45.0)
+    steepest_inclination: float = math.radians(80.0)
+    smallest_radius: float = 0.15
+    tilted_axis: float = math.radians(20.0)
+    strength_margin: float = 0.1
+    rival_margin: float = math.radians(2.0)
+    rival_distance: float = math.radians(5.0)
+
+
+TUNING = TipTuning()
 
 
 def fit(
@@ -146,7 +168,7 @@ def _choose(
             for candidate, field in zip(candidates, believed, strict=True)
         ]
     )
-    fitting = np.flatnonzero(misfit <= misfit.min() + STRENGTH_MARGIN)
+    fitting = np.flatnonzero(misfit <= misfit.min() + TUNING.strength_margin)
     first = int(fitting[0])
     chosen = candidates[first]
     others = [candidate for index, candidate in enumerate(candidates) if index != first]
@@ -159,8 +181,8 @@ def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
     between = passive_rotation(chosen.roll, chosen.pitch).T @ passive_rotation(
         rival.roll, rival.pitch
     )
-    is_same_size = rival.angle - chosen.angle < RIVAL_MARGIN
-    if is_same_size and rotation_angle(between) > RIVAL_DISTANCE:
+    is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
+    if is_same_size and rotation_angle(between) > TUNING.rival_distance:
         raise Refusal(
             Reason.AMBIGUOUS,
             "Two installations of the magnetometer of the same size explain this turn. Turn about "
@@ -178,21 +200,25 @@ def _axial_unknown(solution: TipSolution, options: Options) -> FloatArray:
 
 def _refuse_unusable(solution: TipSolution, reference: ReferenceField) -> None:
     circle, believed = solution.circle, solution.believed
-    if circle.arc < SHORTEST_ARC:
+    if circle.arc < TUNING.shortest_arc:
         raise Refusal(
             Reason.ARC_TOO_SHORT,
-            f"Only {math.degrees(circle.arc):.0f}° of the turn were seen; at least 45° are "
-            "needed. Turn further round, best a full turn.",
+            f"Only {math.degrees(circle.arc):.0f}° of the turn were seen; at least "
+            f"{math.degrees(TUNING.shortest_arc):.0f}° are needed. Turn further round, best a "
+            "full turn.",
         )
-    if not reference.strength.is_unknown and circle.radius < SMALLEST_RADIUS * believed.strength:
-        if solution.axis.tilt > TILTED_AXIS:
+    if (
+        not reference.strength.is_unknown
+        and circle.radius < TUNING.smallest_radius * believed.strength
+    ):
+        if solution.axis.tilt > TUNING.tilted_axis:
             raise _axis_along_field()
         raise Refusal(
             Reason.CIRCLE_TOO_SMALL,
             f"The field's circle has a radius of {circle.radius * 1e6:.1f} µT only. Check the "
             "field's unit (tesla) and the reference; shielded rooms and poles show no heading.",
         )
-    if abs(believed.inclination) > STEEPEST_INCLINATION:
+    if abs(believed.inclination) > TUNING.steepest_inclination:
         raise Refusal(
             Reason.FIELD_TOO_STEEP,
             f"The field is inclined by {math.degrees(believed.inclination):.0f}°: too steep for "

@@ -14,15 +14,29 @@ from magcal_ros.core.methods.design_tip.axis import TurnAxis
 from magcal_ros.core.methods.design_tip.circle import FieldCircle
 from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
 
-CLEAR_SENSE = 20.0
-"""Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
-counts for less than its number of samples; below this the smaller installation decides well."""
 
-LEAST_GYRO_AGREEMENT = 0.5
-"""Slope of the field's phase against the gyro's angle from which the gyro's sense is believed."""
+@dataclass(frozen=True)
+class InstallationTuning:
+    """When the sense of the rotation and the pitch are believed.
 
-SMALLEST_LEVER = math.sin(math.radians(10.0))
-"""Length of the axis across body y; below it the pitch turns about the axis and is not seen."""
+    Attributes
+    ----------
+    clear_sense : float
+        Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
+        counts for less than its number of samples; below this the smaller installation decides
+        well.
+    least_gyro_agreement : float
+        Slope of the field's phase against the gyro's angle from which the gyro's sense is believed.
+    smallest_lever : float
+        Length of the axis across body y; below it the pitch turns about the axis and is not seen.
+    """
+
+    clear_sense: float = 20.0
+    least_gyro_agreement: float = 0.5
+    smallest_lever: float = math.sin(math.radians(10.0))
+
+
+TUNING = InstallationTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +122,7 @@ def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) ->
     Refusal
         If none fits, if the axis does not show the pitch, or if gravity and gyro contradict.
     """
-    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < SMALLEST_LEVER:
+    if math.hypot(float(axis.direction[0]), float(axis.direction[2])) < TUNING.smallest_lever:
         raise Refusal(
             Reason.AMBIGUOUS,
             "The robot turned about the IMU's y axis, which does not show the magnetometer's "
@@ -152,7 +166,7 @@ def _sense_by_gravity(axis: TurnAxis, circle: FieldCircle) -> int:
     field = circle.phasor / np.abs(circle.phasor).mean()
     same, opposite = abs((gravity * field.conj()).mean()), abs((gravity * field).mean())
     standard_error = max(axis.noise, ROUNDING) / math.sqrt(len(field))
-    if abs(same - opposite) < CLEAR_SENSE * standard_error:
+    if abs(same - opposite) < TUNING.clear_sense * standard_error:
         return 0
     return 1 if same > opposite else -1
 
@@ -166,6 +180,6 @@ def _sense_by_gyro(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> 
     seen = np.sin(np.angle(circle.phasor[1:] * circle.phasor[:-1].conj()))
     power = float(expected @ expected)
     slope = float(expected @ seen) / power if power > 0.0 else 0.0
-    if abs(slope) < LEAST_GYRO_AGREEMENT:
+    if abs(slope) < TUNING.least_gyro_agreement:
         return 0
     return 1 if slope > 0.0 else -1
