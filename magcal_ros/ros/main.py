@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import sys
+import threading
 from collections.abc import Sequence
 
 import rclpy
@@ -17,6 +19,10 @@ from magcal_ros.threads import use_one
 SWITCH_INTERVAL = 0.0005
 """Seconds after which the thread that hands over a turn or stores a calibration gives way to a
 message that waits. With Python's own 5 ms a message that came then would be late by as much."""
+
+LAST_RESORT = 8.0
+"""Seconds after which a process that was told to end is gone, whatever it still waits for: a lock
+of the middleware that another process took with it, say. `ros2 launch` kills after 10."""
 
 ENDING = 1.0
 """Seconds that a callback of the sensors may take to return when the node is being ended."""
@@ -57,6 +63,9 @@ def _spin(node: Calibrator, signals: EndSignals) -> None:
 
     def end() -> None:
         # From the signals' thread, so that the robot stops even if a callback hangs.
+        last_resort = threading.Timer(LAST_RESORT, os._exit, [0])
+        last_resort.daemon = True
+        last_resort.start()
         try:
             spinner.end()
         finally:

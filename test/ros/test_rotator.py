@@ -4,6 +4,7 @@ import math
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def leisure(monkeypatch):
     for name in ("SILENCE", "GYRO_SILENCE", "LONGEST_LOOK", "LISTENERS_WITHIN", "GUARDED_WITHIN"):
         monkeypatch.setattr(self_turn, name, PATIENCE)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
-    monkeypatch.setattr(leash, "FARTHEST_BEYOND", math.pi)
+    monkeypatch.setattr(leash, "TUNING", replace(leash.TUNING, farthest_beyond=math.pi))
 
 
 @pytest.fixture
@@ -78,7 +79,7 @@ def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure
 
 
 def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
-    monkeypatch.setattr(self_turn, "LISTENERS_WITHIN", 0.3)
+    monkeypatch.setattr(self_turn, "TUNING", replace(self_turn.TUNING, listeners_within=0.3))
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
     assert "nobody listens to /cmd_vel" in answer.message
@@ -97,7 +98,9 @@ def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
 
 FAULTY = """
 import sys, threading
-from magcal_ros.ros import main, node
+from magcal_ros.ros import guard, main, node
+# Whether a busy machine keeps the node silent is not asked here.
+guard.SILENCE = 10.0
 fault = threading.Event()
 def look(self):
     if fault.is_set():

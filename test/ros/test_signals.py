@@ -18,7 +18,6 @@ from magcal_ros.ros.rehearsal import Rehearsal
 
 pytestmark = pytest.mark.faults
 
-NODE = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args"]
 KNOWN = ["-p", "reference.strength_ut:=48.0", "-p", "reference.inclination_deg:=65.0"]
 chance = random.Random(11)
 
@@ -28,10 +27,13 @@ def run_node(graph, ros_home):
     """Return a function that runs the node's process and brings a robot to it."""
     processes, nodes = [], []
 
-    def run(*arguments):
+    def run(*arguments, code=("-m", "magcal_ros.ros.main")):
         environment = {**os.environ, "ROS_HOME": str(ros_home)}
         process = subprocess.Popen(
-            [*NODE, *KNOWN, *arguments], env=environment, stderr=subprocess.PIPE, text=True
+            [sys.executable, *code, "--ros-args", *KNOWN, *arguments],
+            env=environment,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         processes.append(process)
         nodes.append(rclpy.create_node("actor"))
@@ -77,6 +79,22 @@ def test_while_it_publishes(run_node, tmp_path, how):
     assert actor.yaws
     end(process, how)
     assert path.read_bytes() == before
+
+
+HANGING = """
+import sys, threading
+from magcal_ros.ros import main, node
+main.LAST_RESORT = 1.0
+node.Calibrator.close = lambda self: threading.Event().wait()
+sys.exit(main.main())
+"""
+
+
+def test_while_something_never_returns(run_node, tmp_path):
+    path = store_calibration(tmp_path / "calibration.yaml")
+    process, actor = run_node("-p", f"calibration_file:={path}", code=("-c", HANGING))
+    actor.run(PATIENCE, stop=lambda: actor.yaws)
+    end(process, signal.SIGTERM)
 
 
 @pytest.mark.parametrize("attempt", range(rounds(1, 100)))
