@@ -1,5 +1,6 @@
 """What the verdict says of real turns; skipped where the recordings are not at hand."""
 
+import functools
 import math
 
 import numpy as np
@@ -20,11 +21,13 @@ def knowledge(microtesla, degrees):
     return Knowledge(ReferenceField(strength, Belief(math.radians(degrees), math.radians(1.0))))
 
 
+@functools.cache
+def table(path):
+    return np.genfromtxt(path, delimiter=",", skip_header=1)
+
+
 def window(folder, first=-math.inf, last=math.inf, added=0.0):
-    imu, mag = (
-        np.genfromtxt(folder / f"{part}.csv", delimiter=",", skip_header=1)
-        for part in ("imu", "mag")
-    )
+    imu, mag = (table(folder / f"{part}.csv") for part in ("imu", "mag"))
     rows = (mag[:, 0] >= first) & (mag[:, 0] <= last)
     time = mag[rows, 0]
     motion = np.column_stack([np.interp(time, imu[:, 0], imu[:, c]) for c in range(1, 7)])

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import printed_tip
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from tip_bridge import ours, window_of, worst_difference
 from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
@@ -227,7 +228,7 @@ def test_figures_of_a_clean_level_turn():
     assert all(math.isfinite(value) for value in figures.values())
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     seed=st.integers(0, 10_000),
     samples=st.integers(20, 80),
