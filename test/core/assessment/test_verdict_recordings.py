@@ -48,6 +48,7 @@ class TestHandHeldTurn:
     def turn(self, recording):
         return window(recording("broad05"), 48.0, 62.0, np.array([20e-6, -15e-6, 12e-6]))
 
+    @pytest.mark.nightly
     def test_it_is_accepted(self, turn):
         assert calibrate(turn, self.known).verdict.accepted
 
@@ -73,6 +74,7 @@ class TestHandHeldTurn:
         assert not verdict.accepted
         assert "the gyro's axes are not the accelerometer's: x and y and z" in refused(verdict)
 
+    @pytest.mark.nightly
     def test_a_board_upside_down_is_refused(self, turn):
         flip = np.array([1.0, -1.0, -1.0])
         flipped = Window(
@@ -82,6 +84,7 @@ class TestHandHeldTurn:
         assert not verdict.accepted
         assert "z points down" in refused(verdict)
 
+    @pytest.mark.nightly
     def test_acceleration_published_as_gravity_is_refused(self, turn):
         negated = Window(turn.time, turn.field, -turn.specific_force, turn.angular_rate)
         assert not calibrate(negated, self.known).verdict.accepted
@@ -93,6 +96,7 @@ class TestHandHeldTurn:
         verdict = calibrate(piece, self.known).verdict
         assert verdict.confidence.rank >= Grade.WARN.rank
 
+    @pytest.mark.nightly
     def test_a_unit_of_gravity_is_named(self, turn):
         in_g = Window(turn.time, turn.field, turn.specific_force / 9.7, turn.angular_rate)
         verdict = calibrate(in_g, self.known).verdict

@@ -30,7 +30,7 @@ def page_of(folder):
         return examine(SensorLog.of(r for r in source.readings() if r is not None))
 
 
-@pytest.mark.parametrize("name", first_of([*GOOD, BURSTS], 3))
+@pytest.mark.parametrize("name", first_of([*GOOD, BURSTS], 2))
 def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
     gathering = Gathering(Mounting())
     with open_recording(recording(name)) as source:

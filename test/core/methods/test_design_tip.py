@@ -104,7 +104,7 @@ class TestConventions:
 class TestNoise:
     def test_level_full_turn_is_at_least_as_good_as_the_tip(self):
         robot = Robot()
-        estimates = [fit(level_turn(robot, seed), robot.knowledge()) for seed in range(30)]
+        estimates = [fit(level_turn(robot, seed), robot.knowledge()) for seed in range(15)]
         errors = [heading_errors(estimate.correction, robot) for estimate in estimates]
         assert rms_deg(np.array(errors)[:, :, LEVEL_TILT]) < 0.12
         assert rms_deg(errors) < 0.12
