@@ -62,7 +62,7 @@ def attitude_message(stamp, frame, heading, declination, sigma=0.0):
     return message
 
 
-@examples(200)
+@examples(60)
 @given(
     STAMPS,
     FRAMES,
@@ -75,7 +75,7 @@ def test_a_field(stamp, frame, field, covariance):
     assert essence(filled) == essence(field_message(stamp, frame, field, covariance))
 
 
-@examples(200)
+@examples(60)
 @given(STAMPS, FRAMES, st.tuples(*[ANGLES] * 3), st.tuples(*[DOUBLES] * 4), ANGLES, ANGLES)
 def test_an_attitude(stamp, frame, angles, variances, declination, sigma):
     heading = Heading(*angles, *variances)
