@@ -10,7 +10,7 @@ export ROS_LOCALHOST_ONLY := 1
 endif
 export OMP_NUM_THREADS := 1
 
-AFTER_OTHERS := nice -n 10
+AFTER_OTHERS := nice -n 5
 BY_TWO := --numprocesses 2 --dist worksteal
 
 .PHONY: demo test lint types unit ros nightly bench soak matrix docs clean
