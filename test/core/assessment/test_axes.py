@@ -56,7 +56,7 @@ def test_a_turn_and_a_lift_decide_every_time():
     check_all(4)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_good_sensors_are_never_called_wrong(seed):
     window, knowledge = good_case(np.random.default_rng([seed, 3]))
     assert find_axes(window, knowledge).words == ""
