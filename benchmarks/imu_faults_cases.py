@@ -150,6 +150,21 @@ def _late(rng: np.random.Generator, log: SensorLog) -> SensorLog:
     return replace(log, field_time=log.field_time + lag)
 
 
+def _force_late(rng: np.random.Generator, log: SensorLog) -> SensorLog:
+    lag = rng.uniform(0.04, 0.3)
+    return replace(log, force=_at(log.imu_time, log.force, log.imu_time - lag))
+
+
+def _gyro_ahead(rng: np.random.Generator, log: SensorLog) -> SensorLog:
+    lag = rng.uniform(0.04, 0.3)
+    return replace(log, rate=_at(log.imu_time, log.rate, log.imu_time + lag))
+
+
+def _at(time: FloatArray, values: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return the sample that was newest in each moment, as a driver's buffer has it."""
+    return values[np.clip(np.searchsorted(time, moment, "right") - 1, 0, len(time) - 1)]
+
+
 def _bursts(_: np.random.Generator, log: SensorLog) -> SensorLog:
     def burst(time: FloatArray) -> FloatArray:
         second = np.ceil(time)
@@ -216,6 +231,8 @@ FAULTS: dict[str, tuple[Fault, tuple[str, ...]]] = {
     "scale -5 %": (_rates(lambda r: 0.95 * r), ("rate_scale",)),
     "bias 1-5 °/s": (_biased, ("gyro_bias",)),
     "latency 20-500 ms": (_late, ("latency",)),
+    "accelerometer late": (_force_late, ("force_latency",)),
+    "gyro ahead": (_gyro_ahead, ("latency", "force_latency")),
     "bursts of 1 s": (_bursts, ("bursts",)),
     "10 % repeats": (_repeats, ("repeats",)),
     "LSB .6 µT": (_coarse, ("resolution",)),

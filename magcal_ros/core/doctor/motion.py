@@ -11,6 +11,7 @@ from magcal_ros.core.assessment.axes import AxesFound
 from magcal_ros.core.doctor.blame import blame
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
@@ -18,7 +19,7 @@ from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factor
 from magcal_ros.core.doctor.upright import Told, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment_fit import BIAS, LAG, SCALE
+from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
 from magcal_ros.core.samples.stretch import Stretch
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
@@ -27,6 +28,7 @@ FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive ov
 FULL_TURN = "stand still, then turn a full circle"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
+LEANS = "lift the nose by 20° within a second or two"
 NO_GYRO = (
     "without a gyro nothing tells turned, swapped or mirrored axes of the magnetometer: check them "
     "by the data sheet, or drive straight where speed or a course is there"
@@ -137,7 +139,10 @@ def compare(
         findings += _gyro_errors(
             explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped, tuning
         )
-        findings.append(_latency(explanations, blamed.chosen, prepared.restamped, tuning))
+        if prepared.restamped:
+            findings.append(not_shown("latency", "latency", NO_BURSTS))
+        else:
+            findings += _latencies(body, explanations, blamed.chosen, tuning)
     return MotionFound(
         tuple(findings), blamed.axes, explanations, blamed.chosen, factor, stands.sign_wrong
     )
@@ -222,18 +227,64 @@ def _borne_out(rest: Rest | None, bias: FloatArray, tuning: MotionTuning) -> boo
     return float(np.linalg.norm(rest.rate - bias)) < max(tuning.bias, tuning.borne_out * size)
 
 
-def _latency(
-    explanations: Explanations, chosen: int, restamped: bool, tuning: MotionTuning
-) -> Finding:
-    if restamped:
-        return not_shown("latency", "latency", NO_BURSTS)
-    lag, off = float(explanations.parameters[chosen, LAG]), float(explanations.sigma[chosen, LAG])
-    evidence = f"the field is {lag * 1e3:+.0f} ± {off * 1e3:.0f} ms late against the gyro"
-    if off > tuning.vague[2]:
-        return not_shown("latency", "latency", f"within {off * 1e3:.0f} ms; {STARTS}")
-    remedy = (
-        f"stamp both sensors when they measure: take {lag:.3f} s off the field's stamps in its "
-        "driver, or add it to the IMU's"
+def _latencies(
+    log: SensorLog, explanations: Explanations, chosen: int, tuning: MotionTuning
+) -> list[Finding]:
+    """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
+    field = field_latency(log, explanations, chosen)
+    force = force_latency(log, explanations, chosen)
+    field_lag, force_lag = _significant(field, tuning), _significant(force, tuning)
+    same = field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < tuning.lag
+    ahead = (
+        f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp it "
+        "when it measures, or give it the low-pass filter of the accelerometer"
     )
-    too_late = abs(lag) > max(tuning.lag, tuning.sigmas * off)
-    return looked_at("latency", "latency", evidence, remedy * too_late)
+    of_field = (
+        f"stamp both sensors when they measure: take {field_lag:.3f} s off the field's stamps in "
+        "its driver, or add it to the IMU's"
+    )
+    of_force = (
+        f"one message holds an acceleration that is {force_lag * 1e3:.0f} ms older than its rate: "
+        "give both the same low-pass filter in the sensor, and publish what was measured together"
+    )
+    return [
+        _latency(
+            "latency", "latency", "field", STARTS, field, (ahead if same else of_field), tuning
+        ),
+        _latency(
+            "force_latency",
+            "latency in the IMU",
+            "accelerometer",
+            LEANS,
+            force,
+            (ahead if same else of_force),
+            tuning,
+        ),
+    ]
+
+
+def _significant(latency: Latency | None, tuning: MotionTuning) -> float:
+    """Return a latency that is worth a word, seconds; zero for others."""
+    if latency is None or latency.sigma > tuning.vague[2]:
+        return 0.0
+    large = abs(latency.lag) > max(tuning.lag, tuning.sigmas * latency.sigma)
+    return latency.lag if large else 0.0
+
+
+def _latency(
+    key: str,
+    name: str,
+    sensor: str,
+    tells: str,
+    found: Latency | None,
+    remedy: str,
+    tuning: MotionTuning,
+) -> Finding:
+    if found is None:
+        return not_shown(key, name, tells)
+    if found.sigma > tuning.vague[2]:
+        return not_shown(key, name, f"within {found.sigma * 1e3:.0f} ms; {tells}")
+    evidence = (
+        f"the {sensor} is {found.lag * 1e3:+.0f} ± {found.sigma * 1e3:.0f} ms late against the gyro"
+    )
+    return looked_at(key, name, evidence, remedy * bool(_significant(found, tuning)))
