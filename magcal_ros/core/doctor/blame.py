@@ -23,8 +23,8 @@ NOTHING_FITS = (
     "iron"
 )
 TOLD_OTHERWISE = (
-    "all sensors saw a turn to the right where one to the left was asked for: if it was to the "
-    "left, all of them have z pointing down"
+    "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
+    "left. If it was to the left, all of them have z pointing down"
 )
 
 
@@ -96,12 +96,10 @@ def blame(
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, told)
-    right = misfit[given] < tuning.wrong
-    if not right or contrary[given]:
-        kept = remains & ~contrary
-        remains = kept if kept.any() else remains
-    if right and (not contrary[given] or not remains.any() or remains[given]):
-        return _all_agree(explanations, given, remains, knowledge, bool(contrary[given]))
+    if misfit[given] < tuning.wrong:
+        return _all_agree(explanations, given, remains, knowledge, contrary)
+    kept = remains & ~contrary
+    remains = kept if kept.any() else remains
     remains[given] = False
     left = [int(k) for k in np.flatnonzero(remains)]
     rank = {k: _erring(explanations, k) for k in left}
@@ -151,7 +149,7 @@ def _all_agree(
     given: int,
     remains: BoolArray,
     knowledge: Knowledge,
-    contrary: bool,
+    contrary: BoolArray,
 ) -> Blame:
     candidates = _field_candidates(explanations, remains, given)
     axes = AxesFound(candidates, True, knowledge.mounting.pose, _dip_known(knowledge))
@@ -161,8 +159,11 @@ def _all_agree(
     if more:
         evidence += f" fit, and {more} other ways do. To tell which, {axes.movement or LIFT}"
     found = [looked_at("axes", "axes", evidence)]
-    if contrary:
-        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", TOLD_OTHERWISE))
+    if contrary[given]:
+        others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
+        alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
+        said = TOLD_OTHERWISE + "".join(f", or the {sensor} alone errs" for sensor in alone)
+        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes, True)
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
+from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.log_stretch import LogStretch, LogStretchTuning, stretch_of_log
 from magcal_ros.core.doctor.noise import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -23,6 +23,9 @@ from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import START_NOISE, inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.sensor_log import SensorLog
+
+OF_FIELD = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
+OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
 
 
 @dataclass(frozen=True)
@@ -55,15 +58,8 @@ class LatencyTuning:
     """
 
     most: int = 1500
-    field: AlignmentTuning = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
-    force: AlignmentTuning = replace(
-        WEIGHED.fit,
-        field_floor=1e-3,
-        freedom=10.0,
-        installation=math.radians(3.0),
-        soft_iron=0.02,
-        hard_iron=0.3,
-    )
+    field: AlignmentTuning = OF_FIELD
+    force: AlignmentTuning = OF_FORCE
     lever: float = 0.3
     walk_step: float = 1.0
     walk_steps: int = 40
@@ -122,19 +118,21 @@ def force_latency(
     """
     gravity = replace(log, field_time=log.imu_time, field=log.force)
     gyro, before = explanations.gyro[k : k + 1], 0.0
+    found: Latency | None = None
     for _ in range(WEIGHED.looks):
         part = stretch_of_log(gravity, before, _each_sample(tuning))
         if part is None:
-            return None
+            break
         fit = AlignmentFit(part.stretch, np.eye(3)[None], tuning.force, gyro, with_up=False)
         state = fit.descend(fit.start(), START_NOISE, tuning.steps)
-        if abs(state[0, LAG]) < WEIGHED.settled:
+        turns = skews(fit.rate[0])
+        lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
+        more = _fitted(fit, state, part, log, tuning.lever / part.stretch.size * lever, tuning)
+        found = Latency(before + more.lag, more.sigma)
+        if abs(more.lag) < WEIGHED.settled:
             break
-        before += float(state[0, LAG])
-    turns = skews(fit.rate[0])
-    lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-    found = _fitted(fit, state, part, log, tuning.lever / part.stretch.size * lever, tuning)
-    return Latency(before + found.lag, found.sigma)
+        before = found.lag
+    return found
 
 
 def _each_sample(tuning: LatencyTuning) -> LogStretchTuning:

@@ -20,6 +20,7 @@ from magcal_ros.core.doctor.upright import Told, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
+from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.stretch import Stretch
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
@@ -58,7 +59,8 @@ class MotionTuning:
     sigmas : float
         So many standard deviations it must be, too.
     vague : tuple of float
-        Standard deviations of bias (rad/s), scale and lag (s) beyond which it is not shown.
+        Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
+        beyond which it is not shown.
     """
 
     bias: float = math.radians(0.8)
@@ -67,7 +69,7 @@ class MotionTuning:
     borne_out: float = 0.4
     lag: float = 0.015
     sigmas: float = 3.0
-    vague: tuple[float, float, float] = (math.radians(0.6), 0.015, 0.012)
+    vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
 
 
 TUNING = MotionTuning()
@@ -140,7 +142,7 @@ def compare(
             explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped, tuning
         )
         if prepared.restamped:
-            findings.append(not_shown("latency", "latency", NO_BURSTS))
+            findings.append(not_shown("latency", "field: latency", NO_BURSTS))
         else:
             findings += _latencies(body, explanations, blamed.chosen, tuning)
     return MotionFound(
@@ -163,7 +165,7 @@ def _nothing_shown(why: str) -> tuple[Finding, ...]:
         not_shown("axes", "axes", why),
         not_shown("gyro_bias", "gyro: bias", why),
         not_shown("rate_scale", "gyro: scale", why),
-        not_shown("latency", "latency", why),
+        not_shown("latency", "field: latency", why),
     )
 
 
@@ -231,60 +233,46 @@ def _latencies(
     log: SensorLog, explanations: Explanations, chosen: int, tuning: MotionTuning
 ) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
-    field = field_latency(log, explanations, chosen)
-    force = force_latency(log, explanations, chosen)
+    field, force = (
+        measured if measured is not None and measured.sigma < vague else None
+        for measured, vague in (
+            (field_latency(log, explanations, chosen), tuning.vague[2]),
+            (force_latency(log, explanations, chosen), tuning.vague[3]),
+        )
+    )
     field_lag, force_lag = _significant(field, tuning), _significant(force, tuning)
-    same = field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < tuning.lag
-    ahead = (
-        f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp it "
-        "when it measures, or give it the low-pass filter of the accelerometer"
-    )
-    of_field = (
-        f"stamp both sensors when they measure: take {field_lag:.3f} s off the field's stamps in "
-        "its driver, or add it to the IMU's"
-    )
-    of_force = (
-        f"one message holds an acceleration that is {force_lag * 1e3:.0f} ms older than its rate: "
-        "give both the same low-pass filter in the sensor, and publish what was measured together"
-    )
+    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < tuning.lag:
+        of_field = of_force = (
+            f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp "
+            "it when it measures, and give it the accelerometer's low-pass filter"
+        )
+    else:
+        of_field = (
+            f"stamp both sensors when they measure: take {field_lag:.3f} s off the field's stamps "
+            "in its driver, or add it to the IMU's"
+        )
+        of_force = (
+            f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
+            "both the same low-pass filter, and publish what was measured together"
+        )
     return [
+        _latency("latency", "field: latency", field, STARTS, of_field * bool(field_lag)),
         _latency(
-            "latency", "latency", "field", STARTS, field, (ahead if same else of_field), tuning
-        ),
-        _latency(
-            "force_latency",
-            "latency in the IMU",
-            "accelerometer",
-            LEANS,
-            force,
-            (ahead if same else of_force),
-            tuning,
+            "force_latency", "accelerometer: latency", force, LEANS, of_force * bool(force_lag)
         ),
     ]
 
 
 def _significant(latency: Latency | None, tuning: MotionTuning) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or latency.sigma > tuning.vague[2]:
+    if latency is None or abs(latency.lag) < max(tuning.lag, tuning.sigmas * latency.sigma):
         return 0.0
-    large = abs(latency.lag) > max(tuning.lag, tuning.sigmas * latency.sigma)
-    return latency.lag if large else 0.0
+    return latency.lag
 
 
-def _latency(
-    key: str,
-    name: str,
-    sensor: str,
-    tells: str,
-    found: Latency | None,
-    remedy: str,
-    tuning: MotionTuning,
-) -> Finding:
-    if found is None:
+def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
+    if latency is None:
         return not_shown(key, name, tells)
-    if found.sigma > tuning.vague[2]:
-        return not_shown(key, name, f"within {found.sigma * 1e3:.0f} ms; {tells}")
-    evidence = (
-        f"the {sensor} is {found.lag * 1e3:+.0f} ± {found.sigma * 1e3:.0f} ms late against the gyro"
-    )
-    return looked_at(key, name, evidence, remedy * bool(_significant(found, tuning)))
+    lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
+    how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
+    return looked_at(key, name, how, remedy)
