@@ -93,6 +93,8 @@ class MotionFound:
         What makes rad/s of the gyro's numbers.
     up_is_down : bool or None
         Whether gravity's sign is what errs; None where that is not decided.
+    explained : bool
+        Whether the explanation explains the movement.
     """
 
     findings: tuple[Finding, ...]
@@ -101,6 +103,7 @@ class MotionFound:
     chosen: int = 0
     factor: float = 1.0
     up_is_down: bool | None = False
+    explained: bool = False
 
 
 def compare(
@@ -146,7 +149,13 @@ def compare(
         else:
             findings += _latencies(body, explanations, blamed.chosen, tuning)
     return MotionFound(
-        tuple(findings), blamed.axes, explanations, blamed.chosen, factor, stands.sign_wrong
+        tuple(findings),
+        blamed.axes,
+        explanations,
+        blamed.chosen,
+        factor,
+        stands.sign_wrong,
+        blamed.explained,
     )
 
 
