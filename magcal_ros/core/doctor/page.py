@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.axes import parameter_line
 from magcal_ros.core.assessment.grading import Grade, worst
-from magcal_ros.core.doctor.course import CourseSeen, axes_in_use, course_findings
+from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
 from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.motion import MotionFound, compare
