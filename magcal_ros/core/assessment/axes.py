@@ -100,6 +100,9 @@ IF_THE_GYRO_IS_RIGHT = (
     "together, for a mirrored gyro looks the same"
 )
 LIFT = "lift the nose by 20° while it turns"
+DRIVE = (
+    "; which way it looks, `magcal doctor` tells by a straight drive with a receiver's course, too"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +182,12 @@ class AxesFound:
         if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
             len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
         ):
-            return "give the inclination of the field: only it tells all axes from their opposites"
-        return LIFT + ("" if self.dip_known else ", and give the field's inclination")
+            return (
+                "give the place or the field's inclination: only it tells axes from their opposites"
+            )
+        dip = "" if self.dip_known else ", and give the place or the field's inclination"
+        level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
+        return f"{LIFT}{dip}{DRIVE if level else ''}"
 
     def _say(self, axes: FloatArray) -> str:
         whole = np.rint(self.pose.T @ axes)

@@ -157,7 +157,8 @@ def _all_agree(
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
     if more:
-        evidence += f" fit, and {more} other ways do. To tell which, {axes.movement or LIFT}"
+        others = "one other way does" if more == 1 else f"{more} other ways do"
+        evidence += f" fit, and {others}. To tell which, {axes.movement or LIFT}"
     found = [looked_at("axes", "axes", evidence)]
     if contrary[given]:
         others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
@@ -206,7 +207,7 @@ def _accused(
                 words.append((sensor, _force_words(_distinct(explanations.gyro[ways]), tuning)))
     either = len(culprits) > 1
     names = " or ".join(" and ".join(sensors) for sensors in culprits)
-    evidence = f"not those of the rest: {names}"
+    evidence = f"contradicted by the other sensors: {names}"
     tell = f". Either this or another sensor errs; to tell which, {LIFT}" if either else ""
     findings = tuple(
         wrong(f"{KEYS[sensor]}_axes", f"{sensor}: axes", evidence, said + tell)
