@@ -100,9 +100,7 @@ IF_THE_GYRO_IS_RIGHT = (
     "together, for a mirrored gyro looks the same"
 )
 LIFT = "lift the nose by 20° while it turns"
-DRIVE = (
-    "; which way it looks, `magcal doctor` tells by a straight drive with a receiver's course, too"
-)
+DRIVE = "; on a straight drive a receiver's course tells its yaw, too"
 
 
 @dataclass(frozen=True, eq=False)

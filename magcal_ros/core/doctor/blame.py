@@ -157,8 +157,8 @@ def _all_agree(
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
     if more:
-        others = "one other way does" if more == 1 else f"{more} other ways do"
-        evidence += f" fit, and {others}. To tell which, {axes.movement or LIFT}"
+        rest = "one other way does" if more == 1 else f"{more} other ways do"
+        evidence += f" fit, and {rest}. To tell which, {axes.movement or LIFT}"
     found = [looked_at("axes", "axes", evidence)]
     if contrary[given]:
         others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]

@@ -15,7 +15,7 @@ from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
-from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factor
+from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
 from magcal_ros.core.doctor.upright import Told, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
@@ -54,6 +54,8 @@ class MotionTuning:
         rad/s, standard deviation of a bias that was read at rest.
     borne_out : float
         Share of the bias by which the rate at rest may be another.
+    alike : float
+        Times the least residual with which a known unit of the gyro is preferred.
     lag : float
         Seconds between the sensors' stamps.
     sigmas : float
@@ -67,6 +69,7 @@ class MotionTuning:
     scale: float = 0.03
     at_rest: float = math.radians(0.1)
     borne_out: float = 0.4
+    alike: float = 1.2
     lag: float = 0.015
     sigmas: float = 3.0
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
@@ -129,11 +132,10 @@ def compare(
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
-    factor = rate_factor(part.stretch)
-    body = replace(body, rate=factor * body.rate)
-    given = explain(body, knowledge.reference.inclination)
+    given, factor = _explained(body, rate_factors(part.stretch), knowledge, tuning)
     if given is None:
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+    body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     other = given.with_inclination(_opposite(knowledge.reference.inclination))
     stands = upright(log, given, other, told)
@@ -157,6 +159,20 @@ def compare(
         stands.sign_wrong,
         blamed.explained,
     )
+
+
+def _explained(
+    log: SensorLog, factors: tuple[float, ...], knowledge: Knowledge, tuning: MotionTuning
+) -> tuple[Explanations | None, float]:
+    """Explain the movement with the unit of the gyro that fits best, a known one if it can be."""
+    inclination = knowledge.reference.inclination
+    ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in factors]
+    found = [(way, f, float(way.rms[way.best])) for way, f in ways if way is not None]
+    # A gyro that may be right and turned too little shows nothing.
+    if not found or (1.0 in factors and ways[factors.index(1.0)][0] is None):
+        return None, factors[0]
+    least = min(rms for _, _, rms in found)
+    return next((way, f) for way, f, rms in found if rms <= tuning.alike * least)
 
 
 def _field_moves(stretch: Stretch) -> bool:

@@ -21,16 +21,17 @@ KNOWN: tuple[tuple[float, str], ...] = (
 
 PLAIN = 5.0
 """Times too large or too small from which no scale error can be meant."""
-CLOSE = 2.2
-"""Times by which the rough look may be off a known factor."""
+BELOW, ABOVE = 8.0, 2.2
+"""Times by which a known factor may be below and above the rough one: short arcs and noise make
+that too large."""
 SPAN = 0.5
 """Seconds over which field and gyro are compared."""
 MOVED = 0.15
 """Share of its size by which the field must move in that time to take part."""
 
 
-def rate_factor(stretch: Stretch) -> float:
-    """Return what the gyro's rates must be multiplied by to be rad/s; 1 if they are.
+def rate_factors(stretch: Stretch) -> tuple[float, ...]:
+    """Return what may make rad/s of the gyro's rates, the likeliest first; 1 alone if they are.
 
     The way that the field goes in half a second is its size times the angle; the size is that of
     the field's changing part, which is right within a factor two for a quarter turn or more.
@@ -44,12 +45,13 @@ def rate_factor(stretch: Stretch) -> float:
     turned = np.linalg.norm(angle[last] - angle[first], axis=1)
     moved = way > max(MOVED, 0.5 * float(np.max(way, initial=0.0)))
     if moved.sum() < 3:
-        return 1.0
+        return (1.0,)
     rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
     if 1.0 / PLAIN < rough < PLAIN:
-        return 1.0
-    near = min((factor for factor, _ in KNOWN), key=lambda f: abs(math.log(rough / f)))
-    return near if abs(math.log(rough / near)) < math.log(CLOSE) else rough
+        return (1.0,)
+    known = (1.0, *(factor for factor, _ in KNOWN))
+    near = [factor for factor in known if rough / BELOW < factor < rough * ABOVE]
+    return (*sorted(near, key=lambda factor: abs(math.log(rough / factor))), rough)
 
 
 def factor_in_words(factor: float) -> str:
