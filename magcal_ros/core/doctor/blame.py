@@ -11,7 +11,8 @@ from magcal_ros.core.assessment.axes import LIFT, AxesFound
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
-from magcal_ros.core.doctor.upright import LEAST_TURN, Told
+from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
+from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations, spoken
 from magcal_ros.core.knowledge import Knowledge
@@ -115,7 +116,7 @@ def _contrary(explanations: Explanations, told: Told) -> BoolArray:
     if told.turned_left is None:
         return np.zeros(count, dtype=np.bool_)
     turned = np.array([explanations.turned(k) for k in range(count)])
-    return np.asarray((np.abs(turned) > LEAST_TURN) & ((turned > 0.0) != told.turned_left))
+    return np.asarray((np.abs(turned) > UPRIGHT.least_turn) & ((turned > 0.0) != told.turned_left))
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ LONGER = "drive farther, to several sides, straight and at more than walking pac
 
 
 @dataclass(frozen=True)
-class CourseTuning:
+class AxesYawTuning:
     """When a course decides on the yaw of axes.
 
     Parameters
@@ -41,7 +41,7 @@ class CourseTuning:
     iron: float = 0.3
 
 
-TUNING = CourseTuning()
+TUNING = AxesYawTuning()
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class AxesInUse:
 
 
 def axes_in_use(
-    explanations: Explanations, k: int, knowledge: Knowledge, tuning: CourseTuning = TUNING
+    explanations: Explanations, k: int, knowledge: Knowledge, tuning: AxesYawTuning = TUNING
 ) -> AxesInUse | None:
     """Return the compass that an explanation makes; None where the movement shows none.
 
@@ -94,7 +94,7 @@ def axes_in_use(
         Which one.
     knowledge : Knowledge
         Its mounting was taken off.
-    tuning : CourseTuning, optional
+    tuning : AxesYawTuning, optional
     """
     axes, state, sigma = (
         values[k] for values in (explanations.field, explanations.parameters, explanations.sigma)
@@ -121,7 +121,7 @@ def axes_in_use(
 
 
 def course_findings(
-    used: AxesInUse, seen: CourseSeen, tuning: CourseTuning = TUNING
+    used: AxesInUse, seen: CourseSeen, tuning: AxesYawTuning = TUNING
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
     """Return the lines, and the mounting that mends the yaw where it is wrong.
 
@@ -131,7 +131,7 @@ def course_findings(
         With which the course was compared.
     seen : CourseSeen
         What came of it.
-    tuning : CourseTuning, optional
+    tuning : AxesYawTuning, optional
     """
     lines = []
     knows_imu = seen.imu_sigma < tuning.vague
@@ -159,7 +159,7 @@ def course_findings(
     return [*lines, wrong("field_yaw", NAME, evidence, either)], None
 
 
-def _imu_yaw(seen: CourseSeen, tuning: CourseTuning) -> Finding:
+def _imu_yaw(seen: CourseSeen, tuning: AxesYawTuning) -> Finding:
     degrees = math.degrees(seen.imu_yaw)
     evidence = (
         f"looks {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "

@@ -20,7 +20,7 @@ from magcal_ros.core.doctor.log_stretch import LogStretch, LogStretchTuning, str
 from magcal_ros.core.doctor.noise import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import skews
-from magcal_ros.core.samples.alignment import START_NOISE, inefficiency
+from magcal_ros.core.samples.alignment import inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.sensor_log import SensorLog
 
@@ -124,7 +124,7 @@ def force_latency(
         if part is None:
             break
         fit = AlignmentFit(part.stretch, np.eye(3)[None], tuning.force, gyro, with_up=False)
-        state = fit.descend(fit.start(), START_NOISE, tuning.steps)
+        state = fit.descend(fit.start(), tuning.force.start_noise, tuning.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         more = _fitted(fit, state, part, log, tuning.lever / part.stretch.size * lever, tuning)

@@ -36,10 +36,6 @@ NO_GYRO = (
 )
 
 
-LARGEST_NOISE = 0.25
-"""Usual change between neighbours, over the whole changing part, that is no noise at rest."""
-
-
 @dataclass(frozen=True)
 class MotionTuning:
     """Where an error between the sensors is worth a word.
@@ -63,6 +59,8 @@ class MotionTuning:
     vague : tuple of float
         Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
         beyond which it is not shown.
+    largest_noise : float
+        Usual change between neighbours, over the whole changing part, that is no noise at rest.
     """
 
     bias: float = math.radians(0.8)
@@ -73,6 +71,7 @@ class MotionTuning:
     lag: float = 0.015
     sigmas: float = 3.0
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    largest_noise: float = 0.25
 
 
 TUNING = MotionTuning()
@@ -178,7 +177,7 @@ def _explained(
 def _field_moves(stretch: Stretch) -> bool:
     """Return whether the field changes by more than its noise."""
     usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
-    return usual < LARGEST_NOISE
+    return usual < TUNING.largest_noise
 
 
 def _opposite(belief: Belief) -> Belief:

@@ -11,11 +11,6 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.stretch import Stretch
 
-START_NOISE = (0.1, 0.1)
-"""Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
-ROUNDS = (5, 4, 4, 4)
-"""Steps between estimates of the noise."""
-
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -74,11 +69,13 @@ def align(
     """
     ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
     problem = AlignmentFit(stretch, axes, tuning, ways, with_up)
-    some = problem.descend(problem.start(), START_NOISE, ROUNDS[0])
-    cost, noise = problem.cost(some, START_NOISE), START_NOISE
+    some = problem.descend(problem.start(), tuning.start_noise, tuning.rounds[0])
+    cost, noise = problem.cost(some, tuning.start_noise), tuning.start_noise
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
     kept = np.arange(len(axes))
-    for limit, steps in zip((tuning.hopeless, tuning.lost, tuning.lost), ROUNDS[1:], strict=True):
+    for limit, steps in zip(
+        (tuning.hopeless, tuning.lost, tuning.lost), tuning.rounds[1:], strict=True
+    ):
         left = misfit[kept] <= limit
         kept, some = kept[left], some[left]
         problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)

@@ -46,6 +46,10 @@ class AlignmentTuning:
         Misfit after the first steps, with wide noise, beyond which a candidate is given up.
     lost : float
         The same later, with the noise that the best one shows.
+    start_noise : tuple of float
+        Of field (over its size) and up (radians) in the first rounds: wide, so that all can move.
+    rounds : tuple of int
+        Steps between estimates of the noise.
     settled : float
         Change of chi-square below which all candidates have settled.
     """
@@ -62,6 +66,8 @@ class AlignmentTuning:
     hopeless: float = 80.0
     lost: float = 400.0
     settled: float = 0.01
+    start_noise: tuple[float, float] = (0.1, 0.1)
+    rounds: tuple[int, int, int, int] = (5, 4, 4, 4)
 
 
 TUNING = AlignmentTuning()
