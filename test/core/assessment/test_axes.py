@@ -98,7 +98,7 @@ def test_without_the_inclination_axes_and_their_opposites_both_stay():
     assert len(found.candidates) == 2
     assert named(found, MIRRORED_Z)
     assert named(found, -MIRRORED_Z)
-    assert "give the inclination" in found.words
+    assert "give the place or the field's inclination" in found.words
 
 
 def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():
