@@ -51,7 +51,7 @@ WORSE = 0.3
 def drive_of(seed: int, seconds: float, legs: list[Leg] | None = None, **options: object) -> Drive:
     rng = np.random.default_rng(seed)
     vehicle = replace(random_vehicle(rng), imu_yaw=math.radians(rng.normal(0.0, 5.0)))
-    way = travel(city(rng, seconds) if legs is None else legs, rng, rate=20.0)
+    way = travel(city(rng, seconds) if legs is None else legs, rng, rate=10.0)
     return simulated_drive(way, rng, vehicle, receiver=None, **options)  # type: ignore[arg-type]
 
 

@@ -12,8 +12,8 @@ class KeepingTuning:
 
     Parameters
     ----------
-    look_every : float
-        Seconds between two looks.
+    look_every, look_again : float
+        Seconds between two looks, and while a changed hard iron is on probation.
     windows, iron_windows : tuple of float
         Seconds of road to which all twelve numbers are fitted, and the hard iron alone.
     look_back, shortest_since, longest_since : float
@@ -60,10 +60,11 @@ class KeepingTuning:
     """
 
     look_every: float = 20.0
+    look_again: float = 10.0
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
-    iron_windows: tuple[float, ...] = (60.0, 90.0, 120.0)
+    iron_windows: tuple[float, ...] = (60.0, 120.0)
     look_back: float = 240.0
-    shortest_since: float = 40.0
+    shortest_since: float = 25.0
     longest_since: float = 300.0
     finer: float = 0.75
     more_road: float = 1.3
@@ -83,7 +84,7 @@ class KeepingTuning:
     turn_spread: float = 0.35
     pseudo_turns: float = 4.0
     likelihood_proof: float = 12.0
-    shortest_proof: float = 20.0
+    shortest_proof: float = 15.0
     agree: float = 2.0
     course_proof: float = 20.0
     kept: int = 3

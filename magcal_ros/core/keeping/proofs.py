@@ -39,6 +39,7 @@ class Proof:
             self.turns >= tuning.fewest_turns
             and self.turn_score > tuning.turn_proof
             and self.turn_gain > tuning.least_gain
+            and self.likelihood >= 0.0
         ):
             gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
             return f"{self.turns} turns driven since are {gain:.0f}% quieter"

@@ -24,9 +24,9 @@ from magcal_ros.core.keeping.candidates import (
     is_another,
 )
 from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings
+from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
-from magcal_ros.core.keeping.modes import Mode, Trial, is_same
+from magcal_ros.core.keeping.modes import Mode, Probation, Trial, is_same
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
@@ -58,7 +58,7 @@ class SelfCalibration:
         self._recorder = DriveRecorder(MEMORY)
         self._in_force: Calibration | None = None
         self._before: deque[Calibration] = deque(maxlen=tuning.kept)
-        self._on_probation: dict[Kind, DriveCandidate] = {}
+        self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Trial | None = None
         self._decisions: deque[Decision] = deque(maxlen=tuning.remembered)
@@ -98,7 +98,8 @@ class SelfCalibration:
         if self.proposal is not None:
             return "a calibration is proposed: call accept to put it in force"
         if self._on_probation:
-            worded = " and ".join(each.in_words for each in self._on_probation.values())
+            each = self._on_probation.values()
+            worded = " and ".join(probation.candidate.in_words for probation in each)
             return f"on probation: {worded}"
         if self._recorder.rests:
             return "waiting for movement"
@@ -153,7 +154,9 @@ class SelfCalibration:
             return False
         if self._pending or self._recorder.seconds < min(self.tuning.iron_windows):
             return False
-        return self._recorder.clock - self._looked >= self.tuning.look_every
+        tuning = self.tuning
+        wait = tuning.look_again if Kind.IRON in self._on_probation else tuning.look_every
+        return self._recorder.clock - self._looked >= wait
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
@@ -166,20 +169,19 @@ class SelfCalibration:
             windows = windows[self._round % len(windows) :][:1]
         contests, suspect = [], self._on_probation.get(Kind.IRON)
         if in_force is not None:
-            for kind, candidate in self._on_probation.items():
-                new = candidate.calibration.correction
-                contests.append(Contest(kind.value, in_force.correction, new, candidate.end))
+            for kind, probation in self._on_probation.items():
+                contests.append(Contest(kind.value, in_force.correction, probation.steps))
             if self._trial is not None:
-                old = self._trial.calibration.correction
-                contests.append(Contest(TRIAL, in_force.correction, old, self._trial.since))
+                old = Step(self._trial.since, self._trial.calibration.correction)
+                contests.append(Contest(TRIAL, in_force.correction, (old,)))
         return DriveJob(
             self._recorder.log(),
             knowledge,
             in_force,
             windows,
-            tuning.iron_windows if in_force is not None else (),
+            tuning.iron_windows if in_force is not None and suspect is None else (),
             self._not_before,
-            None if suspect is None else suspect.calibration.correction,
+            None if suspect is None else suspect.candidate.calibration.correction,
             self._changed,
             tuple(contests),
         )
@@ -258,16 +260,18 @@ class SelfCalibration:
 
     def _proved(self, findings: Findings) -> list[Decision]:
         made: list[Decision] = []
-        for kind in list(self._on_probation):
+        for kind, probation in list(self._on_probation.items()):
             proof = findings.proofs.get(kind.value, Proof())
-            candidate = self._on_probation[kind]
+            if kind is Kind.IRON:
+                probation = self._followed(probation, findings)
+            candidate = probation.candidate
             why = proof.stands(self.tuning) or self._by_course(candidate)
-            if why:
+            if why and self._is_believable(candidate):
                 if kind is Kind.IRON:
-                    candidate = self._with_road_since(candidate, findings)
+                    self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - candidate.end > self.tuning.longest_probation:
+            if findings.clock - probation.since > self.tuning.longest_probation:
                 del self._on_probation[kind]
                 self._has_noticed = False
                 words = f"{candidate.in_words}: not proved better on the road since"
@@ -283,21 +287,19 @@ class SelfCalibration:
             return ""
         return f"it explains how the compass swings against course (chi-square falls by {gain:.0f})"
 
-    def _with_road_since(self, candidate: DriveCandidate, findings: Findings) -> DriveCandidate:
-        """Return the iron of all road since the change: that it changed is what was proved."""
-        self._changed = self._not_before = candidate.start
+    def _followed(self, probation: Probation, findings: Findings) -> Probation:
+        """Take up the hard iron of all road since the change, as it is known by now."""
         since = findings.since_change
-        if since is None or since.sigma > candidate.sigma:
-            return candidate
-        self._changed = self._not_before = since.start
-        return since
+        if since is not None and self._in_force is not None and is_another(since, self._in_force):
+            probation = self._on_probation[Kind.IRON] = Probation.of(since, probation)
+        return probation
 
     def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Replace what came of driving by what more of the same driving shows."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
         if math.isfinite(self._changed):
-            found = [findings.since_change]
+            found = [findings.finer]
         else:
             found = [each for each in findings.candidates if each.kind is Kind.ALL]
         for each in found:
@@ -315,21 +317,17 @@ class SelfCalibration:
     def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Put on probation what is believable and differs from what is in force."""
         made: list[Decision] = []
-        if findings.since_change is not None and not math.isfinite(self._changed):
-            irons = [findings.since_change]
-        else:
-            irons = [each for each in findings.candidates if each.kind is Kind.IRON]
         alls = [each for each in findings.candidates if each.kind is Kind.ALL]
-        for kind, found in ((Kind.ALL, alls), (Kind.IRON, irons)):
-            good = [
-                each
-                for each in found
-                if self._is_believable(each) and self._is_worth_it(each, in_force)
-            ]
-            if kind in self._on_probation or not good:
+        good = [
+            each for each in alls if self._is_believable(each) and self._is_worth_it(each, in_force)
+        ]
+        since = findings.since_change
+        if since is not None and since.sigma < self.tuning.notice_sigma:
+            good += [since] if is_another(since, in_force, self.tuning) else []
+        for best in sorted(good, key=lambda each: each.sigma):
+            if best.kind in self._on_probation:
                 continue
-            best = min(good, key=lambda each: each.sigma)
-            self._on_probation[kind] = best
+            self._on_probation[best.kind] = Probation.of(best)
             apart = math.degrees(difference(in_force, best.calibration))
             words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
             made.append(Decision(findings.clock, Verb.PROBATION, words))

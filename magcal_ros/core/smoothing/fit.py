@@ -203,9 +203,14 @@ def held_fit(
     Smoothed or None
         `here.cost` of two calibrations on the same nodes can be compared.
     """
-    inside = corrected(nodes, correction, knowledge.mounting.matrix)
+    return _held(corrected(nodes, correction, knowledge.mounting.matrix), knowledge, sizes, tuning)
+
+
+def _held(
+    inside: Nodes, knowledge: Knowledge, sizes: Sizes, tuning: SmootherTuning
+) -> Smoothed | None:
     prior = held_prior(free_prior(knowledge, tuning), iron=False)
-    start = Unknowns(prior.mean, nodes.heading, np.zeros((len(nodes), 3)))
+    start = Unknowns(prior.mean, inside.heading, np.zeros((len(inside), 3)))
     declination = knowledge.reference.declination or 0.0
     problem = Problem(inside, prior, declination, sizes, tuning)
     return descend(problem, _followed(start, inside))
@@ -234,8 +239,15 @@ def favour(
         Fall of minus twice the log likelihood, over `counts`: neighbours are alike. Zero where one
         of them cannot be followed.
     """
-    sizes = Sizes()
-    fits = [held_fit(nodes, each, knowledge, sizes, tuning) for each in (old, new)]
+    before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
+    return favour_of(before, after, knowledge, tuning)
+
+
+def favour_of(
+    old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
+) -> float:
+    """Return the same as `favour` of nodes that are corrected already."""
+    fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
         return 0.0
     return (fits[0].here.cost - fits[1].here.cost) / tuning.counts

@@ -54,8 +54,8 @@ def candidate(iron, end, kind=Kind.ALL, sigma=math.radians(2.0), sectors=9):
     return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
 
 
-def findings(clock, *candidates, since=None, **proofs):
-    return Findings(clock, candidates, since, proofs)
+def findings(clock, *candidates, since=None, finer=None, **proofs):
+    return Findings(clock, candidates, since, finer, proofs)
 
 
 class Keeper:
@@ -115,6 +115,30 @@ def test_what_is_not_proved_within_its_time_is_dropped():
     keeper = Keeper(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     assert keeper.note(findings(310.0, all=Proof(190.0))) == [Verb.DROPPED]
+
+
+def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
+    keeper = Keeper(calibration())
+    first, last = (
+        candidate(iron, clock, Kind.IRON, math.radians(sigma))
+        for iron, clock, sigma in ((FAR, 120.0, 4.0), ((8e-6, 0.0, 0.0), 140.0, 2.0))
+    )
+    assert keeper.note(findings(120.0, since=first)) == [Verb.PROBATION]
+    assert keeper.note(findings(140.0, since=last)) == []
+    contest = keeper.machine.job(BOSTON).contests[0]
+    assert [step.since for step in contest.new] == [120.0, 140.0]
+    keeper.machine.fail()
+    assert keeper.note(findings(160.0, iron=PROVED)) == [Verb.APPLIED]
+    assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
+
+
+def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
+    keeper = Keeper(calibration())
+    vague = candidate(FAR, 120.0, Kind.IRON, math.radians(4.0))
+    keeper.note(findings(120.0, since=vague))
+    assert keeper.note(findings(140.0, iron=PROVED)) == []
+    clear = candidate(FAR, 160.0, Kind.IRON, math.radians(2.0))
+    assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [Verb.APPLIED]
 
 
 def test_what_agrees_mends_nothing():
@@ -187,9 +211,12 @@ def test_a_lost_job_is_asked_for_again():
         (Proof(90.0, 4, 3.0, 0.5), True),
         (Proof(90.0, 1, 3.0, 0.5), False),
         (Proof(90.0, 4, 3.0, 0.05), False),
+        (Proof(90.0, 4, 3.0, 0.5, -1.0), False),
     ],
 )
-def test_a_proof_stands_on_turns_or_on_both_halves_of_the_road(proof, stands):
+def test_a_proof_stands_on_turns_that_the_road_does_not_contradict_or_on_both_its_halves(
+    proof, stands
+):
     assert bool(proof.stands()) is stands
 
 
