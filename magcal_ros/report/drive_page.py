@@ -125,8 +125,8 @@ def _before_and_after(story: DriveStory) -> str:
         swing = math.degrees(difference(begun, ended))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
     return (
-        '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr><th></th>'
-        "<th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
+        '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr>'
+        "<th></th><th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
         f"{rows}</table></div>{apart}"
     )
 
