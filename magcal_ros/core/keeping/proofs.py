@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from magcal_ros.core.keeping.candidates import Kind
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 
 
@@ -33,8 +34,9 @@ class Proof:
     likelihood: float = 0.0
     halves: tuple[float, float] = (0.0, 0.0)
 
-    def stands(self, tuning: KeepingTuning = KEEPING) -> str:
+    def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind = Kind.ALL) -> str:
         """Return in words by what the new one is proved better; empty if it is not."""
+        enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
         if (
             self.turns >= tuning.fewest_turns
             and self.turn_score > tuning.turn_proof
@@ -43,9 +45,9 @@ class Proof:
         ):
             gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
             return f"{self.turns} turns driven since are {gain:.0f}% quieter"
-        if self.likelihood > tuning.likelihood_proof and min(self.halves) > 0.0:
+        if self.likelihood > enough and min(self.halves) > 0.0:
             return (
-                f"{self.seconds:.0f} s of road driven since are likelier by"
-                f" {self.likelihood:.0f} units, both halves alike"
+                f"it explains {self.seconds:.0f} s of road driven since better, by"
+                f" {self.likelihood:.0f} units of log likelihood and in both halves"
             )
         return ""

@@ -60,7 +60,7 @@ def prove(
         likelihood = favour_of(before, after, knowledge)
         middle = len(nodes) // 2
         parts = np.arange(middle), np.arange(middle, len(nodes))
-        if likelihood > tuning.likelihood_proof:
+        if likelihood > min(tuning.iron_proof, tuning.likelihood_proof):
             first, second = (
                 favour_of(before.take(part), after.take(part), knowledge) for part in parts
             )

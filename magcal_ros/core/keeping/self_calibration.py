@@ -64,7 +64,6 @@ class SelfCalibration:
         self._decisions: deque[Decision] = deque(maxlen=tuning.remembered)
         self._not_before = self._changed = -math.inf
         self._promised = self._road = 0.0
-        self._has_noticed = False
         self._looked = -math.inf
         self._round = 0
         self._pending = 0
@@ -142,9 +141,10 @@ class SelfCalibration:
         self._trial = None
         if decided and old is not None and not rolled:
             self._trial = Trial(old, self._recorder.clock)
-        self._has_noticed = False
         if not decided or rolled:
-            self._not_before = self._changed = -math.inf
+            self._changed = -math.inf
+        if not decided:
+            self._not_before = -math.inf
 
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
@@ -215,8 +215,8 @@ class SelfCalibration:
         made += self._proved(findings) or self._refined(findings, self._in_force)
         if made and made[-1].changes:
             return made
-        made += self._noticed(findings, self._in_force)
-        return made + self._take_up(findings, self._in_force)
+        made += self._take_up(findings, self._in_force)
+        return made + self._notice(findings, self._in_force)
 
     def _begin(self, findings: Findings) -> list[Decision]:
         """With nothing in force two windows that agree are enough: nobody is harmed by waiting."""
@@ -248,13 +248,13 @@ class SelfCalibration:
             return []
         why = proof.stands(self.tuning)
         if why:
-            self._trial = None
+            self._trial, self._not_before = None, trial.since
             words = f"the calibration before was better after all: {why} under it"
             verb = Verb.PROPOSED if self.mode is Mode.PROPOSE else Verb.ROLLED_BACK
             return [self._change(findings.clock, trial.calibration, words, verb)]
         if proof.seconds > self.tuning.longest_trial:
             self._trial = None
-            words = f"{proof.seconds:.0f} s of road since it is in force speak for nothing else"
+            words = f"{proof.seconds:.0f} s of road speak for nothing that was in force before"
             return [Decision(findings.clock, Verb.CONFIRMED, words)]
         return []
 
@@ -265,7 +265,7 @@ class SelfCalibration:
             if kind is Kind.IRON:
                 probation = self._followed(probation, findings)
             candidate = probation.candidate
-            why = proof.stands(self.tuning) or self._by_course(candidate)
+            why = proof.stands(self.tuning, kind) or self._by_course(candidate)
             if why and self._is_believable(candidate):
                 if kind is Kind.IRON:
                     self._changed = self._not_before = candidate.start
@@ -273,7 +273,6 @@ class SelfCalibration:
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
             if findings.clock - probation.since > self.tuning.longest_probation:
                 del self._on_probation[kind]
-                self._has_noticed = False
                 words = f"{candidate.in_words}: not proved better on the road since"
                 made.append(Decision(findings.clock, Verb.DROPPED, words))
         return made
@@ -302,59 +301,71 @@ class SelfCalibration:
             found = [findings.finer]
         else:
             found = [each for each in findings.candidates if each.kind is Kind.ALL]
+        known = in_force.evidence.figures.get(Figure.HEADING_SIGMA.value, self._promised)
         for each in found:
             if each is None or not self._is_believable(each):
                 continue
-            sigma = heading_sigma(each.calibration)
-            is_finer = sigma < self.tuning.finer * self._promised
+            is_finer = each.sigma < self.tuning.finer * known
             if is_finer and each.seconds > self._road and not is_another(each, in_force):
                 self._road = self.tuning.more_road * each.seconds
-                words = f"{each.in_words}, where ±{math.degrees(self._promised):.1f}° were known"
+                words = f"{each.in_words}, where ±{math.degrees(known):.1f}° were known"
                 self._on_probation.clear()
                 return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
         return []
 
     def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Put on probation what is believable and differs from what is in force."""
-        made: list[Decision] = []
-        alls = [each for each in findings.candidates if each.kind is Kind.ALL]
         good = [
-            each for each in alls if self._is_believable(each) and self._is_worth_it(each, in_force)
+            each
+            for each in findings.candidates
+            if each.kind is Kind.ALL
+            and self._is_believable(each)
+            and self._is_worth_it(each, in_force)
+            and not self._is_offered(each)
         ]
-        since = findings.since_change
-        if since is not None and since.sigma < self.tuning.notice_sigma:
-            good += [since] if is_another(since, in_force, self.tuning) else []
-        for best in sorted(good, key=lambda each: each.sigma):
-            if best.kind in self._on_probation:
-                continue
-            self._on_probation[best.kind] = Probation.of(best)
-            apart = math.degrees(difference(in_force, best.calibration))
-            words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
-            made.append(Decision(findings.clock, Verb.PROBATION, words))
-        return made
-
-    def _noticed(self, findings: Findings, in_force: Calibration) -> list[Decision]:
-        """Say once that the hard iron seems to have changed, before it is known how."""
-        if self._has_noticed:
+        if Kind.ALL in self._on_probation or not good:
             return []
-        for each in findings.candidates:
-            if each.kind is not Kind.IRON or each.sigma > self.tuning.notice_sigma:
-                continue
-            if is_another(each, in_force, self.tuning):
-                self._has_noticed = True
-                apart = math.degrees(difference(in_force, each.calibration))
-                words = (
-                    f"the hard iron seems to have changed in the last {each.seconds:.0f} s of"
-                    f" driving: headings would differ by {apart:.0f}° ±"
-                    f"{math.degrees(each.sigma):.0f}°"
-                )
-                return [Decision(findings.clock, Verb.NOTICED, words)]
-        return []
+        best = min(good, key=lambda each: each.sigma)
+        self._on_probation[Kind.ALL] = Probation.of(best)
+        apart = math.degrees(difference(in_force, best.calibration))
+        words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
+        return [Decision(findings.clock, Verb.PROBATION, words)]
+
+    def _notice(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+        """Say that the hard iron seems to have changed, and put the new one on probation."""
+        since = findings.since_change
+        if since is None or Kind.IRON in self._on_probation or self._is_offered(since):
+            return []
+        sigma = math.hypot(since.sigma, heading_sigma(in_force))
+        apart = difference(in_force, since.calibration)
+        if since.sigma > self.tuning.notice_sigma or apart < self.tuning.notice_differs * sigma:
+            return []
+        self._on_probation[Kind.IRON] = Probation.of(since)
+        if self._before:
+            # Iron that goes again leaves what was in force before it came.
+            self._trial = Trial(self._before[-1], since.start)
+        words = (
+            f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
+            f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
+        )
+        return [Decision(findings.clock, Verb.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
-        tuning = self.tuning
-        few = tuning.fewest_sectors if candidate.kind is Kind.ALL else tuning.fewest_for_iron
-        return candidate.sigma <= tuning.largest_sigma and candidate.sectors >= few
+        tuning, largest, few = self.tuning, self.tuning.largest_sigma, self.tuning.fewest_sectors
+        if candidate.kind is Kind.IRON and self._in_force is not None:
+            few = tuning.fewest_for_iron
+            # What is plainly broken gives way to what is known roughly.
+            apart = difference(self._in_force, candidate.calibration)
+            largest = max(largest, tuning.plainly * apart)
+        return candidate.sigma <= largest and candidate.sectors >= few
+
+    def _is_offered(self, candidate: DriveCandidate) -> bool:
+        """Whether what waits for a person's word is as good: nobody is told twice."""
+        waits = self.proposal
+        if waits is None or is_another(candidate, waits, self.tuning):
+            return False
+        known = waits.evidence.figures.get(Figure.HEADING_SIGMA.value, math.inf)
+        return candidate.sigma > self.tuning.much_better * known
 
     def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
         if is_another(candidate, in_force, self.tuning):

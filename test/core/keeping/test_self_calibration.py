@@ -121,9 +121,9 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
     keeper = Keeper(calibration())
     first, last = (
         candidate(iron, clock, Kind.IRON, math.radians(sigma))
-        for iron, clock, sigma in ((FAR, 120.0, 4.0), ((8e-6, 0.0, 0.0), 140.0, 2.0))
+        for iron, clock, sigma in ((FAR, 120.0, 2.5), ((8e-6, 0.0, 0.0), 140.0, 2.0))
     )
-    assert keeper.note(findings(120.0, since=first)) == [Verb.PROBATION]
+    assert keeper.note(findings(120.0, since=first)) == [Verb.NOTICED]
     assert keeper.note(findings(140.0, since=last)) == []
     contest = keeper.machine.job(BOSTON).contests[0]
     assert [step.since for step in contest.new] == [120.0, 140.0]
@@ -134,11 +134,37 @@ def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
 
 def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
     keeper = Keeper(calibration())
-    vague = candidate(FAR, 120.0, Kind.IRON, math.radians(4.0))
+    vague = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON, math.radians(4.5))
     keeper.note(findings(120.0, since=vague))
     assert keeper.note(findings(140.0, iron=PROVED)) == []
-    clear = candidate(FAR, 160.0, Kind.IRON, math.radians(2.0))
+    clear = candidate((10e-6, 0.0, 0.0), 160.0, Kind.IRON, math.radians(3.5))
     assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [Verb.APPLIED]
+
+
+def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
+    old = calibration()
+    keeper = Keeper(old)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    keeper.note(findings(120.0, since=came))
+    keeper.note(findings(140.0, since=came, iron=PROVED))
+    keeper.note(findings(460.0, **{TRIAL: Proof(310.0)}))
+    went = candidate((0.5e-6, 0.0, 0.0), 900.0, Kind.IRON)
+    assert keeper.note(findings(900.0, since=went)) == [Verb.NOTICED]
+    trial = next(each for each in keeper.machine.job(BOSTON).contests if each.name == TRIAL)
+    assert trial.new[0].since == went.start
+    keeper.machine.fail()
+    assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
+    assert keeper.machine.decisions[-1].calibration.correction is old.correction
+    assert keeper.machine.job(BOSTON).not_before == went.start
+
+
+def test_what_waits_for_a_word_is_offered_once():
+    keeper = Keeper(calibration(), Mode.PROPOSE)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    came.calibration.evidence.figures["heading_sigma"] = came.sigma
+    keeper.note(findings(120.0, since=came))
+    assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [Verb.PROPOSED]
+    assert keeper.note(findings(160.0, since=came)) == []
 
 
 def test_what_agrees_mends_nothing():
