@@ -264,8 +264,8 @@ def bench_traps(seeds: range) -> None:
             left.append(error(story.ended.correction, drive, float(np.ptp(drive.time))))
             worse += left[-1] > WORSE
         print(
-            f"{name}: changed {changed} of {len(seeds)}, told of a change {noticed}; at the end {worse}"
-            f" worse by more than {WORSE}°, rms {rms(left):.2f}"
+            f"{name}: changed {changed} of {len(seeds)}, told of a change {noticed}; at the end"
+            f" {worse} worse by more than {WORSE}°, rms {rms(left):.2f}"
         )
 
 

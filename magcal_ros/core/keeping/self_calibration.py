@@ -203,6 +203,8 @@ class SelfCalibration:
         if not is_current:
             return []
         made = self._weigh(findings)
+        if not math.isnan(self._recorder.begun):
+            made = [replace(each, clock=each.clock - self._recorder.begun) for each in made]
         self._decisions.extend(made)
         return made
 

@@ -278,6 +278,7 @@ def test_an_ordinary_drive_calibrates_from_nothing():
     made = follow(drive, machine)
     applied = [decision for _, decision in made if decision.verb is Verb.APPLIED]
     assert len(applied) == 1
+    assert all(0.0 < decision.clock <= seconds for seconds, decision in made)
     assert heading_error(applied[0].calibration.correction, ROBOT) < 5.0
 
 
