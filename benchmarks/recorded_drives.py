@@ -2,6 +2,7 @@
 
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
+Where more than six minutes were driven, 10 µT are added after two of them, in four directions.
 Degrees of heading, RMS against the truth on the whole recording, a constant taken off.
 """
 
@@ -10,19 +11,24 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from recorded_truth import Drive, read_drive
 from recordings import DEFAULT, recordings_in
 
 from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.keeping.candidates import heading_sigma
+from magcal_ros.core.keeping.candidates import difference, heading_sigma
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.smoothing.log import log_of
 
 WORSE = 0.3
+LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
 
 
 def main() -> None:
@@ -41,6 +47,9 @@ def main() -> None:
                 story = told(drive, begun, first, last)
                 windows += 1
                 worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
+            if drive.everything.time[-1] - drive.everything.time[0] > LONG:
+                for quarter in range(4):
+                    _tell_change(drive, begun, quarter * 0.5 * math.pi)
     print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
 
 
@@ -50,6 +59,32 @@ def told(drive: Drive, begun: Calibration | None, first: float, last: float) -> 
     teller = DriveTeller(drive.knowledge, begun)
     teller.take((each for each in drive.recording.samples() if start <= each.stamp <= stop), ())
     return teller.story()
+
+
+def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
+    """Add iron on the way, and say what comes of it: degrees from what is then right."""
+    iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
+    start = drive.everything.time[0] + CHANGE_AT
+    teller = DriveTeller(drive.knowledge, begun)
+    teller.take(
+        (
+            each._replace(field=tuple(np.add(each.field, iron).tolist()))
+            if isinstance(each, FieldSample) and each.stamp > start
+            else each
+            for each in drive.recording.samples()
+        ),
+        (),
+    )
+    old = begun.correction
+    right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
+    print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
+    print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
+    for at, made in teller.story().decisions:
+        left = ""
+        if made.calibration is not None:
+            left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
+        print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
+    print(flush=True)
 
 
 def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
