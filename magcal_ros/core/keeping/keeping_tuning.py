@@ -50,6 +50,9 @@ class KeepingTuning:
     likelihood_proof, iron_proof : float
         Fall of minus log likelihood, independent units, on the road of probation, with a rise in
         neither half; less is asked of a hard iron, which was far off already to be noticed.
+    elsewhere_proof : float
+        Units of it that must be left without the quarter of headings that speaks most, where all
+        twelve numbers are new.
     shortest_proof : float
         Seconds of road before which no likelihood is believed.
     agree : float
@@ -90,6 +93,7 @@ class KeepingTuning:
     pseudo_turns: float = 4.0
     likelihood_proof: float = 12.0
     iron_proof: float = 8.0
+    elsewhere_proof: float = 2.0
     shortest_proof: float = 15.0
     agree: float = 2.0
     course_proof: float = 20.0

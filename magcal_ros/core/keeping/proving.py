@@ -55,17 +55,17 @@ def prove(
         squares += tuning.pseudo_turns * tuning.turn_spread**2
         spread = math.sqrt(squares / (turns - 1 + tuning.pseudo_turns))
         score = gain / (spread / math.sqrt(turns))
-    likelihood, halves = 0.0, (0.0, 0.0)
+    likelihood, elsewhere, halves = 0.0, 0.0, (0.0, 0.0)
     if seconds >= tuning.shortest_proof:
-        likelihood = favour_of(before, after, knowledge)
+        likelihood, elsewhere = favour_of(before, after, knowledge)
         middle = len(nodes) // 2
         parts = np.arange(middle), np.arange(middle, len(nodes))
         if likelihood > min(tuning.iron_proof, tuning.likelihood_proof):
             first, second = (
-                favour_of(before.take(part), after.take(part), knowledge) for part in parts
+                favour_of(before.take(part), after.take(part), knowledge)[0] for part in parts
             )
             halves = first, second
-    return Proof(seconds, turns, score, gain, likelihood, halves)
+    return Proof(seconds, turns, score, gain, likelihood, halves, elsewhere)
 
 
 def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:

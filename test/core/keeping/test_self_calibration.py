@@ -35,7 +35,7 @@ ROBOT = Robot(
     noise_field=0.3e-6,
 )
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
-PROVED = Proof(60.0, 0, 0.0, 0.0, 20.0, (9.0, 11.0))
+PROVED = Proof(60.0, 0, 0.0, 0.0, 20.0, (9.0, 11.0), 5.0)
 
 
 def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_likelihood"):
@@ -226,6 +226,13 @@ def test_a_lost_job_is_asked_for_again():
     assert machine.note(findings(120.0, candidate(FAR, 120.0))) == []
     machine.job(BOSTON)
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) != []
+
+
+def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
+    proof = dataclasses.replace(PROVED, elsewhere=-0.1)
+    assert not proof.stands(kind=Kind.ALL)
+    assert proof.stands(kind=Kind.IRON)
+    assert proof.stands()
 
 
 @pytest.mark.parametrize(
