@@ -210,7 +210,7 @@ class TripTuning:
         Seconds since standing that are looked at.
     """
 
-    clear: float = 4.0
+    clear: float = 3.0
     correlated: float = 4.0
     standing: float = 0.5
     longest: float = 40.0

@@ -21,6 +21,14 @@ class _Matched(NamedTuple):
     velocity: complex
 
 
+class _Trip(NamedTuple):
+    """When a trip ended, which way it went, and whether the force had decided on that."""
+
+    end: float = -math.inf
+    sign: float = 1.0
+    is_clear: bool = False
+
+
 class OwnAcceleration:
     """Frees the force of what the vehicle accelerates by.
 
@@ -59,6 +67,8 @@ class OwnAcceleration:
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
         self._trial = SpeedTrial(self._tuning.own.watched)
+        self._trip = SpeedTrial(self._tuning.own.watched)
+        self._before, self._is_under_way = _Trip(), True
         self._gravity: tuple[float, Triple] | None = None
         self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
@@ -68,9 +78,18 @@ class OwnAcceleration:
         self._stand()
 
     @property
-    def stands(self) -> bool:
-        """Whether the vehicle stood at the newest tick that met its speed."""
-        return not self._of_trip
+    def is_clear(self) -> bool:
+        """Whether the force has decided on the direction of travel since the vehicle stood."""
+        return self.sign_score > self._tuning.trip.clear
+
+    def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
+        """Return the sign of a trip under way at a stamp, or that ended after it.
+
+        And whether the force has decided on it, and whether it may still do so.
+        """
+        is_open = stamp > self._before.end
+        sign, is_clear = (self.sign, self.is_clear) if is_open else self._before[1:]
+        return sign, is_clear, is_open
 
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
@@ -128,20 +147,25 @@ class OwnAcceleration:
         self._trial.clear()
         self._gravity, self.is_used = None, False
         self._gives, self._pauses_until = False, -math.inf
+        self._before = _Trip()
         self._stand()
 
     def _stand(self) -> None:
         self.sign, self.sign_score = 1.0, 0.0
         self._product = self._energy = 0.0
         self._of_trip = 0
+        self._trip.clear()
 
     def _meet(self, tick: Tick, speed: float | None) -> None:
         if speed is None:
             self._matched.clear()
             self._gravity = None
             return
-        if abs(speed) < self._tuning.trip.standing:
+        is_slow = abs(speed) < self._tuning.trip.standing
+        if is_slow and self._is_under_way:
+            self._before = _Trip(tick.stamp, self.sign, self.is_clear)
             self._stand()
+        self._is_under_way = not is_slow
         velocity = speed * cmath.exp(1j * tick.yaw)
         self._matched.append(_Matched(tick, velocity))
         if len(self._matched) > self._span:
@@ -168,7 +192,9 @@ class OwnAcceleration:
         change = 0j if stands else (last.velocity - first.velocity) / seconds
         pull = (abs(last.velocity) - abs(first.velocity)) / seconds
         self._trial.add(Tried(complex(x, y), self.sign * change, pull))
-        self._of_trip += 1
+        # Standing is where the force of the trip that follows is counted from, whichever its sign.
+        self._trip.add(Tried(complex(x, y), change if self._is_under_way else 0j, pull))
+        self._of_trip += self._is_under_way
         self._judge()
         own = self.sign * change * self._turn
         self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
@@ -189,10 +215,13 @@ class OwnAcceleration:
             self.is_used = False
 
     def _decide(self) -> None:
-        """Sum up, since the vehicle stood, what the force says of the direction of travel."""
-        trip, newest = self._tuning.trip, self._trial.newest
+        """Sum up, since the vehicle stood, what the force says of the direction of travel.
+
+        Earlier trips have no part in the means that are taken off: they may have another sign.
+        """
+        trip, newest = self._tuning.trip, self._trip.newest
         expected = newest.change * self._turn
-        self._product += self.sign * (newest.force * expected.conjugate()).real
+        self._product += (newest.force * expected.conjugate()).real
         self._energy += abs(expected) ** 2
         spread = math.sqrt(trip.correlated * max(self._energy, 1e-9)) * self.noise
         score = self._product / spread
