@@ -41,13 +41,14 @@ RECEIVERS = {"velocity": Receiver(speed_noise=0.1), "fixes": Receiver()}
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was made of a drive."""
+    """What was made of a drive; `early` is the course's offset by its first half."""
 
     stamps: FloatArray
     ups: FloatArray
     yaws: FloatArray
     travelling: Travelling
     course: CourseOffset | None
+    early: CourseOffset | None
 
     @property
     def mounting(self) -> MountingYaw | None:
@@ -55,11 +56,14 @@ class Seen:
         return self.travelling.known_mounting
 
 
-def follow(samples: Iterable[AnySample], calibration: Calibration) -> Seen:
-    """Walk through a drive as the node does."""
+def follow(samples: Iterable[AnySample], calibration: Calibration, half: float = math.inf) -> Seen:
+    """Walk through a drive as the node does; `half` is the stamp of its middle, seconds."""
     up, compass, travelling = UpFollower(), Compass(calibration), Travelling()
     stamps, ups, yaws = [], [], []
+    early = None
     for sample in samples:
+        if sample.stamp >= half:
+            early, half = travelling.fit_course(), math.inf
         if isinstance(sample, ImuSample):
             up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
         elif isinstance(sample, FieldSample):
@@ -81,7 +85,7 @@ def follow(samples: Iterable[AnySample], calibration: Calibration) -> Seen:
         else:
             travelling.add_position(sample)
     course = travelling.fit_course()
-    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course)
+    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course, early)
 
 
 def of_robot(drive: Drive) -> Calibration:
@@ -119,8 +123,8 @@ def tilt_errors(drive: Drive, seen: Seen) -> FloatArray:
 def simulated(drives: int) -> None:
     """Print up, mounting and course over fresh drives of 2, 4 and 8 minutes."""
     show(("speed from", "minutes", "up p50 / p90 / p99", "heading RMS", "beta RMS (said, NEES)",
-          "o RMS (said, NEES)"))  # fmt: skip
-    show(("---",) * 6)
+          "o RMS (said, NEES)", "second half by o of the first / best constant"))  # fmt: skip
+    show(("---",) * 7)
     for way in WAYS:
         for minutes in (2.0, 4.0, 8.0) if way == "odometry" else (4.0,):
             row(way, minutes, [city_drive(seed, 60.0 * minutes, way) for seed in range(drives)])
@@ -131,8 +135,10 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
     tilts, headings = [], []
     beta: list[tuple[float, float]] = []
     offset: list[tuple[float, float]] = []
+    halves: list[tuple[float, float]] = []
     for drive in drives:
-        seen = follow(drive.samples(), of_robot(drive))
+        half = 0.5 * (drive.time[0] + drive.time[-1])
+        seen = follow(drive.samples(), of_robot(drive), half)
         true = drive.vehicle.imu_yaw
         tilts.append(tilt_errors(drive, seen))
         gap = wrap_angle(seen.yaws - drive.imu_yaw[np.searchsorted(drive.time, seen.stamps)])
@@ -141,11 +147,24 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
             beta.append((math.remainder(seen.mounting.yaw - true, math.tau), seen.mounting.sigma))
         if seen.course is not None:
             offset.append((math.remainder(seen.course.offset - true, math.tau), seen.course.sigma))
+        if seen.early is not None:
+            halves.append(without(seen.early.offset - true, gap[seen.stamps > half]))
     tilt = " / ".join(
         f"{np.mean([np.percentile(each, share) for each in tilts]):.1f}" for share in (50, 90, 99)
     )
     rms = f"{np.sqrt(np.mean(np.concatenate(headings) ** 2)):.1f}"
-    show((name, f"{minutes:.0f}", tilt, rms, told(beta, len(drives)), told(offset, len(drives))))
+    both = "-"
+    if halves:
+        both = " / ".join(f"{value:.1f}" for value in np.sqrt(np.mean(np.square(halves), axis=0)))
+    told_of = (told(beta, len(drives)), told(offset, len(drives)))
+    show((name, f"{minutes:.0f}", tilt, rms, *told_of, both))
+
+
+def without(offset: float, gap: FloatArray) -> tuple[float, float]:
+    """Return a heading's RMS error without an offset, and without the constant that is best."""
+    best = float(np.angle(np.mean(np.exp(1j * gap))))
+    rms = [math.degrees(np.sqrt(np.mean(wrap_angle(gap - each) ** 2))) for each in (offset, best)]
+    return rms[0], rms[1]
 
 
 def told(found: list[tuple[float, float]], drives: int) -> str:

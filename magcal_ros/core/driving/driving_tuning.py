@@ -271,6 +271,8 @@ class CourseTuning:
         Cells kept.
     reach : float
         Metres over which streets bend alike.
+    small_share, small_reach : float
+        Share of the bend's variance that is alike over so many metres only; .2 to .4 were seen.
     first_sigma, second_sigma : float
         Radians of the harmonics: hard iron and soft iron that a calibration leaves.
     noise : float
@@ -298,6 +300,8 @@ class CourseTuning:
     sectors: int = 8
     most_cells: int = 400
     reach: float = 30.0
+    small_share: float = 0.25
+    small_reach: float = 2.0
     first_sigma: float = math.radians(3.0)
     second_sigma: float = math.radians(2.0)
     noise: float = math.radians(2.0)
