@@ -206,6 +206,8 @@ class TripTuning:
         By how much errors of the force last longer than the smoothing.
     standing : float
         m/s of a speed that has no sign; a receiver's wanders.
+    crawling : float
+        m/s below which it may have stood meanwhile, unseen by a receiver that speaks once a second.
     longest : float
         Seconds since standing that are looked at.
     """
@@ -213,6 +215,7 @@ class TripTuning:
     clear: float = 3.0
     correlated: float = 4.0
     standing: float = 0.5
+    crawling: float = 1.5
     longest: float = 40.0
 
 
