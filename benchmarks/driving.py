@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.core.simulation.drive import AnySample, Drive, Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city, one_street, reversing
@@ -78,12 +78,8 @@ def follow(samples: Iterable[AnySample], calibration: Calibration, half: float =
             stamps.append(sample.stamp)
             ups.append(now.direction)
             yaws.append(heading.yaw)
-        elif isinstance(sample, SpeedSample):
-            travelling.add_speed(sample)
-        elif isinstance(sample, VelocitySample):
-            travelling.add_velocity(sample)
         else:
-            travelling.add_position(sample)
+            travelling.add_travel(sample)
     course = travelling.fit_course()
     return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course, early)
 

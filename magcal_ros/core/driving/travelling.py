@@ -19,7 +19,12 @@ from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.travel_samples import (
+    PositionSample,
+    SpeedSample,
+    TravelSample,
+    VelocitySample,
+)
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 
@@ -129,6 +134,15 @@ class Travelling:
         """Take a fix."""
         self._is_heard = self.speedometer.add_position(sample) or self._is_heard
         self._chords.add_fix(sample)
+
+    def add_travel(self, sample: TravelSample) -> None:
+        """Take whatever wheels and receivers say."""
+        if isinstance(sample, SpeedSample):
+            self.add_speed(sample)
+        elif isinstance(sample, VelocitySample):
+            self.add_velocity(sample)
+        else:
+            self.add_position(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
