@@ -15,7 +15,7 @@ from magcal_ros.core.calibrate import (
     calibrate,
     calibrate_drive,
     calibrate_turns,
-    drive_rather_than_turn,
+    drive_instead,
     pooled,
 )
 from magcal_ros.core.doctor.refusal import blamed_on_sensors
@@ -37,18 +37,15 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 
 @dataclass(frozen=True)
 class RecordedTuning:
-    """Which part of a recording counts as a drive.
+    """How much of a recording is remembered.
 
     Attributes
     ----------
     longest_drive : float
-        Seconds of movement that are remembered; of a longer drive the last ones.
-    shortest_drive : float
-        Seconds of movement below which a recording is a turn or nothing.
+        Seconds of movement; of a longer drive the last ones.
     """
 
     longest_drive: float = 7200.0
-    shortest_drive: float = 25.0
 
 
 TUNING = RecordedTuning()
@@ -95,10 +92,11 @@ class Gathering:
         """How many messages of IMU and field came."""
         return self._heard[0], self._heard[1]
 
-    def take(self, readings: Iterable[Reading], travel: Iterable[TravelSample] = ()) -> None:
+    def take(self, readings: Iterable[Reading], travel: Sequence[TravelSample] = ()) -> None:
         """Take everything, in the order in which it was recorded; travel by stamp."""
         streams, pairer = self.streams, self._pairer
-        self._companion = Companion(travel)
+        if travel:
+            self._companion = Companion(travel)
         imus = fields = 0
         for reading in self._companion.along(readings):
             if isinstance(reading, ImuSample):
@@ -203,12 +201,8 @@ def fit_gathered(
     else:
         turn, window = calibrate(found, knowledge, method), found
     log = gathering.drive()
-    if method != METHODS[0] or log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
-        return turn, window
-    drive = calibrate_drive(log, knowledge)
-    if drive_rather_than_turn(turn, drive, log, knowledge):
-        return drive, log.window
-    return turn, window
+    drive = drive_instead(turn, log, knowledge, method)
+    return (turn, window) if drive is None else (drive, log.window)
 
 
 def fit_several(
