@@ -167,6 +167,10 @@ class MountingYawTuning:
         Share of samples that jump as no vehicle can.
     recent : int
         Ticks of the newest minute, over which a speed must hold as well.
+    stuck : int
+        Newest ticks, 12 s, over which a speed that never changes is looked at by itself.
+    stuck_energy : float
+        m²/s³ of the force meanwhile that say that the vehicle moves: more than slopes and hands do.
     """
 
     remembered: int = 2400
@@ -192,6 +196,8 @@ class MountingYawTuning:
     reuse_first: float = 4.0
     wild: float = 0.02
     recent: int = 240
+    stuck: int = 48
+    stuck_energy: float = 4.0
 
 
 @dataclass(frozen=True)

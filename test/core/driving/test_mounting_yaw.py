@@ -100,9 +100,24 @@ def test_wrong_odometry_is_found_named_and_replaced_by_the_receiver(wheels, faul
     assert abs(error(found, 0.3)) < 3.0 * math.degrees(found.sigma)
 
 
-def test_odometry_that_freezes_on_the_way_is_given_up():
-    drive = driven(city_legs(7, 200.0), 7, wheels=Wheels(frozen_from=110.0))
-    assert ODOMETRY in follow(drive).mounting.faults
+@pytest.mark.parametrize("seed", [0, 4])
+def test_odometry_that_freezes_on_the_way_is_given_up_at_once(seed):
+    drive = driven(city_legs(seed, 100.0), seed, wheels=Wheels(frozen_from=80.0))
+    named = []
+
+    def watch(travelling, stamp):
+        if not named and travelling.mounting.faults.get(ODOMETRY) is SpeedFault.FROZEN:
+            named.append(stamp - drive.time[0])
+
+    follow(drive, watch=watch)
+    assert 80.0 < named[0] < 105.0
+
+
+def test_a_speed_that_rests_on_zero_or_at_a_pace_is_not_called_stuck():
+    rng = np.random.default_rng(3)
+    legs = joined(city(rng, 70.0), standing(20.0), motorway(rng, 60.0))
+    wheels = Wheels(noise=0.0, step=0.2)
+    assert not follow(driven(legs, 3, wheels=wheels)).mounting.faults
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.6, 2.0])
