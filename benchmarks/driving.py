@@ -27,8 +27,8 @@ from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceFiel
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.core.simulation.drive import AnySample, Drive, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city, one_street, reversing
+from magcal_ros.core.simulation.drive import AnySample, Drive, Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import Leg, city, one_street, reversing, standing
 from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 from magcal_ros.core.simulation.street_field import Streets
 from magcal_ros.core.simulation.travel import travel
@@ -195,6 +195,34 @@ def traps(drives: int) -> None:
         print(times, "-" if course is None else f"{math.degrees(course.sigma):.2f}")
 
 
+def odd_ones(drives: int) -> None:
+    """Print what becomes of o where a course is no heading, or the field is not the vehicle's."""
+    print("\nAnd where nothing, or less, may be told of o")
+    show(("what", "told of", "o RMS (said, NEES)"))
+    show(("---",) * 3)
+    trailer = Iron((10e-6, 0.0, 0.0), 80.0, 160.0)
+    for name, legs_of, options, current in (
+        ("a boat that drifts and looks about", drifting, {"wheels": None}, (2.5, 0.5)),
+        ("standing for four minutes", lambda _: standing(240.0), {}, (0.0, 0.0)),
+        ("a trailer of 10 µT for a third of it", lambda rng: city(rng, 240.0),
+         {"irons": (trailer,)}, (0.0, 0.0)),
+    ):  # fmt: skip
+        found = []
+        for seed in range(drives):
+            rng = np.random.default_rng(2000 + seed)
+            truth = travel(legs_of(rng), rng, current=current)
+            drive = simulated_drive(truth, rng, Vehicle(imu_yaw=0.1), **options)
+            course = follow(drive.samples(), of_robot(drive)).course
+            if course is not None:
+                found.append((math.remainder(course.offset - 0.1, math.tau), course.sigma))
+        show((name, f"{len(found)} of {drives}", told(found, len(found))))
+
+
+def drifting(rng: np.random.Generator) -> list[Leg]:
+    """Look about for four minutes without going anywhere by oneself."""
+    return [Leg(rng.uniform(4.0, 8.0), turn_rate=rng.normal(0.0, 0.04)) for _ in range(40)]
+
+
 def directions(drive: Drive) -> tuple[int, int]:
     """Return how many trips ended with a direction that the force had decided, and how many of
     those were wrong.
@@ -283,6 +311,7 @@ def main() -> None:
     print(f"Simulated: {drives} drives a row, city, degrees")
     simulated(drives)
     traps(max(1, drives // 2))
+    odd_ones(max(1, drives // 2))
     beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     print("\nRecorded cars, calibrated by what they turned before, degrees")
     recorded(Path(sys.argv[2]) if len(sys.argv) > 2 else beside)
