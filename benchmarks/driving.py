@@ -25,10 +25,10 @@ from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.core.simulation.drive import AnySample, Drive, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city, one_street, reversing
+from magcal_ros.core.simulation.drive import AnySample, Drive, Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import Leg, city, one_street, reversing, standing
 from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 from magcal_ros.core.simulation.street_field import Streets
 from magcal_ros.core.simulation.travel import travel
@@ -41,13 +41,14 @@ RECEIVERS = {"velocity": Receiver(speed_noise=0.1), "fixes": Receiver()}
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What was made of a drive."""
+    """What was made of a drive; `early` is the course's offset by its first half."""
 
     stamps: FloatArray
     ups: FloatArray
     yaws: FloatArray
     travelling: Travelling
     course: CourseOffset | None
+    early: CourseOffset | None
 
     @property
     def mounting(self) -> MountingYaw | None:
@@ -55,11 +56,14 @@ class Seen:
         return self.travelling.known_mounting
 
 
-def follow(samples: Iterable[AnySample], calibration: Calibration) -> Seen:
-    """Walk through a drive as the node does."""
+def follow(samples: Iterable[AnySample], calibration: Calibration, half: float = math.inf) -> Seen:
+    """Walk through a drive as the node does; `half` is the stamp of its middle, seconds."""
     up, compass, travelling = UpFollower(), Compass(calibration), Travelling()
     stamps, ups, yaws = [], [], []
+    early = None
     for sample in samples:
+        if sample.stamp >= half:
+            early, half = travelling.fit_course(), math.inf
         if isinstance(sample, ImuSample):
             up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
         elif isinstance(sample, FieldSample):
@@ -74,14 +78,10 @@ def follow(samples: Iterable[AnySample], calibration: Calibration) -> Seen:
             stamps.append(sample.stamp)
             ups.append(now.direction)
             yaws.append(heading.yaw)
-        elif isinstance(sample, SpeedSample):
-            travelling.add_speed(sample)
-        elif isinstance(sample, VelocitySample):
-            travelling.add_velocity(sample)
         else:
-            travelling.add_position(sample)
+            travelling.add_travel(sample)
     course = travelling.fit_course()
-    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course)
+    return Seen(np.array(stamps), np.array(ups), np.array(yaws), travelling, course, early)
 
 
 def of_robot(drive: Drive) -> Calibration:
@@ -119,8 +119,8 @@ def tilt_errors(drive: Drive, seen: Seen) -> FloatArray:
 def simulated(drives: int) -> None:
     """Print up, mounting and course over fresh drives of 2, 4 and 8 minutes."""
     show(("speed from", "minutes", "up p50 / p90 / p99", "heading RMS", "beta RMS (said, NEES)",
-          "o RMS (said, NEES)"))  # fmt: skip
-    show(("---",) * 6)
+          "o RMS (said, NEES)", "second half by o of the first / best constant"))  # fmt: skip
+    show(("---",) * 7)
     for way in WAYS:
         for minutes in (2.0, 4.0, 8.0) if way == "odometry" else (4.0,):
             row(way, minutes, [city_drive(seed, 60.0 * minutes, way) for seed in range(drives)])
@@ -131,8 +131,10 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
     tilts, headings = [], []
     beta: list[tuple[float, float]] = []
     offset: list[tuple[float, float]] = []
+    halves: list[tuple[float, float]] = []
     for drive in drives:
-        seen = follow(drive.samples(), of_robot(drive))
+        half = 0.5 * (drive.time[0] + drive.time[-1])
+        seen = follow(drive.samples(), of_robot(drive), half)
         true = drive.vehicle.imu_yaw
         tilts.append(tilt_errors(drive, seen))
         gap = wrap_angle(seen.yaws - drive.imu_yaw[np.searchsorted(drive.time, seen.stamps)])
@@ -141,11 +143,24 @@ def row(name: str, minutes: float, drives: list[Drive]) -> None:
             beta.append((math.remainder(seen.mounting.yaw - true, math.tau), seen.mounting.sigma))
         if seen.course is not None:
             offset.append((math.remainder(seen.course.offset - true, math.tau), seen.course.sigma))
+        if seen.early is not None:
+            halves.append(without(seen.early.offset - true, gap[seen.stamps > half]))
     tilt = " / ".join(
         f"{np.mean([np.percentile(each, share) for each in tilts]):.1f}" for share in (50, 90, 99)
     )
     rms = f"{np.sqrt(np.mean(np.concatenate(headings) ** 2)):.1f}"
-    show((name, f"{minutes:.0f}", tilt, rms, told(beta, len(drives)), told(offset, len(drives))))
+    both = "-"
+    if halves:
+        both = " / ".join(f"{value:.1f}" for value in np.sqrt(np.mean(np.square(halves), axis=0)))
+    told_of = (told(beta, len(drives)), told(offset, len(drives)))
+    show((name, f"{minutes:.0f}", tilt, rms, *told_of, both))
+
+
+def without(offset: float, gap: FloatArray) -> tuple[float, float]:
+    """Return a heading's RMS error without an offset, and without the constant that is best."""
+    best = float(np.angle(np.mean(np.exp(1j * gap))))
+    rms = [math.degrees(np.sqrt(np.mean(wrap_angle(gap - each) ** 2))) for each in (offset, best)]
+    return rms[0], rms[1]
 
 
 def told(found: list[tuple[float, float]], drives: int) -> str:
@@ -178,6 +193,34 @@ def traps(drives: int) -> None:
         drive = simulated_drive(travel(one_street(times), rng), rng, streets=Streets())
         course = follow(drive.samples(), of_robot(drive)).course
         print(times, "-" if course is None else f"{math.degrees(course.sigma):.2f}")
+
+
+def odd_ones(drives: int) -> None:
+    """Print what becomes of o where a course is no heading, or the field is not the vehicle's."""
+    print("\nAnd where nothing, or less, may be told of o")
+    show(("what", "told of", "o RMS (said, NEES)"))
+    show(("---",) * 3)
+    trailer = Iron((10e-6, 0.0, 0.0), 80.0, 160.0)
+    for name, legs_of, options, current in (
+        ("a boat that drifts and looks about", drifting, {"wheels": None}, (2.5, 0.5)),
+        ("standing for four minutes", lambda _: standing(240.0), {}, (0.0, 0.0)),
+        ("a trailer of 10 µT for a third of it", lambda rng: city(rng, 240.0),
+         {"irons": (trailer,)}, (0.0, 0.0)),
+    ):  # fmt: skip
+        found = []
+        for seed in range(drives):
+            rng = np.random.default_rng(2000 + seed)
+            truth = travel(legs_of(rng), rng, current=current)
+            drive = simulated_drive(truth, rng, Vehicle(imu_yaw=0.1), **options)
+            course = follow(drive.samples(), of_robot(drive)).course
+            if course is not None:
+                found.append((math.remainder(course.offset - 0.1, math.tau), course.sigma))
+        show((name, f"{len(found)} of {drives}", told(found, len(found))))
+
+
+def drifting(rng: np.random.Generator) -> list[Leg]:
+    """Look about for four minutes without going anywhere by oneself."""
+    return [Leg(rng.uniform(4.0, 8.0), turn_rate=rng.normal(0.0, 0.04)) for _ in range(40)]
 
 
 def directions(drive: Drive) -> tuple[int, int]:
@@ -268,6 +311,7 @@ def main() -> None:
     print(f"Simulated: {drives} drives a row, city, degrees")
     simulated(drives)
     traps(max(1, drives // 2))
+    odd_ones(max(1, drives // 2))
     beside = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     print("\nRecorded cars, calibrated by what they turned before, degrees")
     recorded(Path(sys.argv[2]) if len(sys.argv) > 2 else beside)

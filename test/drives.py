@@ -86,14 +86,17 @@ def write_bag(path, samples, kind="mcap", frames=("imu_link", "mag_link")):
 
 
 def write_csv(folder, samples):
-    """Write imu.csv and mag.csv; returns the folder."""
+    """Write imu.csv and mag.csv, with speeds or places odom.csv or gps.csv; returns the folder."""
     folder.mkdir(parents=True)
-    imu = [(s.stamp, *s.force, *s.rate) for s in samples if isinstance(s, ImuSample)]
-    field = [(s.stamp, *s.field) for s in samples if not isinstance(s, ImuSample)]
-    for name, header, rows in (
-        ("imu.csv", "t,ax,ay,az,gx,gy,gz", imu),
-        ("mag.csv", "t,mx,my,mz", field),
+    for name, header, kind, row in (
+        ("imu.csv", "t,ax,ay,az,gx,gy,gz", ImuSample, lambda s: (s.stamp, *s.force, *s.rate)),
+        ("mag.csv", "t,mx,my,mz", FieldSample, lambda s: (s.stamp, *s.field)),
+        ("odom.csv", "t,speed", SpeedSample, lambda s: s[:2]),
+        ("gps.csv", "t,east,north", PositionSample, lambda s: s),
     ):
+        rows = [row(sample) for sample in samples if isinstance(sample, kind)]
+        if not rows and kind in (SpeedSample, PositionSample):
+            continue
         np.savetxt(folder / name, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     return folder
 

@@ -59,7 +59,10 @@ def add_recording_options(
     parser: argparse.ArgumentParser, *, several: bool = False, optional: bool = False
 ) -> None:
     """Add the recording, or several as `recordings`, and which part of it to read."""
-    kinds = "rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv"
+    kinds = (
+        "rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv (and "
+        "odom.csv, gps.csv)"
+    )
     if several:
         parser.add_argument(
             "recordings",
@@ -137,7 +140,7 @@ def gather(
     path = options.recording if recording is None else recording
     with open_recording(path, **chosen, **span) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(watched(source, sys.stderr))
+        gathering.take(watched(source, sys.stderr), source.travel())
         return Gathered(
             gathering,
             source.imu_topic,

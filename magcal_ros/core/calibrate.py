@@ -38,6 +38,8 @@ ROUGH = VerdictTuning().rough
 """Radians of heading sigma from which a turn gives way to a drive that is more certain."""
 CLEARLY = 12.0
 """Independent units of minus log likelihood by which a drive contradicts a turn's calibration."""
+SHORTEST_DRIVE = 25.0
+"""Seconds of movement below which a window is a turn or nothing."""
 PAUSE = 1.0
 """Seconds between turns whose samples are pooled."""
 
@@ -132,6 +134,27 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
         return judged(fit_log(log, knowledge), knowledge, log.window)
     except Refusal as refusal:
         return Outcome.refused(refusal)
+
+
+def drive_instead(
+    turn: Outcome, log: DriveLog, knowledge: Knowledge, method: str
+) -> Outcome | None:
+    """Return what comes of a window as a drive, where that tells it better than a turn.
+
+    Parameters
+    ----------
+    turn : Outcome
+        What the turn's model makes of it.
+    log : DriveLog
+        What was driven meanwhile.
+    knowledge : Knowledge
+    method : str
+        The one that was asked for.
+    """
+    if method != METHODS[0] or log.seconds < SHORTEST_DRIVE or turn.verdict.is_good:
+        return None
+    drive = calibrate_drive(log, knowledge)
+    return drive if drive_rather_than_turn(turn, drive, log, knowledge) else None
 
 
 def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: Knowledge) -> bool:
@@ -272,6 +295,28 @@ def take_turn(
     if not outcome.verdict.accepted:
         return outcome, kept
     return outcome, kept.joined(window, several)
+
+
+def take_window(
+    log: DriveLog, kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
+) -> tuple[Outcome, Kept, Window]:
+    """Fit a window as a turn, or as the drive that it was, as `magcal fit` does.
+
+    Parameters
+    ----------
+    log : DriveLog
+        What was driven while the window was collected.
+    kept, window, knowledge, method, accumulate
+        As for `take_turn`; turns that are put together stay turns.
+
+    Returns
+    -------
+    Outcome, Kept, Window
+        The last has the samples that were fitted.
+    """
+    turn, kept = take_turn(kept, window, knowledge, method, accumulate)
+    drive = None if accumulate else drive_instead(turn, log, knowledge, method)
+    return (turn, kept, window) if drive is None else (drive, kept, log.window)
 
 
 def _refused(outcome: Outcome, kept: Kept) -> Outcome:

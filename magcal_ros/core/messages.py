@@ -98,8 +98,19 @@ def speed_of(message: Any) -> SpeedSample | str:
 
 
 def velocity_of(message: Any) -> VelocitySample | str:
-    """Return the velocity of a geometry_msgs/TwistStamped in ENU, or why it has none."""
-    linear = message.twist.linear
-    if not math.isfinite(linear.x + linear.y):
+    """Return the velocity of a TwistStamped in ENU, or why it has none.
+
+    A geometry_msgs/TwistWithCovarianceStamped may tell its sigma, too.
+    """
+    twist, sigma = message.twist, RECEIVER_SPEED_SIGMA
+    if hasattr(twist, "covariance"):
+        east, north = float(twist.covariance[0]), float(twist.covariance[7])
+        if east == ABSENT:
+            return "its velocity is marked absent (covariance -1)"
+        if east > 0.0 and north > 0.0:
+            sigma = math.sqrt(0.5 * (east + north))
+        twist = twist.twist
+    linear = twist.linear
+    if not math.isfinite(linear.x + linear.y + sigma):
         return "its velocity is not finite"
-    return VelocitySample(seconds(message.header.stamp), linear.x, linear.y, RECEIVER_SPEED_SIGMA)
+    return VelocitySample(seconds(message.header.stamp), linear.x, linear.y, sigma)

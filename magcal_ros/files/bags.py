@@ -13,7 +13,7 @@ from magcal_ros.core.driving.local_plane import LocalPlane
 from magcal_ros.core.earth_field.position import place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of
+from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
+TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
+SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+RECEIVERS_SAY = ("vel", "fix_velocity")
+"""How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
+body's. A bag without fixes has no receiver."""
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FIXES = 10_000
 """Messages without a fix after which none is looked for any more."""
@@ -135,9 +140,7 @@ class Bag:
         FileTrouble
             Where the bag is damaged.
         """
-        heard = [
-            c for c in self._reader.connections if c.msgtype in (FIX_TYPE, ODOM_TYPE) and c.msgcount
-        ]
+        heard = self._travel_connections()
         plane, found = LocalPlane(), list[TravelSample]()
         if not heard:
             return found
@@ -146,11 +149,26 @@ class Bag:
                 message = self._reader.deserialize(data, connection.msgtype)
                 if connection.msgtype == FIX_TYPE:
                     sample: TravelSample | str | None = plane.position(fix_of(message))
-                else:
+                elif connection.msgtype == ODOM_TYPE:
                     sample = speed_of(message)
+                else:
+                    sample = velocity_of(message)
                 if sample is not None and not isinstance(sample, str):
                     found.append(sample)
         return sorted(found, key=lambda sample: sample.stamp)
+
+    def _travel_connections(self) -> list[Connection]:
+        """Return those of receiver and wheels."""
+        full = [c for c in self._reader.connections if c.msgcount]
+        heard = [c for c in full if c.msgtype in (FIX_TYPE, ODOM_TYPE)]
+        if any(c.msgtype == FIX_TYPE for c in heard):
+            heard += [
+                c
+                for c in full
+                if c.msgtype in (TWIST_TYPE, SURE_TWIST_TYPE)
+                and c.topic.rpartition("/")[2] in RECEIVERS_SAY
+            ]
+        return heard
 
     def _slowly(self, connection: Connection, data: bytes, is_field: bool) -> Reading:
         """Let the library take apart what is not in the usual byte order."""

@@ -25,7 +25,9 @@ HEADER = Struct("<iII")
 PLACE = Struct("<3d")
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
-TWIST, NUMBER = Struct("<3d"), Struct("<d")
+TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
+SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+TWIST, NUMBER, COVARIANCE = Struct("<3d"), Struct("<d"), Struct("<36d")
 POSE_SIZE = 8 * (7 + 36)
 """Bytes of an Odometry's pose with its covariance; of the twist the covariance follows six."""
 
@@ -85,7 +87,7 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, data: bytes, msgtype: str) -> Any:
-        """Return a NavSatFix or an Odometry; the sensors' own messages are read from their bytes.
+        """Return a fix, an odometry or a twist; the sensors' messages are read from their bytes.
 
         Raises
         ------
@@ -94,6 +96,8 @@ class RosReader:
         """
         if msgtype == ODOM_TYPE and is_plain_cdr(data):
             return _odometry(data)
+        if msgtype in (TWIST_TYPE, SURE_TWIST_TYPE) and is_plain_cdr(data):
+            return _twist(data, has_covariance=msgtype == SURE_TWIST_TYPE)
         if msgtype != FIX_TYPE or not is_plain_cdr(data):
             raise FileTrouble(
                 f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
@@ -144,6 +148,20 @@ def _fix(data: bytes) -> SimpleNamespace:
         latitude=latitude,
         longitude=longitude,
         altitude=altitude,
+    )
+
+
+def _twist(data: bytes, *, has_covariance: bool) -> SimpleNamespace:
+    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
+    at = CDR_START + HEADER.size + length
+    at += (CDR_START - at) % 8
+    x, y, z = TWIST.unpack_from(data, at)
+    twist = SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
+    if has_covariance:
+        covariance = COVARIANCE.unpack_from(data, at + 6 * 8)
+        twist = SimpleNamespace(covariance=covariance, twist=twist)
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)), twist=twist
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Protocol
@@ -17,6 +17,7 @@ from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
 from magcal_ros.files.recording import Recording, read_csv_folder
+from magcal_ros.files.travel_tables import read_travel
 
 FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
@@ -63,7 +64,7 @@ class CsvDrive:
     Parameters
     ----------
     folder : Path
-        Holds `imu.csv` and `mag.csv`.
+        Holds `imu.csv` and `mag.csv`; speed and fixes in `odom.csv` and `gps.csv`, if it has them.
     start, stop : float
         Seconds from the recording's first sample.
     """
@@ -72,7 +73,9 @@ class CsvDrive:
 
     def __init__(self, folder: Path, start: float, stop: float) -> None:
         self.imu_topic, self.field_topic = "imu.csv", "mag.csv"
-        self._recording = _cut(read_csv_folder(folder), start, stop)
+        tables = read_travel(folder)
+        self._recording, self._travel = _cut(read_csv_folder(folder), tables.travel, start, stop)
+        self._place = tables.place
         self._read = 0
 
     @property
@@ -81,8 +84,8 @@ class CsvDrive:
         return self._read / max(len(self._recording.imu) + len(self._recording.field), 1)
 
     def place(self) -> Place | None:
-        """Return None: a CSV folder holds no fixes."""
-        return None
+        """Return where its first good fix was; None without one."""
+        return self._place
 
     def begun(self) -> float:
         """Return the stamp of the first sample, seconds."""
@@ -90,8 +93,8 @@ class CsvDrive:
         return float(imu[0, 0]) if len(imu) else 0.0
 
     def travel(self) -> list[TravelSample]:
-        """Return nothing: a CSV folder holds sensors alone."""
-        return []
+        """Return what receiver and wheels said, by stamp; empty if nothing."""
+        return self._travel
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both sensors in the order of their stamps."""
@@ -135,18 +138,21 @@ def open_recording(
     return open_bag(path, imu, field, start, stop)
 
 
-def _cut(recording: Recording, start: float, stop: float) -> Recording:
+def _cut(
+    recording: Recording, travel: Sequence[TravelSample], start: float, stop: float
+) -> tuple[Recording, list[TravelSample]]:
     """Return the span, with every stamp above zero."""
     stamps = np.concatenate([recording.imu[:, 0], recording.field[:, 0]])
     stamps = stamps[np.isfinite(stamps)]
     if not len(stamps):
-        return recording
+        return recording, list(travel)
     first = float(stamps.min())
+    shift = FIRST_STAMP - first if first <= 0.0 < np.ptp(stamps) else 0.0
     parts = []
     for table in (recording.imu, recording.field):
         since = table[:, 0] - first
         part = table[(since >= start) & (since < stop)]
-        if first <= 0.0 < np.ptp(stamps):
-            part[:, 0] += FIRST_STAMP - first
+        part[:, 0] += shift
         parts.append(part)
-    return Recording(*parts)
+    heard = [each for each in travel if start <= each.stamp - first < stop]
+    return Recording(*parts), [each._replace(stamp=each.stamp + shift) for each in heard]

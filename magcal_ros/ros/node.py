@@ -195,7 +195,7 @@ class Calibrator(Node):
             if self._watch is not None:
                 self._watch.take(moment)
         if not streams.is_repeated:
-            self._control.add(sample)
+            self._control.add(sample, self._travel.own_acceleration, self._travel.speed)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from drives import STORE2, drive, write_bag
 
-from magcal_ros.core.messages import speed_of
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
-from magcal_ros.files.ros_reader import _odometry
+from magcal_ros.core.messages import speed_of, velocity_of
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.files.ros_reader import _odometry, _twist
 from magcal_ros.files.sources import open_recording
 
 TYPES = STORE2.types
@@ -50,6 +50,36 @@ def test_fixes_and_speeds_come_by_their_stamps(tmp_path):
     assert [type(sample) for sample in found] == [SpeedSample, PositionSample, PositionSample]
     assert found[0].speed == pytest.approx(-2.0, abs=0.01)
     assert found[2].north == pytest.approx(100.0, abs=0.01)
+
+
+def velocity(stamp, east, north, sure, frame="gps"):
+    vector = TYPES["geometry_msgs/msg/Vector3"]
+    twist = TYPES["geometry_msgs/msg/Twist"](vector(east, north, 0.0), vector(0.0, 0.0, 0.0))
+    if not sure:
+        return TYPES["geometry_msgs/msg/TwistStamped"](header(stamp, frame), twist)
+    known = np.zeros(36)
+    known[[0, 7]] = 0.04
+    twist = TYPES["geometry_msgs/msg/TwistWithCovariance"](twist, known)
+    return TYPES["geometry_msgs/msg/TwistWithCovarianceStamped"](header(stamp, frame), twist)
+
+
+@pytest.mark.parametrize(
+    ("topic", "sure", "sigma"), [("/gps/vel", False, 0.1), ("/fix_velocity", True, 0.2)]
+)
+def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sure, sigma):
+    extra = [("/fix", fix(1001.0, 48.0)), (topic, velocity(1001.0, 3.0, -4.0, sure))]
+    extra += [("/cmd_vel", velocity(1001.5, 9.0, 0.0, False))]
+    with open_recording(write_bag(tmp_path / "bag", [*drive(90.0), *extra])) as source:
+        _, found = source.travel()
+    assert found == VelocitySample(1001.0, 3.0, -4.0, pytest.approx(sigma))
+
+
+@pytest.mark.parametrize("frame", ["", "g", "gp", "gps", "gps_link"])
+@pytest.mark.parametrize("sure", [False, True])
+def test_a_velocity_is_read_from_its_bytes(frame, sure):
+    message = velocity(12.25, 3.5, -0.1, sure, frame)
+    data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
+    assert velocity_of(_twist(data, has_covariance=sure)) == velocity_of(message)
 
 
 def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):

@@ -71,6 +71,17 @@ def test_a_base_that_nothing_describes_has_no_attitude_and_that_is_said(loaded):
     assert out.get_subscription_count()
 
 
+def test_what_drives_have_shown_mends_the_described_yaw(graph, calibration_of_the_robot, tmp_path):
+    """The kept yaw says that the IMU looks 6° to the left of where its joint has it."""
+    stored = tmp_path / "stored.yaml"
+    kept = "vehicle_yaw_offset: {yaw: 0.1, sigma: 0.01, source: accelerations}\n"
+    stored.write_text(calibration_of_the_robot.read_text() + kept)
+    actor = graph.loaded(stored, tmp_path, ROBOT, DESCRIBED)
+    describe(actor, "0 0 0", "0 0 0")
+    errors = actor.published_errors([(0.0, 0.0)], 3)
+    assert rms_deg([float(wrap_angle(error + 0.1)) for error in errors]) < 1.0
+
+
 @pytest.mark.nightly
 def test_what_is_given_by_hand_wins_and_a_wrong_description_is_said(start_node, actor):
     node = start_node(DESCRIBED)

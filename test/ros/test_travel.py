@@ -12,6 +12,7 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 from std_msgs.msg import String
+from std_srvs.srv import Trigger
 from support import PATIENCE, REFERENCE, store_calibration
 from theatre import FARTHEST_AHEAD, LOST_AFTER
 
@@ -176,6 +177,33 @@ def test_bad_messages_do_no_harm_and_are_named(car):
     car.run(0.5)
     assert car.status["state"] == "calibrated"
     assert car.status["vehicle_yaw_offset"] is None
+
+
+def test_a_window_that_was_a_drive_is_fitted_as_one(start_node, tmp_path):
+    """The services of a turn, called in a car in a city: the smoother answers as offline."""
+    rng = np.random.default_rng(1)
+    drive = simulated_drive(travel(city(rng, 130.0), rng, rate=25.0), rng, VEHICLE)
+    path = tmp_path / "calibration.yaml"
+    chosen = {"calibration_file": str(path), "self_calibration": "off"}
+    car = Car(start_node({**REFERENCE, **chosen}))
+
+    def call(service):
+        client = car.node.create_client(Trigger, f"calibrator/{service}")
+        assert client.wait_for_service(PATIENCE)
+        answer = client.call_async(Trigger.Request())
+        car.run(PATIENCE, stop=answer.done)
+        return answer.result()
+
+    assert call("start").success
+    car.drive(drive.samples())
+    answer = call("finish")
+    assert answer.success, answer.message
+    assert "of ordinary driving" in answer.message
+    found, _ = read_calibration(path)
+    assert found.evidence.method == "smoother"
+    apart = 1e6 * (found.correction.hard_iron - VEHICLE.robot.hard_iron)
+    assert np.abs(apart[:2]).max() < 4.0
+    car.node.destroy_node()
 
 
 def test_what_was_kept_is_told_at_the_next_start(car):

@@ -167,6 +167,10 @@ class MountingYawTuning:
         Share of samples that jump as no vehicle can.
     recent : int
         Ticks of the newest minute, over which a speed must hold as well.
+    stuck : int
+        Newest ticks, 12 s, over which a speed that never changes is looked at by itself.
+    stuck_energy : float
+        m²/s³ of the force meanwhile that say that the vehicle moves: more than slopes and hands do.
     """
 
     remembered: int = 2400
@@ -192,6 +196,8 @@ class MountingYawTuning:
     reuse_first: float = 4.0
     wild: float = 0.02
     recent: int = 240
+    stuck: int = 48
+    stuck_energy: float = 4.0
 
 
 @dataclass(frozen=True)
@@ -206,13 +212,16 @@ class TripTuning:
         By how much errors of the force last longer than the smoothing.
     standing : float
         m/s of a speed that has no sign; a receiver's wanders.
+    crawling : float
+        m/s below which it may have stood meanwhile, unseen by a receiver that speaks once a second.
     longest : float
         Seconds since standing that are looked at.
     """
 
-    clear: float = 4.0
+    clear: float = 3.0
     correlated: float = 4.0
     standing: float = 0.5
+    crawling: float = 1.5
     longest: float = 40.0
 
 
@@ -271,6 +280,8 @@ class CourseTuning:
         Cells kept.
     reach : float
         Metres over which streets bend alike.
+    small_share, small_reach : float
+        Share of the bend's variance that is alike over so many metres only; .2 to .4 were seen.
     first_sigma, second_sigma : float
         Radians of the harmonics: hard iron and soft iron that a calibration leaves.
     noise : float
@@ -298,6 +309,8 @@ class CourseTuning:
     sectors: int = 8
     most_cells: int = 400
     reach: float = 30.0
+    small_share: float = 0.25
+    small_reach: float = 2.0
     first_sigma: float = math.radians(3.0)
     second_sigma: float = math.radians(2.0)
     noise: float = math.radians(2.0)

@@ -11,7 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
+from magcal_ros.core.driving.driving_tuning import (
+    DrivingTuning,
+    MountingYawTuning,
+    SpeedSource,
+)
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.driving.mounting_yaw import (
     MountingYaw,
@@ -21,6 +25,8 @@ from magcal_ros.core.driving.mounting_yaw import (
 )
 from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
 
+LEVELLING = 20.0
+"""Seconds over which the force's mean follows slopes."""
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""
 
@@ -71,6 +77,7 @@ class MountingWatch:
         self._fitted_at = -math.inf
         self._fits = 0
         self._still = 0.0
+        self._speed, self._level, self._unmoved = math.nan, 0j, 0.0
         self.found: MountingYaw | None = None
         self.faults: dict[SpeedSource, SpeedFault] = {}
         self.seen: dict[SpeedSource, MountingYaw] = {}
@@ -88,10 +95,19 @@ class MountingWatch:
         is_quiet = abs(tick.level_force) < 0.5 * mounting.moving
         if self._still < mounting.standing or not is_quiet:
             self._ticks.append(tick)
-        is_young = len(self._ticks) * tick.seconds < 60.0
+        is_urgent = len(self._ticks) * tick.seconds < 60.0 or self._looks_stuck(tick, speed)
         return tick.stamp - self._fitted_at >= (
-            mounting.reuse_first if is_young else mounting.reuse
+            mounting.reuse_first if is_urgent else mounting.reuse
         )
+
+    def _looks_stuck(self, tick: Tick, speed: float) -> bool:
+        """Whether the force changes while the speed does not."""
+        change = tick.level_force - self._level
+        self._level += change * tick.seconds / LEVELLING
+        self._unmoved += abs(change) ** 2 * tick.seconds
+        if speed != self._speed:
+            self._speed, self._unmoved = speed, 0.0
+        return self._unmoved > self._tuning.mounting.stuck_energy
 
     def restart(self) -> None:
         """Forget the ticks: time was set back."""
@@ -157,6 +173,11 @@ def _judged(
         found = fit_mounting_yaw(ticks, delay, mounting, tuning.trip)
         return None if found is None else dataclasses.replace(found, is_rough=is_rough)
 
+    newest = _last(met, mounting.stuck)
+    if len(newest.speed) == mounting.stuck and np.ptp(newest.speed) == 0.0:
+        stuck = fitted(newest)
+        if stuck is not None and _is_stuck(stuck, mounting):
+            return Judged(source, stuck, SpeedFault.FROZEN, delay)
     # What went wrong just now is not outweighed by minutes in which all was well.
     recent = fitted(_last(met, mounting.recent))
     fault = None if recent is None else _fault(record, recent, tuning)
@@ -165,6 +186,10 @@ def _judged(
     found = fitted(met)
     fault = None if found is None else _fault(record, found, tuning)
     return Judged(source, found, fault, delay)
+
+
+def _is_stuck(fitted: MountingYaw, tuning: MountingYawTuning) -> bool:
+    return fitted.force_energy > tuning.stuck_energy and fitted.explained < tuning.explained
 
 
 def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
@@ -19,6 +20,37 @@ class _Matched(NamedTuple):
 
     tick: Tick
     velocity: complex
+
+
+class _Trip(NamedTuple):
+    """When a trip ended, which way it went, and whether the force had decided on that."""
+
+    end: float = -math.inf
+    sign: float = 1.0
+    is_clear: bool = False
+
+
+@dataclass
+class _Evidence:
+    """What the force says of the direction of travel since a stamp; positive is forwards.
+
+    `slope` is what the force was then beside the vehicle's own acceleration.
+    """
+
+    since: float
+    slope: complex = 0j
+    product: float = 0.0
+    energy: float = 0.0
+    count: int = 0
+
+    def add(self, force: complex, expected: complex) -> None:
+        self.product += (force * expected.conjugate()).real
+        self.energy += abs(expected) ** 2
+        self.count += 1
+
+    def score(self, noise: float, correlated: float) -> float:
+        """Return it in sigmas."""
+        return self.product / (math.sqrt(correlated * max(self.energy, 1e-9)) * noise)
 
 
 class OwnAcceleration:
@@ -59,18 +91,29 @@ class OwnAcceleration:
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
         self._trial = SpeedTrial(self._tuning.own.watched)
+        self._trip = SpeedTrial(self._tuning.own.watched)
+        self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
         self._gravity: tuple[float, Triple] | None = None
         self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
         self._gives, self._pauses_until = False, -math.inf
         self._speaker: tuple[SpeedSource, float] | None = None
         self.is_used = False
-        self._stand()
+        self._stand(-math.inf)
 
     @property
-    def stands(self) -> bool:
-        """Whether the vehicle stood at the newest tick that met its speed."""
-        return not self._of_trip
+    def is_clear(self) -> bool:
+        """Whether the force has decided on the direction of travel since the vehicle stood."""
+        return self.sign_score > self._tuning.trip.clear
+
+    def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
+        """Return the sign of a trip under way at a stamp, or that ended after it.
+
+        And whether the force has decided on it, and whether it may still do so.
+        """
+        is_open = stamp > self._before.end
+        sign, is_clear = (self.sign, self.is_clear) if is_open else self._before[1:]
+        return sign, is_clear, is_open
 
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
@@ -128,20 +171,28 @@ class OwnAcceleration:
         self._trial.clear()
         self._gravity, self.is_used = None, False
         self._gives, self._pauses_until = False, -math.inf
-        self._stand()
+        self._before = _Trip()
+        self._stand(-math.inf)
 
-    def _stand(self) -> None:
+    def _stand(self, stamp: float) -> None:
         self.sign, self.sign_score = 1.0, 0.0
-        self._product = self._energy = 0.0
-        self._of_trip = 0
+        self._whole, self._newer = _Evidence(stamp), _Evidence(stamp)
+        self._trip.clear()
 
     def _meet(self, tick: Tick, speed: float | None) -> None:
         if speed is None:
             self._matched.clear()
             self._gravity = None
             return
-        if abs(speed) < self._tuning.trip.standing:
-            self._stand()
+        is_slow = abs(speed) < self._tuning.trip.standing
+        if is_slow and self._is_under_way:
+            self._before = _Trip(tick.stamp, self.sign, self.is_clear)
+            self._stand(tick.stamp)
+        self._is_under_way = not is_slow
+        if abs(speed) < min(self._tuning.trip.crawling, self._speed):
+            # A speed that is told once a second may leave out that the vehicle stood.
+            self._newer = _Evidence(tick.stamp, self._trial.left(self._turn))
+        self._speed = abs(speed)
         velocity = speed * cmath.exp(1j * tick.yaw)
         self._matched.append(_Matched(tick, velocity))
         if len(self._matched) > self._span:
@@ -168,7 +219,8 @@ class OwnAcceleration:
         change = 0j if stands else (last.velocity - first.velocity) / seconds
         pull = (abs(last.velocity) - abs(first.velocity)) / seconds
         self._trial.add(Tried(complex(x, y), self.sign * change, pull))
-        self._of_trip += 1
+        # Standing is where the force of the trip that follows is counted from, whichever its sign.
+        self._trip.add(Tried(complex(x, y), change if self._is_under_way else 0j, pull))
         self._judge()
         own = self.sign * change * self._turn
         self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
@@ -189,14 +241,27 @@ class OwnAcceleration:
             self.is_used = False
 
     def _decide(self) -> None:
-        """Sum up, since the vehicle stood, what the force says of the direction of travel."""
-        trip, newest = self._tuning.trip, self._trial.newest
-        expected = newest.change * self._turn
-        self._product += self.sign * (newest.force * expected.conjugate()).real
-        self._energy += abs(expected) ** 2
-        spread = math.sqrt(trip.correlated * max(self._energy, 1e-9)) * self.noise
-        score = self._product / spread
-        if self.is_yaw_known and score * self.sign < -trip.clear:
+        """Sum up, since the vehicle stood, what the force says of the direction of travel.
+
+        Earlier trips have no part in the means that are taken off: they may have another sign.
+        """
+        if not self._is_under_way:
+            return
+        trip, newest, last = self._tuning.trip, self._trip.newest, self._trip.last
+        self._whole.add(newest.force, newest.change * self._turn)
+        # Where the sign may have changed meanwhile, a mean over both parts would be of neither.
+        self._newer.add(last.force - self._newer.slope, last.change * self._turn)
+        if not self.is_yaw_known:
+            return
+        whole, newer = (
+            each.score(self.noise, trip.correlated) for each in (self._whole, self._newer)
+        )
+        if newer * self.sign < -trip.clear < whole * self.sign:
+            self._before = _Trip(self._newer.since, self.sign, self.is_clear)
+            self._whole, whole = self._newer, newer
+        if whole * self.sign < -trip.clear:
             self.sign = -self.sign
-            self._trial.turn_back(self._of_trip)
-        self.sign_score = score * self.sign if self.is_yaw_known else 0.0
+            self._trial.turn_back(self._whole.count)
+        # Mere fixes smear a stop over seconds: what was known before it is known no longer.
+        told = min(whole * self.sign, newer * self.sign) if self._is_rough else whole * self.sign
+        self.sign_score = told

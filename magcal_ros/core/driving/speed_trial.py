@@ -56,6 +56,15 @@ class SpeedTrial:
             self.add(tried if index < first else tried._replace(change=-tried.change))
 
     @property
+    def last(self) -> Tried:
+        """The newest as it was added."""
+        return self._tried[-1]
+
+    def left(self, turn: complex) -> complex:
+        """Return the mean of the force less `turn` times the change; zero before the first."""
+        return (self._force - turn * self._change) / max(1, len(self._tried))
+
+    @property
     def newest(self) -> Tried:
         """The newest, less the means."""
         count, (force, change, pull) = len(self._tried), self._tried[-1]

@@ -19,7 +19,12 @@ from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.travel_samples import (
+    PositionSample,
+    SpeedSample,
+    TravelSample,
+    VelocitySample,
+)
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
 
@@ -82,7 +87,7 @@ class Travelling:
     @property
     def direction_is_clear(self) -> bool:
         """Whether the force has decided on the direction since the vehicle stood."""
-        return self._own.sign_score > self.tuning.trip.clear
+        return self._own.is_clear
 
     @property
     def takes_off(self) -> bool:
@@ -129,6 +134,15 @@ class Travelling:
         """Take a fix."""
         self._is_heard = self.speedometer.add_position(sample) or self._is_heard
         self._chords.add_fix(sample)
+
+    def add_travel(self, sample: TravelSample) -> None:
+        """Take whatever wheels and receivers say."""
+        if isinstance(sample, SpeedSample):
+            self.add_speed(sample)
+        elif isinstance(sample, VelocitySample):
+            self.add_velocity(sample)
+        else:
+            self.add_position(sample)
 
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
@@ -222,13 +236,14 @@ class Travelling:
         track, trip = self.speedometer.track, self.tuning.trip
         while self._pending:
             chord = self._pending[0]
-            sign = self._own.sign
+            moment = chord.stamp - self._chords.delay
+            sign, is_clear, is_open = self._own.trip_at(moment)
             if track is not None and track.is_signed:
-                speed = track.at(chord.stamp - self._chords.delay + track.delay)
+                speed = track.at(moment + track.delay)
                 sign = sign if speed is None else math.copysign(1.0, speed)
-            elif self._own.is_yaw_known and self._own.sign_score < trip.clear:
-                newest = self._pending[-1].stamp
-                if newest - chord.stamp < trip.longest and not self._own.stands:
+            elif self._own.is_yaw_known and not is_clear and is_open:
+                waits = self._pending[-1].stamp - chord.stamp
+                if waits < trip.longest:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards

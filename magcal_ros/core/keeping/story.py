@@ -25,9 +25,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import (
     PositionSample,
-    SpeedSample,
     TravelSample,
-    VelocitySample,
 )
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
@@ -143,13 +141,10 @@ class DriveTeller:
             elif isinstance(sample, FieldSample):
                 if self.streams.add_field(sample):
                     self._take_field(sample)
-            elif isinstance(sample, SpeedSample):
-                self._travelling.add_speed(sample)
-            elif isinstance(sample, VelocitySample):
-                self._travelling.add_velocity(sample)
             else:
-                self._fixes.append(sample)
-                self._travelling.add_position(sample)
+                self._travelling.add_travel(sample)
+                if isinstance(sample, PositionSample):
+                    self._fixes.append(sample)
 
     def story(self) -> DriveStory:
         """Return what became of it."""

@@ -16,7 +16,7 @@ from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.monitoring.course_check import check_by_course
 from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, TravelSample
+from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.up import UpFollower
 
 
@@ -94,12 +94,8 @@ def recorded_course(
                     heading = compass.heading(field, moment.direction, moment.variance)
                     if heading is not None:
                         travelling.add_yaw(heading.yaw)
-        elif isinstance(sample, SpeedSample):
-            travelling.add_speed(sample)
-        elif isinstance(sample, PositionSample):
-            travelling.add_position(sample)
         else:
-            travelling.add_velocity(sample)
+            travelling.add_travel(sample)
     course = travelling.fit_course()
     if course is None:
         return None

@@ -15,15 +15,17 @@ from magcal_ros.core.calibrate import (
     calibrate,
     calibrate_drive,
     calibrate_turns,
-    drive_rather_than_turn,
+    drive_instead,
     pooled,
 )
 from magcal_ros.core.doctor.refusal import blamed_on_sensors
+from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
 from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import MAX_GAP, Drop, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
 from magcal_ros.core.smoothing.log import DriveLog
@@ -35,18 +37,15 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 
 @dataclass(frozen=True)
 class RecordedTuning:
-    """Which part of a recording counts as a drive.
+    """How much of a recording is remembered.
 
     Attributes
     ----------
     longest_drive : float
-        Seconds of movement that are remembered; of a longer drive the last ones.
-    shortest_drive : float
-        Seconds of movement below which a recording is a turn or nothing.
+        Seconds of movement; of a longer drive the last ones.
     """
 
     longest_drive: float = 7200.0
-    shortest_drive: float = 25.0
 
 
 TUNING = RecordedTuning()
@@ -86,17 +85,20 @@ class Gathering:
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
         self._drive = DriveRecorder(TUNING.longest_drive)
+        self._companion = Companion(())
 
     @property
     def heard(self) -> tuple[int, int]:
         """How many messages of IMU and field came."""
         return self._heard[0], self._heard[1]
 
-    def take(self, readings: Iterable[Reading]) -> None:
-        """Take everything, in the order in which it was recorded."""
+    def take(self, readings: Iterable[Reading], travel: Sequence[TravelSample] = ()) -> None:
+        """Take everything, in the order in which it was recorded; travel by stamp."""
         streams, pairer = self.streams, self._pairer
+        if travel:
+            self._companion = Companion(travel)
         imus = fields = 0
-        for reading in readings:
+        for reading in self._companion.along(readings):
             if isinstance(reading, ImuSample):
                 imus += 1
                 streams.add_imu(reading)
@@ -153,7 +155,10 @@ class Gathering:
                 self._session = Session(Limits(), self.mounting, 0.0)
             self._session.add(pair, 0.0)
             if math.isfinite(pair.imu.rate[0]):
-                self._drive.add(pair.field.stamp, pair.field.field, *pair.imu[1:])
+                (x, y, z), (a, b, c) = pair.imu.force, self._companion.own
+                force = (x - a, y - b, z - c)
+                speed = self._companion.speed
+                self._drive.add(pair.field.stamp, pair.field.field, force, pair.imu.rate, speed)
 
     def _choose(self) -> None:
         """Of the stretches between which time was set back keep the one with most of a turn."""
@@ -196,12 +201,8 @@ def fit_gathered(
     else:
         turn, window = calibrate(found, knowledge, method), found
     log = gathering.drive()
-    if method != METHODS[0] or log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
-        return turn, window
-    drive = calibrate_drive(log, knowledge)
-    if drive_rather_than_turn(turn, drive, log, knowledge):
-        return drive, log.window
-    return turn, window
+    drive = drive_instead(turn, log, knowledge, method)
+    return (turn, window) if drive is None else (drive, log.window)
 
 
 def fit_several(

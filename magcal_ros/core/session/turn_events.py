@@ -106,11 +106,12 @@ class FinishAsked(Event):
 
 @dataclass(frozen=True)
 class FitDone(Event):
-    """A turn is fitted; what is kept for the next one to join."""
+    """A turn is fitted; what is kept for the next one to join, and the samples if others."""
 
     turn: int
     outcome: Outcome
     kept: Kept
+    window: Window | None = None
 
 
 @dataclass(frozen=True)

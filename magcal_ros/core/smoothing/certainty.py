@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.estimation.correlation import inefficiency_factor
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
@@ -98,6 +99,10 @@ def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
 
 def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> float:
     """Return the heading's variance by the sandwich over that of the model, at least one."""
+    if not _travels(smoothed):
+        # No road tells how much its pieces differ: neighbours in time do.
+        residual = smoothed.here.field / math.sqrt(smoothed.problem.noise_variance)
+        return inefficiency_factor(residual, smoothed.here.weights[0])
     scores = cluster_scores(smoothed)
     count = len(scores)
     if count < LEAST_CLUSTERS:
@@ -105,6 +110,11 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
     middle = scores.T @ scores * count / (count - 4.0)
     sandwich = plain @ (middle + smoothed.problem.prior.information) @ plain
     return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
+
+
+def _travels(smoothed: Smoothed) -> bool:
+    """Tell whether the robot left its place."""
+    return bool(smoothed.problem.nodes.metres.any())
 
 
 def _repeated(smoothed: Smoothed) -> float:
@@ -133,15 +143,17 @@ def _by_new_road(smoothed: Smoothed) -> float:
 
     Two reaches of new road are one witness of how far the street bends the level field. In a small
     place the calibration takes the bend for its own, so what was found of the street's size counts
-    by its witnesses beside the usual size.
+    by its witnesses beside the usual size. Who stays has one field for all, but for a little.
     """
-    tuning = smoothed.problem.tuning
+    tuning, level = smoothed.problem.tuning, float(smoothed.unknowns.shared[LEVEL_FIELD])
+    if not _travels(smoothed):
+        return tuning.lasting / level
     witnesses = _new_metres(smoothed) / (2.0 * tuning.reach)
     found = (tuning.street * smoothed.problem.sizes.street) ** 2
     street = (witnesses * found + tuning.usual_witnesses * tuning.street**2) / (
         witnesses + tuning.usual_witnesses
     )
-    return math.sqrt(street / witnesses) / float(smoothed.unknowns.shared[LEVEL_FIELD])
+    return math.sqrt(street / witnesses) / level
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

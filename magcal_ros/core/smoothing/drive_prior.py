@@ -62,10 +62,11 @@ class SharedPrior:
     def widened(self, shared: FloatArray, tuning: SmootherTuning = TUNING) -> SharedPrior:
         """Return the same with soft iron as wide as what was found, where that is far beyond."""
         found, sigma = np.abs(shared[SOFT]), self.sigma[SOFT]
-        wider = np.where(found > tuning.far_beyond * sigma, found, sigma)
-        wider = np.maximum(sigma, np.minimum(wider, tuning.widest_soft_iron))
-        if np.array_equal(wider, sigma):
+        is_far = found > tuning.far_beyond * sigma
+        if not is_far.any():
             return self
+        wider = np.where(is_far, found, tuning.shared_soft_iron * float(found[is_far].max()))
+        wider = np.maximum(sigma, np.minimum(wider, tuning.widest_soft_iron))
         covariance = self.covariance.copy()
         rows = np.arange(SHARED)[SOFT]
         covariance[rows, rows] = wider**2

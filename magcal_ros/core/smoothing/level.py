@@ -1,10 +1,12 @@
 """Up all along a drive: the slow mean of the specific force in the axes that the gyro holds still.
 
 Starts, stops and bends lean the accelerometer by ten degrees, but forth and back: over some tens of
-seconds they cancel, and the gyro hardly drifts meanwhile.
+seconds they cancel, and the gyro hardly drifts meanwhile. Where nothing pulls, the mean is short.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 from magcal_ros.core.up import relative_attitudes
 
 SMALLEST_STEP = 1e-3
+FEWEST_SECONDS = 10
+"""Of a stretch, below which nobody can tell whether something pulls."""
 
 
 def level_up(
@@ -40,12 +44,40 @@ def level_up(
     size = np.linalg.norm(force, axis=1)
     usual = float(np.median(size))
     weight = 1.0 / (1.0 + ((size - usual) / (tuning.pulled * usual)) ** 2)
-    keeps = np.exp(-np.maximum(np.diff(time), SMALLEST_STEP) / tuning.level_memory)
+    steps = np.maximum(np.diff(time), SMALLEST_STEP)
+    keeps = np.exp(-steps / tuning.level_memory)
     bias = np.zeros(3)
     for _ in range(tuning.level_rounds):
         up = _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
         bias = bias + _bias(time, up, rate - bias, tuning)
+    up = _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
+    if pull(force, up, tuning) > tuning.unpulled:
+        return up
+    keeps = np.exp(-steps / tuning.level_memory_unpulled)
     return _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
+
+
+def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:
+    """Return the RMS of the force across up, means over a second each, m/s².
+
+    Parameters
+    ----------
+    force, up : ndarray, shape (m, 3)
+        Rows of a log in body axes.
+    tuning : SmootherTuning
+
+    Returns
+    -------
+    float
+        Infinite for less than some seconds.
+    """
+    width = round(1.0 / tuning.row)
+    count = len(force) // width
+    if count < FEWEST_SECONDS:
+        return math.inf
+    across = force - np.sum(force * up, axis=1)[:, None] * up
+    means = across[: count * width].reshape(count, width, 3).mean(axis=1)
+    return math.sqrt(float(np.mean(np.sum(means**2, axis=1))))
 
 
 def _averaged(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.level import level_up
+from magcal_ros.core.smoothing.level import level_up, pull
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
@@ -59,21 +60,30 @@ class DriveLog:
     def up(self, tuning: SmootherTuning = TUNING) -> FloatArray:
         """Return up at each row, unit, body axes, shape (m, 3)."""
         up = np.empty_like(self.force)
-        edges = np.flatnonzero(np.diff(self.time) > LONGEST_GYRO_STEP) + 1
-        for start, end in zip([0, *edges], [*edges, len(self)], strict=True):
-            piece = slice(start, end)
+        for piece in self._pieces:
             up[piece] = level_up(self.time[piece], self.force[piece], self.rate[piece], tuning)
         return up
 
     def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
         known = np.isfinite(self.speed)
-        speed = None
+        speed, up = None, self.up(tuning)
         if known.mean() > 0.5:
             speed = np.interp(self.time, self.time[known], self.speed[known])
-        return nodes_of(
-            Track(self.time, self.field, self.up(tuning), self.rate, speed), to_body, tuning
-        )
+        elif self._stays(up, tuning):
+            speed = np.zeros(len(self))
+        return nodes_of(Track(self.time, self.field, up, self.rate, speed), to_body, tuning)
+
+    def _stays(self, up: FloatArray, tuning: SmootherTuning) -> bool:
+        """Tell whether nothing pulls, as starts, stops and bends do: then nobody travels."""
+        pulls = [pull(self.force[piece], up[piece], tuning) for piece in self._pieces]
+        return max(pulls, default=math.inf) < tuning.unpulled
+
+    @property
+    def _pieces(self) -> list[slice]:
+        """Stretches over which the gyro was heard."""
+        edges = np.flatnonzero(np.diff(self.time) > LONGEST_GYRO_STEP) + 1
+        return [slice(*ends) for ends in zip([0, *edges], [*edges, len(self)], strict=True)]
 
 
 def log_of(

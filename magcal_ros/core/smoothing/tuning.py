@@ -21,6 +21,10 @@ class SmootherTuning:
     level_memory, pulled : float
         Seconds over which up is averaged before and after, and the share of gravity by which a
         specific force may be off its usual length before it weighs less.
+    level_memory_unpulled, unpulled : float, float
+        The same seconds where nothing pulls the force aside: by less than so many m/s² in the mean,
+        over a second each. Then a gyro errs more than the accelerometer, and a robot that tells no
+        speed is taken to stay where it is.
     level_rounds, level_walk, level_bias : int, float, float
         How often the gyro's bias is found from the drift of that mean, the angle random walk of up
         (rad/s^.5), and the largest bias that is expected (rad/s).
@@ -54,6 +58,8 @@ class SmootherTuning:
         independent as the model has them, and their number would overrule them.
     widest_soft_iron, far_beyond : float
         A number of soft iron beyond `far_beyond` sigmas gets a sigma of its own size, at most this.
+    shared_soft_iron : float
+        And the others at least this share of it: iron that bends one number bends them all.
     weak : float
         Share of the reference's level field below which the body is taken to take some away.
     no_strain : float
@@ -76,6 +82,8 @@ class SmootherTuning:
     usual_witnesses : float
         Witnesses of new road that the usual size of the street counts as, in the sigma below which
         streets let nobody go.
+    lasting : float
+        Microtesla that sensors and a place err by all along a window in which nobody travels.
     most_rounds, enough, largest_turn : int, float, float
         Steps at most; a heading that moves less than this many radians has converged; the largest
         turn of any node in one step.
@@ -86,6 +94,8 @@ class SmootherTuning:
     most_nodes: int = 1200
     level_memory: float = 8.0
     pulled: float = 0.1
+    level_memory_unpulled: float = 2.0
+    unpulled: float = 0.15
     level_rounds: int = 2
     level_walk: float = math.radians(0.3)
     level_bias: float = 0.02
@@ -117,6 +127,7 @@ class SmootherTuning:
     counts: float = 4.0
     widest_soft_iron: float = 0.25
     far_beyond: float = 2.5
+    shared_soft_iron: float = 0.3
     weak: float = 0.75
     no_strain: float = 2.0
     kept_tilt: float = math.radians(0.5)
@@ -129,6 +140,7 @@ class SmootherTuning:
     cluster: float = 150.0
     most_repeated: float = 4.0
     usual_witnesses: float = 6.0
+    lasting: float = 0.15
     most_rounds: int = 40
     enough: float = math.radians(0.01)
     largest_turn: float = 0.3

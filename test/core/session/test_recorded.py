@@ -11,8 +11,11 @@ from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
+from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot, heading_errors, measure, turn
+from magcal_ros.core.simulation.travel import travel
 from magcal_ros.files.sources import open_recording
 
 KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
@@ -76,6 +79,19 @@ def test_it_finds_what_the_node_finds(gyro):
     one, other = found.calibration.correction, expected.calibration.correction
     np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
     assert (found.calibration.covariance == expected.calibration.covariance).all()
+
+
+def test_a_drive_is_answered_by_the_smoother_there_as_here():
+    rng = np.random.default_rng(3)
+    car = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
+    known = knowledge_of(48.0, inclination_deg=65.0)
+    way = travel(city(rng, 130.0), rng, rate=10.0)
+    samples = list(simulated_drive(way, rng, Vehicle(car))._sensors())
+    found, expected = fitted(samples, known), live(samples, known)
+    assert found.estimate.method == expected.estimate.method == "smoother"
+    assert found.verdict.summary == expected.verdict.summary
+    one, other = found.calibration.correction, expected.calibration.correction
+    np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
 
 
 def test_the_heading_is_right_afterwards():

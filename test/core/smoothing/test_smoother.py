@@ -9,7 +9,7 @@ from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.simulation.legs import Leg
+from magcal_ros.core.simulation.legs import Leg, city
 from magcal_ros.core.simulation.long_windows import (
     PAPER_SOFT_IRON,
     swaying,
@@ -200,15 +200,45 @@ def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, fitted):
 LONG = knowledge_of(47.3, inclination_deg=60.5)
 
 
-@pytest.mark.parametrize("turns", [False, True])
-@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
-def test_ten_minutes_of_weak_motion(turns, soft_iron):
+def weak_motion(seconds, turns, soft_iron, seed):
+    """Error and sigma of the heading, degrees, of a robot that sways where it is."""
     robot = swaying_robot(soft_iron)
-    window = swaying_window(robot, swaying(600.0, turns=turns), np.random.default_rng(1))
+    window = swaying_window(robot, swaying(seconds, turns=turns), np.random.default_rng(seed))
     found = fit_nodes(log_of(window).nodes(NOBODY), LONG)
     error = heading_error(found.twelve.correction, robot)
+    return error, math.degrees(found.twelve.heading_sigma)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
+def test_two_minutes_of_weak_motion(turns, soft_iron):
+    """Nothing pulls: no road is made up for it, nor the sigma that roads leave."""
+    error, said = weak_motion(120.0, turns, soft_iron, 1)
     assert error < 0.6
-    assert error < 2.5 * math.degrees(found.twelve.heading_sigma)
+    assert error < 2.5 * said
+    assert said < 0.6
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
+@pytest.mark.parametrize("seconds", [120.0, 600.0])
+def test_weak_motion_over_many_windows(seconds, turns, soft_iron):
+    errors, said = np.array([weak_motion(seconds, turns, soft_iron, k) for k in range(20)]).T
+    assert math.sqrt(np.mean(errors**2)) < 0.45
+    assert np.mean((errors / said) ** 2) < 2.0
+
+
+def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
+    """Nothing pulls here either, but the street is in what is left of the field."""
+    drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
+    found = fit_nodes(log_from(drive).nodes(NOBODY), BOSTON)
+    error = heading_error(found.twelve.correction, drive.vehicle.robot)
+    said = math.degrees(found.twelve.heading_sigma)
+    assert found.metres == 0.0
+    assert error < 2.5 * said
+    assert said > 1.0
 
 
 @pytest.mark.nightly
