@@ -59,6 +59,8 @@ class MotionTuning:
     vague : tuple of float
         Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
         beyond which it is not shown.
+    plain : float
+        So many standard deviations show a lag, however vague it is.
     largest_noise : float
         Usual change between neighbours, over the whole changing part, that is no noise at rest.
     """
@@ -71,6 +73,7 @@ class MotionTuning:
     lag: float = 0.015
     sigmas: float = 3.0
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    plain: float = 6.0
     largest_noise: float = 0.25
 
 
@@ -258,7 +261,9 @@ def _latencies(
 ) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
     field, force = (
-        measured if measured is not None and measured.sigma < vague else None
+        measured
+        if measured is not None and measured.sigma < max(vague, abs(measured.lag) / tuning.plain)
+        else None
         for measured, vague in (
             (field_latency(log, explanations, chosen), tuning.vague[2]),
             (force_latency(log, explanations, chosen), tuning.vague[3]),
