@@ -64,6 +64,15 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         unit="%",
     ),
     Bound(
+        Figure.MOTOR_FIELD,
+        1.0,
+        20.0,
+        "the motors add",
+        "route the power wires away, or calibrate with them on",
+        excellent=0.3,
+        unit=" µT",
+    ),
+    Bound(
         Figure.SPLIT_HALF,
         1.0,
         4.0,

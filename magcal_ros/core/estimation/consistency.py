@@ -128,3 +128,22 @@ def _turn_about_z(rotations: FloatArray) -> FloatArray:
     return np.arctan2(
         rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
     )
+
+
+def lasting_stray(radial: FloatArray, turned: FloatArray) -> float:
+    """Return the lasting part of a residual along the turn's radius, without the noise of samples.
+
+    Without a gyro nothing shows what strays across the radius; what strays along it is as large.
+
+    Parameters
+    ----------
+    radial : ndarray, shape (n,)
+        Residual along the radius over it: what it would be across, in radians.
+    turned : ndarray, shape (n,)
+        Angle of the turn, radians, unwrapped.
+    """
+    noise = _sample_noise(radial)
+    index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
+    count = np.bincount(index)
+    mean = np.bincount(index, radial) / count
+    return math.sqrt(max(float(np.mean(mean**2) - np.mean(noise**2 / count)), 0.0))

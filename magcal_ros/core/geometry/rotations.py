@@ -49,6 +49,17 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
+def rotation_vectors(rotations: FloatArray) -> FloatArray:
+    """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
+
+    Angles below a quarter turn.
+    """
+    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
+    longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
+    return np.asarray(part * longer[:, None])
+
+
 def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
     k = skew(axis)
