@@ -73,6 +73,15 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         unit=" µT",
     ),
     Bound(
+        Figure.LATENCY,
+        100.0,
+        1000.0,
+        "stamps of field and gyro differ by",
+        "stamp both when they are measured, by one clock and through filters alike",
+        excellent=20.0,
+        unit=" ms",
+    ),
+    Bound(
         Figure.SPLIT_HALF,
         1.0,
         4.0,

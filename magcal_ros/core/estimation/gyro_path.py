@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import rotation_vectors
-from magcal_ros.core.samples.rest import Rest
+from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 
 CLEAR_SENSE = 0.5
@@ -57,7 +57,7 @@ class GyroErrors:
     longest_spacing: float = 5.0
     most_of_all: int = 72
 
-    def after(self, rests: tuple[Rest, ...]) -> GyroErrors:
+    def after(self, rests: tuple[RestBeside, ...]) -> GyroErrors:
         """Return what is known where rests were seen beside the turn."""
         sigmas = [math.hypot(self.rested_bias, rest.rate_sigma) for rest in rests]
         return replace(self, bias=min([self.bias, *sigmas]))
@@ -83,12 +83,12 @@ class RestOnPath:
     relative : ndarray, shape (3, 3)
         Rotation from the first sample's body axes to those at rest.
     is_before : bool
-    seen : Rest
+    seen : RestBeside
     """
 
     relative: FloatArray
     is_before: bool
-    seen: Rest
+    seen: RestBeside
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +220,7 @@ def gyro_path(window: Window, first: IntArray, known: GyroErrors = GyroErrors())
     return GyroPath(mean, basis, knots, spacing, pace, none, known, rests)
 
 
-def _on_path(rest: Rest, time: FloatArray, attitude: FloatArray) -> RestOnPath:
+def _on_path(rest: RestBeside, time: FloatArray, attitude: FloatArray) -> RestOnPath:
     row = int(np.argmin(np.abs(time - rest.beside)))
     return RestOnPath(rest.turned @ attitude[row], 2 * row < len(time), rest)
 

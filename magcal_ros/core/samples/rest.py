@@ -32,7 +32,7 @@ NEXT_TO_NOTHING = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestBeside:
     """What the sensors said while a robot stood right before or after its turn.
 
     Parameters

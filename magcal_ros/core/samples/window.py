@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from magcal_ros.core.samples.rest import Rest
+from magcal_ros.core.samples.rest import RestBeside
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Window:
     turned : array_like, shape (n, 3, 3), or None
         Rotations from the body axes at one moment to those of each sample, by all that the gyro
         said, where samples between those of the window were left out.
-    rests : tuple of Rest
+    rests : tuple of RestBeside
         What was seen right before and after the turn, where the robot stood there.
 
     Raises
@@ -41,7 +41,7 @@ class Window:
     specific_force: FloatArray
     angular_rate: FloatArray | None = None
     turned: FloatArray | None = None
-    rests: tuple[Rest, ...] = ()
+    rests: tuple[RestBeside, ...] = ()
 
     def __post_init__(self) -> None:
         time = frozen_array(self.time, (-1,), "time")

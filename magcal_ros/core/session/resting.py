@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.rest import Rest, bias_at_rest, mean_and_sigma, rests_around
+from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
 from magcal_ros.core.up import relative_attitudes
 
 LONGEST = 10.0
@@ -18,7 +18,7 @@ FEWEST = 20
 """Rows that are left of a turn; where there are fewer, the robot hardly moved."""
 
 
-def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[Rest, ...]]:
+def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ...]]:
     """Take the gyro's bias off, and the rests before and after the turn away from it.
 
     Parameters
@@ -30,7 +30,7 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[Rest, ...]]:
     -------
     ndarray, shape (m, 10)
         The turn.
-    tuple of Rest
+    tuple of RestBeside
     """
     time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
     before, after = rests_around(time, field, rate)
@@ -55,7 +55,7 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[Rest, ...]]:
     return turn, tuple(rests)
 
 
-def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray) -> Rest:
+def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray) -> RestBeside:
     """Return what rows at rest say; `last` is the one of them next to the turn's row `beside`."""
     time = rows[:, 0]
     (field, field_sigma), (force, _), (rate, rate_sigma) = (
@@ -66,4 +66,6 @@ def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray) -> Rest:
     step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
     turned = relative_attitudes(np.array([0.0, 1.0]), np.array([step, step]))[1]
     seconds = float(time[-1] - time[0])
-    return Rest(seconds, field, field_sigma, force, rate, rate_sigma, float(beside[0]), turned)
+    return RestBeside(
+        seconds, field, field_sigma, force, rate, rate_sigma, float(beside[0]), turned
+    )

@@ -17,7 +17,7 @@ from magcal_ros.core.estimation.gyro_path import (
 )
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_angle
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.rest import Rest
+from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
 from magcal_ros.core.up import relative_attitudes
 
@@ -88,7 +88,7 @@ def test_samples_that_were_left_out_do_not_spoil_the_path():
 
 
 def rested(window, **changes):
-    still = Rest(3.0, np.ones(3), 1e-8, 9.81 * np.ones(3), np.zeros(3), 2e-4, 0.0, np.eye(3))
+    still = RestBeside(3.0, np.ones(3), 1e-8, 9.81 * np.ones(3), np.zeros(3), 2e-4, 0.0, np.eye(3))
     return replace(window, rests=(replace(still, **changes),))
 
 

@@ -175,7 +175,10 @@ class Solved:
         if self.swing is None:
             return figures
         block = self.choice.fit.block
-        acceleration = block.acceleration if isinstance(block, GyroBlock) else np.zeros(3)
+        acceleration = np.zeros(3)
+        if isinstance(block, GyroBlock):
+            acceleration = block.acceleration
+            figures[Figure.LATENCY] = float(block.path.found(block.errors, Effect.LATENCY).sum())
         return figures | {
             Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock) or self.choice.own_lean),
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
