@@ -23,8 +23,9 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 @pytest.fixture
 def leisure(monkeypatch):
     """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
-    for name in ("SILENCE", "GYRO_SILENCE", "LONGEST_LOOK", "LISTENERS_WITHIN", "GUARDED_WITHIN"):
-        monkeypatch.setattr(self_turn, name, PATIENCE)
+    limits = ("silence", "gyro_silence", "longest_look", "listeners_within", "guarded_within")
+    patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(limits, PATIENCE))
+    monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(leash, "TUNING", replace(leash.TUNING, farthest_beyond=math.pi))
 
