@@ -2,7 +2,8 @@
 
 Where it sets off from a rest, or comes to one, the Earth's field, soft iron and the room are the
 same before and after at one heading; what differs is the robot's own. Where something switches on
-the way, the samples of one state are outliers of the other, all by the same field in its axes.
+the way, the samples of one state are outliers of the other, all by the same field in its axes. And
+what follows the turn rate was fitted with it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, RestOnPath
 from magcal_ros.core.estimation.model import local_jacobian
 from magcal_ros.core.estimation.solver import Fit
@@ -78,7 +81,7 @@ def motor_field(fit: Fit, path: GyroPath | None, scale: float) -> FloatArray | N
     ndarray, shape (3,), or None
         Tesla, in the magnetometer's axes; zero where chance explains it, None where nothing tells.
     """
-    found = [_step_from_rest(fit, path, scale), _switched(fit, scale)]
+    found = [_step_from_rest(fit, path, scale), _switched(fit, scale), _by_rate(fit, scale)]
     seen = [field for field in found if field is not None]
     return max(seen, key=np.linalg.norm, default=None)
 
@@ -92,6 +95,16 @@ def _step_from_rest(fit: Fit, path: GyroPath | None, scale: float) -> FloatArray
     mean = np.average([step for step, _ in seen], axis=0, weights=weights)
     size, sigma = float(np.linalg.norm(mean)), float(weights.sum()) ** -0.5
     return mean if size > max(MOTORS.sigmas * sigma, MOTORS.smallest) else np.zeros(3)
+
+
+def _by_rate(fit: Fit, scale: float) -> FloatArray | None:
+    """Return the most that currents which follow the turn rate were off the turn's mean."""
+    block = fit.block
+    if not isinstance(block, GyroBlock) or Effect.MOTORS not in block.path.effects:
+        return None
+    columns = block.path.effects.only(Effect.MOTORS).columns[:, 3:]
+    added = columns @ block.path.found(block.errors, Effect.MOTORS)
+    return np.asarray(scale * added[np.argmax(np.linalg.norm(added, axis=1))])
 
 
 def _switched(fit: Fit, scale: float) -> FloatArray | None:

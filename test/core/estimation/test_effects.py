@@ -76,6 +76,7 @@ def test_motors_that_follow_the_speed_are_seen():
     current = np.outer(motion.angular_rate[:, 2] / 0.33, [0.0, 2e-6, 0.0])
     solved = solve(collected(replace(window, field=window.field + current)), KNOWN)
     assert set(solved.choice.fit.block.path.effects.kinds) == {Effect.MOTORS}
+    assert np.linalg.norm(solved.motors) == pytest.approx(np.abs(current).max() / 2.0, rel=0.5)
 
 
 @pytest.mark.parametrize("course", first_of([stop_and_go, evenly, unevenly]))
