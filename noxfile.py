@@ -18,7 +18,8 @@ LIBRARIES = {
 }
 """What Ubuntu ships beside the distributions that have no wheels."""
 
-TEST_TOOLS = ["pytest>=6.2.5", "pytest-timeout", "hypothesis>=6.36"]
+TEST_TOOLS = ["pytest>=6.2.5", "pytest-timeout", "pytest-xdist>=3.5", "hypothesis>=6.36"]
+ON_EVERY_CORE = ["--numprocesses", "auto", "--dist", "worksteal"]
 PACKAGE = ".[bags,live,report,wmm]"
 COLCON = "colcon-common-extensions==0.3.0"
 
@@ -35,7 +36,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 def run_without_ros(session: nox.Session) -> None:
     """Run everything but the tests of the node."""
-    session.run("python", "-m", "pytest", "--ignore", "test/ros", *session.posargs)
+    session.run("python", "-m", "pytest", *ON_EVERY_CORE, "--ignore", "test/ros", *session.posargs)
 
 
 @nox.session(python=PYTHONS)
@@ -74,7 +75,7 @@ def types(session: nox.Session) -> None:
 def ros(session: nox.Session, extra: str) -> None:
     """Run the node's tests and the demo, on the wheels of a distribution."""
     session.install("--editable", f".[bags,live,report,wmm,{extra}]", COLCON, *TEST_TOOLS)
-    session.run("python", "-m", "pytest", "test/ros", *session.posargs)
+    session.run("python", "-m", "pytest", "--numprocesses", "2", "test/ros", *session.posargs)
     session.run("magcal", "demo")
 
 

@@ -19,12 +19,12 @@ DOMAINS = 100
 
 # Speed is measured in benchmarks/; a busy machine must not fail a test. `make test` tries the same
 # cases each time, `make nightly` new ones.
-for profile, examples in {"project": 30, "nightly": 300}.items():
+for profile, count in {"project": 30, "nightly": 300}.items():
     settings.register_profile(
         profile,
         deadline=None,
         derandomize=profile == "project",
-        max_examples=examples,
+        max_examples=count,
         suppress_health_check=[HealthCheck.too_slow],
     )
 settings.load_profile("project")

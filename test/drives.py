@@ -12,12 +12,18 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.core.simulation.drive import Vehicle
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
 
 ROBOT = Robot()
 IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
+DRIVE_VEHICLE = Vehicle(
+    Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3),
+    imu_yaw=math.radians(8.0),
+)
 STORE1, STORE2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -90,3 +96,34 @@ def write_csv(folder, samples):
     ):
         np.savetxt(folder / name, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     return folder
+
+
+def header(stamp, frame):
+    time = STORE2.types["builtin_interfaces/msg/Time"](*divmod(round(stamp * 1e9), 1_000_000_000))
+    return STORE2.types["std_msgs/msg/Header"](stamp=time, frame_id=frame)
+
+
+def recorded(sample):
+    """A sample of the drive as a bag has it."""
+    if isinstance(sample, PositionSample):
+        status = STORE2.types["sensor_msgs/msg/NavSatStatus"](status=0, service=1)
+        north = 48.0 + math.degrees(sample.north / 6_371_000.0)
+        east = 11.0 + math.degrees(sample.east / 6_371_000.0 / math.cos(math.radians(48.0)))
+        kind = STORE2.types["sensor_msgs/msg/NavSatFix"]
+        return "/fix", kind(header(sample.stamp, "gps"), status, north, east, 0.0, np.zeros(9), 0)
+    if isinstance(sample, SpeedSample):
+        vector = STORE2.types["geometry_msgs/msg/Vector3"]
+        pose = STORE2.types["geometry_msgs/msg/Pose"](
+            STORE2.types["geometry_msgs/msg/Point"](0.0, 0.0, 0.0),
+            STORE2.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+        )
+        twist = STORE2.types["geometry_msgs/msg/Twist"](
+            vector(sample.speed, 0.0, 0.0), vector(0, 0, 0)
+        )
+        return "/odom", STORE2.types["nav_msgs/msg/Odometry"](
+            header(sample.stamp, "odom"),
+            "base_link",
+            STORE2.types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            STORE2.types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+    return sample if isinstance(sample, (ImuSample, FieldSample)) else None

@@ -1,4 +1,5 @@
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -36,8 +37,14 @@ def room_of(path):
     return parts[0] if len(parts) > 1 else ""
 
 
+@functools.cache
+def nodes_of(path):
+    """Everything in a file, as Python reads it."""
+    return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
 def imported_modules(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (name.name for name in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -83,19 +90,15 @@ def test_rooms_import_only_what_lies_below_them(path):
 @pytest.mark.parametrize("path", [p for p in FILES if room_of(p) == "core"], ids=lambda p: p.stem)
 def test_the_core_reads_no_clock_and_prints_nothing(path):
     assert not {"time", "datetime", "logging"} & set(imported_modules(path))
-    names = {n.id for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Name)}
+    names = {node.id for node in nodes_of(path) if isinstance(node, ast.Name)}
     assert not names & {"print", "open", "input"}
 
 
 @every_file
 def test_files_and_functions_are_short(path):
-    text = path.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= LONGEST_FILE
-    functions = [
-        node
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-    ]
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    functions = [node for node in nodes_of(path) if isinstance(node, kinds)]
     long = {f.name: f.end_lineno - f.lineno + 1 for f in functions}
     assert not {name: size for name, size in long.items() if size > LONGEST_FUNCTION}
 

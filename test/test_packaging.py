@@ -1,6 +1,7 @@
 """What the papers say of the package, held against the package."""
 
 import ast
+import functools
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -30,6 +31,7 @@ NO_WHEEL = {"rosbag2_py"}
 """What only a robot has; elsewhere something else serves."""
 
 
+@functools.cache
 def imported():
     """List the foreign packages that any module imports, at its top or later."""
     found = set()
@@ -39,7 +41,7 @@ def imported():
                 found |= {each.name.split(".")[0] for each in node.names}
             elif isinstance(node, ast.ImportFrom):
                 found.add(node.module.split(".")[0])
-    return found - {"magcal_ros"} - set(sys.stdlib_module_names)
+    return frozenset(found) - {"magcal_ros"} - set(sys.stdlib_module_names)
 
 
 def texts(tag):

@@ -9,8 +9,9 @@ import pytest
 SCRIPT = "import magcal_ros.cli.main, os; print(os.environ['{pool}'])"
 
 
-@pytest.mark.parametrize("given", [None, "3"])
-@pytest.mark.parametrize("pool", ["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"])
+@pytest.mark.parametrize(
+    ("pool", "given"), [("OMP_NUM_THREADS", None), ("OPENBLAS_NUM_THREADS", "3")]
+)
 def test_the_command_takes_one_thread_unless_the_user_says_otherwise(pool, given):
     environment = {name: value for name, value in os.environ.items() if name != pool}
     if given is not None:

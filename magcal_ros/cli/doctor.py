@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,13 +20,15 @@ from magcal_ros.cli.recorded import (
     watched,
 )
 from magcal_ros.cli.reference import reference_in_use
+from magcal_ros.core.doctor.course import CourseSeen
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.doctor.health import TUNING
 from magcal_ros.core.doctor.page import Page, examine
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import Gathering, Reading
@@ -107,6 +110,7 @@ def _recorded(options: argparse.Namespace) -> int:
         gathering.take(kept.passing(watched(source, sys.stderr)))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
+        travel = source.travel()
     told = Told(None if options.turned is None else options.turned == "left")
     complaints = [*gathering.complaints(), *reference.complaints]
     more = [looked_at("recording", "recording", words, words) for words in complaints]
@@ -114,7 +118,21 @@ def _recorded(options: argparse.Namespace) -> int:
     if _too_little(log):
         return _nothing(options, log, more)
     page = examine(log, Knowledge(reference.field, mounting), told).with_more(more)
+    if travel and page.used is not None:
+        course = recorded_course(page.used.compass, kept.samples, travel)
+        page = page.with_course(_course_seen(course, reference.field))
     return _tell(options, page, mounting.gains)
+
+
+def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> CourseSeen:
+    if course is None:
+        return CourseSeen()
+    north, offset, mounting = field.declination or 0.0, course.offset, course.mounting
+    yaw = 0.0 if mounting is None else mounting.yaw
+    gap = math.remainder(offset.offset - north - yaw, math.tau)
+    if mounting is None:
+        return CourseSeen(gap, offset.sigma)
+    return CourseSeen(gap, math.hypot(offset.sigma, mounting.sigma), yaw, mounting.sigma)
 
 
 def _too_little(log: SensorLog) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from magcal_ros.cli.graph import interrupts_noted, joined
 from magcal_ros.cli.recorded import mounting_from
 from magcal_ros.cli.reference import reference_in_use
-from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
+from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStep, GuideStepState
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.doctor.upright import Told
@@ -35,6 +35,9 @@ SILENT_AFTER = 8.0
 
 DISCOVERY = 3.0
 """Seconds in which topics are looked for."""
+
+MISLEADING = ("field_axes", "gyro_axes", "force_axes", "nothing_fits", "imu_axes", "gravity_sign")
+"""Lines with which nothing can be said of the description."""
 
 CROWD = (
     "only one node can be the sensor: stop the others, or give one of them a name of its own; two "
@@ -70,17 +73,20 @@ class Heard:
         """Return the page with what the graph shows, and the description against the measured."""
         if not self.described:
             return page.with_more(self.more)
-        if page.mount_rpy_deg is None:
-            agrees = looked_at("description", "description", f"magnetometer at {self.described}")
-            return page.with_more((*self.more, agrees))
-        radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
-        differs = wrong(
-            "description",
-            "description",
-            f"magnetometer at {self.described}, measured otherwise",
-            f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
-        )
-        return page.with_more((*self.more, differs))
+        told = f"magnetometer at {self.described}"
+        if page.mount_rpy_deg is not None:
+            radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
+            line = wrong(
+                "description",
+                "description",
+                f"{told}, measured otherwise",
+                f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
+            )
+        elif any(f.key in MISLEADING and f.is_wrong for f in page.findings):
+            line = not_shown("description", "description", f"{told}; mend the axes first")
+        else:
+            line = looked_at("description", "description", told)
+        return page.with_more((*self.more, line))
 
 
 def listen(options: argparse.Namespace) -> Heard:
@@ -119,7 +125,7 @@ def listen(options: argparse.Namespace) -> Heard:
                     raise MagcalError(_silence(listener))
         if interrupted.is_set():
             raise KeyboardInterrupt
-        return _gathered(options, listener, samples, guide)
+        return gathered(options, listener, samples, guide)
 
 
 def say(line: str) -> None:
@@ -165,12 +171,13 @@ def _silence(listener: Listener) -> str:
     )
 
 
-def _gathered(
+def gathered(
     options: argparse.Namespace,
     listener: Listener,
     samples: list[ImuSample | FieldSample],
     guide: Guide,
 ) -> Heard:
+    """Return what was heard, with what the graph and the user say beside it."""
     log = SensorLog.of(samples)
     newest = float(log.field_time[-1]) if len(log.field_time) else 0.0
     reference = reference_in_use(options, None, newest)

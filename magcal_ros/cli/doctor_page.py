@@ -17,10 +17,12 @@ MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUS
 
 def page_in_words(page: Page) -> str:
     """Return the page for a terminal: a line for each finding, then what to do."""
-    lines = [f"  {MARKS[f.grade]:<6}{f.name:<22}{plain(f.evidence, 300)}" for f in page.findings]
+    lines = [f"  {MARKS[f.grade]:<6}{f.name:<27}{plain(f.evidence, 300)}" for f in page.findings]
     worst_first = sorted(page.findings, key=lambda finding: -finding.grade.rank)
-    remedies = [f"{f.name}: {plain(f.remedy, 1000)}" for f in worst_first if f.remedy]
-    return "\n".join(lines) + bullets("\nWhat to do:", list(dict.fromkeys(remedies))).rstrip("\n")
+    # One cause may show in several lines.
+    remedies = {f.remedy: f.name for f in reversed(worst_first) if f.remedy}
+    todo = [f"{name}: {plain(words, 1000)}" for words, name in reversed(remedies.items())]
+    return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
 
 
 def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:

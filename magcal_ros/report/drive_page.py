@@ -25,6 +25,14 @@ STEPS_UT = (2.0, 4.0, 8.0, 16.0)
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
 """From where the compass can be trusted to where it cannot; colour-blind people tell them apart."""
 WIDTH, MARGIN = 1000.0, 30.0
+TALLEST = "75vh"
+"""Of the map: with its legend it fits on a screen, whichever way was driven."""
+RULES = (
+    "A calibration that is found while driving is on probation first: only road that is driven "
+    "after it was found can prove it better than the one in force. Where nothing is in force, a "
+    "second one that agrees is enough. What is put in force stays on trial against the one before. "
+    "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading."
+)
 VERBS = {
     Verb.NOTICED: "noticed",
     Verb.PROBATION: "put on probation",
@@ -117,8 +125,8 @@ def _before_and_after(story: DriveStory) -> str:
         swing = math.degrees(difference(begun, ended))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
     return (
-        '<h2>In force before and after</h2><div class="scroll"><table class="checks"><tr><th></th>'
-        "<th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
+        '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr>'
+        "<th></th><th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
         f"{rows}</table></div>{apart}"
     )
 
@@ -130,7 +138,7 @@ def _cells(calibration: Calibration | None) -> str:
     evidence = calibration.evidence
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
     cells = (
-        evidence.method,
+        "driving" if evidence.method == "smoother" else evidence.method,
         f"±{math.degrees(heading_sigma(calibration)):.1f}°",
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
@@ -147,8 +155,8 @@ def _decisions(story: DriveStory) -> str:
         for seconds, made in story.decisions
     )
     return (
-        '<h2>What was decided</h2><table class="checks"><tr><th>after</th><th>decision</th>'
-        f"<th>why</th></tr>{rows}</table>"
+        f'<h2>What was decided</h2><p>{RULES}</p><table class="checks"><tr><th>after</th>'
+        f"<th>decision</th><th>why</th></tr>{rows}</table>"
     )
 
 
@@ -170,19 +178,31 @@ def _map(path: DrivePath | None) -> str:
         for a, b, kind in zip(x, y, kinds, strict=True)
     )
     bounds = ["0", *(f"{step:g}" for step in STEPS_UT)]
-    legend = "".join(
-        f'<li><span style="color:{colour}">●</span> {name}: '
-        f"{100.0 * float(np.mean(kinds == kind)):.0f} %</li>"
+    legend = " &nbsp; ".join(
+        f'<span style="color:{colour}">●</span> {name}: '
+        f"{100.0 * float(np.mean(kinds == kind)):.0f} %"
         for kind, (colour, name) in enumerate(zip(COLOURS, _names(bounds), strict=True))
     )
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
         "<h2>Where the compass can be trusted</h2>"
-        f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {max(height, 60.0):.0f}" role="img">'
+        f"<p>{_how(path)} Colour: how far the field was off the calibrated one, by streets, cars "
+        f"and steel. On {trusted:.0f} % of the points it was off by less than {STEPS_UT[1]:g} µT."
+        f"</p><p>{legend}</p>"
+        f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {max(height, 60.0):.0f}" role="img" '
+        f'style="max-height:{TALLEST}">'
         f"<title>The way that was driven, coloured by the disturbance of the field</title>"
-        f"{dots}{_bar(span, scale, max(height, 60.0))}</svg><figcaption>{_how(path)} Colour: how "
-        f"far the field was off the calibrated one. On {trusted:.0f} % of the points it was off by "
-        f"less than {STEPS_UT[1]:g} µT.</figcaption></figure><ul>{legend}</ul>"
+        f"{dots}{_named('start', x[0], y[0])}{_named('end', x[-1], y[-1])}"
+        f"{_bar(span, scale, max(height, 60.0))}</svg></figure>"
+    )
+
+
+def _named(name: str, x: float, y: float) -> str:
+    side, shift = ("end", -10.0) if x > 0.5 * WIDTH else ("start", 10.0)
+    return (
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="none" stroke="#1c1f23" stroke-width="2"/>'
+        f'<text x="{x + shift:.1f}" y="{y + 6.0:.1f}" text-anchor="{side}" font-size="18">{name}'
+        "</text>"
     )
 
 

@@ -179,7 +179,8 @@ def _lines(findings: Sequence[Finding]) -> str:
 
 def _said(finding: Finding) -> str:
     evidence = finding.evidence.removeprefix("not shown: ")
-    return f"{evidence}. {finding.remedy}" if finding.remedy else evidence
+    remedy = finding.remedy[:1].upper() + finding.remedy[1:]
+    return f"{evidence}. {remedy}" if remedy else evidence
 
 
 def _twelve(lines: Sequence[Sequence[str]]) -> str:

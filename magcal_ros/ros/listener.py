@@ -104,8 +104,13 @@ class Listener:
     @property
     def crowded(self) -> list[str]:
         """The topics on which more than one node publishes, in words."""
-        counts = [(topic, self._node.count_publishers(topic)) for topic in self.topics]
-        return [f"{count} publishers on {plain(topic)}" for topic, count in counts if count > 1]
+        said = []
+        for topic in self.topics:
+            infos = self._node.get_publishers_info_by_topic(topic)
+            if len(infos) > 1:
+                names = ", ".join(plain(name) for name in sorted({i.node_name for i in infos}))
+                said.append(f"{len(infos)} publishers on {plain(topic)}: {names}")
+        return said
 
     @property
     def frames(self) -> tuple[str, str]:

@@ -3,9 +3,23 @@
 import sys
 
 import pytest
+from remembered import remembered
+
+from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.session import recorded
+from magcal_ros.report import turn
+
+CALIBRATE = remembered(recorded.calibrate)
 
 
 @pytest.fixture(autouse=True)
-def no_pictures(monkeypatch):
-    """Draw no pictures in this process, as where matplotlib is missing: they are half of a fit."""
+def plain_reports(monkeypatch):
+    """Draw no pictures in this process, and do not look at the sensors: it is half of a fit."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setattr(turn, "examine_window", lambda *_: Page(()))
+
+
+@pytest.fixture(autouse=True)
+def one_fit(monkeypatch):
+    """Fit the samples of one turn once, however many commands are given them."""
+    monkeypatch.setattr(recorded, "calibrate", CALIBRATE)

@@ -134,8 +134,8 @@ class TestRos:
         "arguments",
         [["-r", "a b:=c"], ["--params-file", "/nowhere.yaml"], ["-r", "__ns:=no space"]],
     )
-    def test_bad_ros_arguments_are_misuse(self, folder, arguments):
-        done = run("replay", str(folder), "--wait", "0", "--ros-args", *arguments)
+    def test_bad_ros_arguments_are_misuse(self, call, folder, arguments):
+        done = call("replay", str(folder), "--wait", "0", "--ros-args", *arguments)
         assert done.returncode == Exit.USAGE
         assert b"magcal: ROS does not start: " in done.stderr
         assert b"Traceback" not in done.stderr
@@ -147,11 +147,11 @@ class TestRos:
         assert b"Traceback" not in done.stderr
 
 
-def test_a_reader_that_has_seen_enough_ends_it_quietly(folder, tmp_path):
+def test_a_reader_that_has_seen_enough_ends_it_quietly(folder):
     read, write = os.pipe()
     os.close(read)
     done = run(
-        "fit", str(folder), "--output", str(tmp_path / "out"),
+        "doctor", str(folder),
         capture_output=False, stdout=write, stderr=subprocess.PIPE,
     )  # fmt: skip
     os.close(write)
@@ -159,10 +159,21 @@ def test_a_reader_that_has_seen_enough_ends_it_quietly(folder, tmp_path):
     assert done.stderr == b""
 
 
-def test_the_demo_replaces_no_file_of_others(tmp_path):
+def test_a_missing_recording_is_said_in_one_line(call, tmp_path):
+    done = call("replay", str(tmp_path / "nowhere"))
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert done.stderr.startswith(b"magcal: cannot read")
+    assert is_one_line(done)
+
+
+def test_a_wrong_command_is_a_usage_error(call):
+    assert call("dance").returncode == Exit.USAGE
+
+
+def test_the_demo_replaces_no_file_of_others(call, tmp_path):
     path = tmp_path / "robot_params.yaml"
     path.write_text("mine: 1\n")
-    done = run("demo", "--output", str(path))
+    done = call("demo", "--output", str(path))
     assert done.returncode == Exit.FILE_TROUBLE
     assert b"is not a calibration of magcal_ros" in done.stderr
     assert path.read_text() == "mine: 1\n"

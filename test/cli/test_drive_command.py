@@ -27,7 +27,7 @@ def sensors(legs, seed=1):
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     """A drive of some minutes as a CSV folder."""
-    _, samples = sensors(city(np.random.default_rng(1), 330.0))
+    _, samples = sensors(city(np.random.default_rng(1), 270.0))
     return write_csv(tmp_path_factory.mktemp("driven") / "csv", samples)
 
 

@@ -218,6 +218,7 @@ class TestRecordings:
         assert status == 0
         assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
 
+    @pytest.mark.nightly
     def test_a_span_of_a_hand_held_turn_runs(self, fit, recording):
         status, out, _ = fit(recording("broad05"), "--from", "48", "--to", "62", "--json")
         document = json.loads(out)

@@ -5,7 +5,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
@@ -70,6 +69,9 @@ def yaws(rng, way, moments):
 
 def smooth(rng, moments, seconds):
     """Three columns of smooth noise of size one that changes within so many seconds."""
+    # Loading it takes as long as a test, and who only collects needs none of it.
+    from scipy.signal import lfilter
+
     share = math.exp(-PERIOD / seconds)
     kicks = rng.standard_normal((moments, 3)) * math.sqrt(1.0 - share**2)
     return lfilter([1.0], [1.0, -share], kicks, axis=0)

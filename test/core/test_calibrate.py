@@ -1,3 +1,4 @@
+import functools
 import math
 
 import numpy as np
@@ -28,6 +29,12 @@ def window_of(robot=ROBOT, **motion):
     return measure(robot, turn(**motion), np.random.default_rng(3), gyro=True)
 
 
+@functools.cache
+def outcome_of(method):
+    """What a whole turn gives."""
+    return calibrate(window_of(), ROBOT.knowledge(), method)
+
+
 def test_every_method_is_for_a_turn_a_drive_or_a_tumbled_sensor():
     assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS, "smoother"}
     assert METHODS[0] == "maximum_likelihood"
@@ -43,7 +50,7 @@ def test_one_turn_is_too_little_for_a_method_that_wants_a_tumble(method):
 @pytest.mark.parametrize("method", TURN_METHODS)
 class TestEveryMethod:
     def test_one_turn_calibrates_the_robot(self, method):
-        outcome = calibrate(window_of(), ROBOT.knowledge(), method)
+        outcome = outcome_of(method)
         assert outcome.verdict.accepted
         errors = heading_errors(outcome.calibration.correction, ROBOT)
         before = heading_errors(type(ROBOT.true_correction).identity(), ROBOT)
@@ -51,7 +58,7 @@ class TestEveryMethod:
         assert math.degrees(np.sqrt(np.mean(before[:, LEVEL_TILT] ** 2))) > 20.0
 
     def test_the_calibration_carries_the_estimate_and_the_verdict(self, method):
-        outcome = calibrate(window_of(), ROBOT.knowledge(), method)
+        outcome = outcome_of(method)
         one, estimate, verdict = outcome.calibration, outcome.estimate, outcome.verdict
         assert one.correction is estimate.correction
         assert (one.covariance == estimate.covariance).all()
@@ -129,7 +136,7 @@ def test_only_methods_of_the_list_are_found(name):
 
 class TestCalibration:
     def test_the_users_word_changes_nothing_but_the_mark(self):
-        one = calibrate(window_of(), ROBOT.knowledge()).calibration
+        one = outcome_of(METHODS[0]).calibration
         told = one.on_users_word()
         assert told.evidence.accepted_by_user
         assert not one.evidence.accepted_by_user

@@ -81,12 +81,12 @@ def test_reports_from_several_threads(tmp_path):
     def work():
         pages.append(write_report(new_folder(tmp_path, CREATED), good()).read_text())
 
-    threads = [threading.Thread(target=work) for _ in range(3)]
+    threads = [threading.Thread(target=work) for _ in range(2)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert len(pages) == 3
+    assert len(pages) == 2
     # The matplotlib of Ubuntu 22.04 names clip paths by their place in memory.
     assert len({re.sub(r"-p[0-9a-f]{10}\b", "", page) for page in pages}) == 1
 

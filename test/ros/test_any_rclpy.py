@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from long_form import IS_LONG
 from other_rclpy import CALLS
 from support import PATIENCE, ROBOT
 
@@ -20,16 +19,14 @@ GIVEN = ["-p", "reference.strength_ut:=48.0", "-p", "reference.inclination_deg:=
          "-p", "report_folder:=none"]  # fmt: skip
 FALLEN_BACK = "rclpy's own executor serves the sensors from now on"
 INSIDE = ("_tasks", "_guard", "_sigint_gc", "can_execute", "_spin_once_impl")
+ONE_BY_ONE = [pytest.param((name,), marks=pytest.mark.nightly) for name in INSIDE]
+"""Together they show as much."""
+
 IN_MID_TURN = 600
 SPEED = 3.0
 """Slower than elsewhere: a machine that cannot keep up loses messages too."""
 
 pytestmark = pytest.mark.faults
-
-
-def one_by_one(names):
-    """Return each name alone, in the long form; together they show as much."""
-    return [(name,) for name in names] if IS_LONG else []
 
 
 LOST = 0.25
@@ -129,7 +126,7 @@ def calibrates_and_answers(run):
     assert run.actor.yaws
 
 
-@pytest.mark.parametrize("names", [INSIDE, *one_by_one(INSIDE)], ids=",".join)
+@pytest.mark.parametrize("names", [INSIDE, *ONE_BY_ONE], ids=",".join)
 def test_what_is_renamed_inside_is_not_missed(run_altered, tmp_path, names):
     record = tmp_path / "renamed"
     run = run_altered(f"rename({names!r}, {str(record)!r})")
@@ -141,7 +138,7 @@ def test_what_is_renamed_inside_is_not_missed(run_altered, tmp_path, names):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("owner", "name"), CALLS if IS_LONG else CALLS[-1:])
+@pytest.mark.parametrize(("owner", "name"), CALLS)
 def test_what_vanishes_in_mid_turn_costs_one_line_and_nothing_else(run_altered, owner, name):
     run = run_altered(f"vanish({owner!r}, {name!r}, {IN_MID_TURN})")
     calibrates_and_answers(run)

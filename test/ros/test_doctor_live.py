@@ -1,18 +1,30 @@
 """`magcal doctor` without a recording: it asks, the robot does, and the page says what is wrong."""
 
+import argparse
 import json
 import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import rclpy
-from support import PATIENCE, ROBOT
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import MagneticField
+from std_msgs.msg import String
+from support import PATIENCE, ROBOT, wait_until
 
+from magcal_ros.cli import doctor
+from magcal_ros.cli.doctor_live import gathered
+from magcal_ros.core.doctor.guide import Guide
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.ros.description import LATCHED
+from magcal_ros.ros.listener import Listener
 from magcal_ros.ros.sensor_source import SensorSource
 
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "doctor", "--json"]
@@ -79,3 +91,63 @@ def test_a_mirrored_gyro_is_named_after_the_guided_half_minute(examined):
     wrong = {f["key"]: f for f in json.loads(page)["findings"] if f["grade"] in ("warn", "refused")}
     assert set(wrong) == {"gyro_axes"}, wrong
     assert "z has the wrong sign" in wrong["gyro_axes"]["remedy"]
+
+
+URDF = """<robot name="mule"><joint name="mag" type="fixed"><parent link="imu_link"/>
+<child link="mag_link"/><origin rpy="{}"/></joint></robot>"""
+
+
+@pytest.fixture
+def looked(graph):
+    """The page of a robot whose magnetometer lies x forward, y right, z down."""
+    node, other = rclpy.create_node("doctor"), rclpy.create_node("robot")
+
+    def run(rpy, more=()):
+        samples = []
+        others = [each.create_publisher(MagneticField, "imu/mag", 10) for each in more]
+        source = SensorSource(other)
+        out = other.create_publisher(String, "robot_description", LATCHED)
+        out.publish(String(data=URDF.format(rpy)))
+        listener = Listener(node, "/imu/data_raw", "/imu/mag", samples.append)
+        wait_until(lambda: source.listeners > 0)
+        wait_until(lambda: len(listener.crowded) == bool(others))
+        mounted = replace(ROBOT, mounting=Mounting(pose=np.diag([1.0, -1.0, -1.0])))
+        executor, sent = SingleThreadedExecutor(), 0
+        executor.add_node(node)
+        ride = Ride(mounted, np.random.default_rng(1), start=100.0, imu_rate=50.0)
+        for tick in range(700):
+            turning = 0.9 if 100 < tick < 480 else 0.0
+            lift = -0.35 * (500 < tick < 550) + 0.35 * (580 < tick < 630)
+            for sample in ride.step(turning, tipping=np.array([0.0, lift, 0.0])):
+                source.publish(sample)
+                sent += 1
+            wait_until(lambda: executor.spin_once(0.01) or sum(listener.heard) == sent)  # noqa: B023
+        wait_until(lambda: executor.spin_once(0.01) or listener.described_pose is not None)
+        executor.shutdown()
+        parser = argparse.ArgumentParser()
+        doctor.add_to(parser.add_subparsers())
+        heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
+        return heard.page_with(examine(heard.log, heard.knowledge, heard.told))
+
+    yield run
+    for each in (node, other):
+        each.destroy_node()
+
+
+def wrong_lines(page):
+    return {finding.key: finding for finding in page.findings if finding.is_wrong}
+
+
+def test_a_description_that_is_right_is_called_so(looked):
+    page = looked("3.14159265 0 0")
+    assert wrong_lines(page) == {}
+    assert "description" in {finding.key for finding in page.findings}
+
+
+def test_a_description_that_differs_and_another_publisher_are_named(looked, graph):
+    intruder = rclpy.create_node("intruder")
+    wrong = wrong_lines(looked("0 0 0", more=[intruder]))
+    intruder.destroy_node()
+    assert set(wrong) == {"field_axes", "description", "publishers"}
+    assert 'rpy="3.142 0 0"' in wrong["description"].remedy
+    assert "intruder" in wrong["publishers"].evidence

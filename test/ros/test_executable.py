@@ -44,12 +44,21 @@ def installed(tmp_path_factory):
     return place / "install" / "magcal_ros"
 
 
+def before_others(**paths):
+    """What a setup file does: ROS itself may be found by the same variables."""
+    given = {name: os.environ.get(name, "") for name in paths}
+    return {
+        name: os.pathsep.join(filter(None, [str(path), given[name]]))
+        for name, path in paths.items()
+    }
+
+
 @pytest.fixture
 def run_installed(installed):
     """Return a function that runs the installed calibrator as `ros2 run` would."""
     processes = []
     site = next((installed / "lib").glob("python*/site-packages"))
-    environment = {**os.environ, "PYTHONPATH": str(site), "AMENT_PREFIX_PATH": str(installed)}
+    environment = {**os.environ, **before_others(PYTHONPATH=site, AMENT_PREFIX_PATH=installed)}
 
     def run(*arguments):
         process = subprocess.Popen(

@@ -10,12 +10,14 @@ import magcal_ros.ros
 from magcal_ros.ros.node import Calibrator
 from magcal_ros.ros.straight import StraightGroup
 
-OF_NAMED_TUPLES = {"_replace", "_asdict", "_fields"}
+DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit"}
+"""Public in spite of their names: those of named tuples, and of `os`."""
+
 FILES = sorted(Path(magcal_ros.ros.__file__).parent.rglob("*.py"))
 
 
 def is_private(name):
-    return name.startswith("_") and not name.endswith("__") and name not in OF_NAMED_TUPLES
+    return name.startswith("_") and not name.endswith("__") and name not in DOCUMENTED
 
 
 def private_reads(tree):

@@ -23,8 +23,8 @@ COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-pre
 @pytest.fixture
 def leisure(monkeypatch):
     """Let nothing be stopped because a busy machine is slow; test/core drives the limits."""
-    limits = ("silence", "gyro_silence", "longest_look", "listeners_within", "guarded_within")
-    patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(limits, PATIENCE))
+    names = ("silence", "gyro_silence", "longest_look", "listeners_within", "guarded_within")
+    patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(leash, "TUNING", replace(leash.TUNING, farthest_beyond=math.pi))

@@ -69,7 +69,7 @@ class TestInTheNode:
         keeping._machine.job(house.drive_knowledge())
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
-        assert keeping._machine.note(Findings(0.0, (), None, {})) == []
+        assert keeping._machine.note(Findings(0.0, (), None, None, {})) == []
 
 
 @pytest.mark.nightly

@@ -9,7 +9,7 @@ import pytest
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.parameter import Parameter
-from support import PATIENCE, REFERENCE, ROBOT, SPEED
+from support import IMU_RATE, PATIENCE, REFERENCE, ROBOT, SPEED
 
 from magcal_ros.ros import node as node_module
 from magcal_ros.ros.node import Calibrator
@@ -98,7 +98,8 @@ class Theatre:
         self._closing.callback(node.destroy_node)
         # Several share their sensors, or are in namespaces of their own.
         audience = self.calibrators[0] if len(self.calibrators) == 1 else None
-        rehearsal = PacedRobot(node, robot, audience=audience, **{"speed": SPEED, **options})
+        options = {"speed": SPEED, "imu_rate": IMU_RATE, **options}
+        rehearsal = PacedRobot(node, robot, audience=audience, **options)
         rehearsal.wait_for_node(PATIENCE)
         return rehearsal
 

@@ -100,6 +100,7 @@ IF_THE_GYRO_IS_RIGHT = (
     "together, for a mirrored gyro looks the same"
 )
 LIFT = "lift the nose by 20° while it turns"
+DRIVE = "; on a straight drive a receiver's course tells its yaw, too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,8 +180,12 @@ class AxesFound:
         if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
             len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
         ):
-            return "give the inclination of the field: only it tells all axes from their opposites"
-        return LIFT + ("" if self.dip_known else ", and give the field's inclination")
+            return (
+                "give the place or the field's inclination: only it tells axes from their opposites"
+            )
+        dip = "" if self.dip_known else ", and give the place or the field's inclination"
+        level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
+        return f"{LIFT}{dip}{DRIVE if level else ''}"
 
     def _say(self, axes: FloatArray) -> str:
         whole = np.rint(self.pose.T @ axes)

@@ -11,7 +11,8 @@ from magcal_ros.core.assessment.axes import LIFT, AxesFound
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
-from magcal_ros.core.doctor.upright import LEAST_TURN, Told
+from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
+from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations, spoken
 from magcal_ros.core.knowledge import Knowledge
@@ -23,8 +24,8 @@ NOTHING_FITS = (
     "iron"
 )
 TOLD_OTHERWISE = (
-    "all sensors saw a turn to the right where one to the left was asked for: if it was to the "
-    "left, all of them have z pointing down"
+    "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
+    "left. If it was to the left, all of them have z pointing down"
 )
 
 
@@ -96,12 +97,10 @@ def blame(
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, told)
-    right = misfit[given] < tuning.wrong
-    if not right or contrary[given]:
-        kept = remains & ~contrary
-        remains = kept if kept.any() else remains
-    if right and (not contrary[given] or not remains.any() or remains[given]):
-        return _all_agree(explanations, given, remains, knowledge, bool(contrary[given]))
+    if misfit[given] < tuning.wrong:
+        return _all_agree(explanations, given, remains, knowledge, contrary)
+    kept = remains & ~contrary
+    remains = kept if kept.any() else remains
     remains[given] = False
     left = [int(k) for k in np.flatnonzero(remains)]
     rank = {k: _erring(explanations, k) for k in left}
@@ -117,7 +116,7 @@ def _contrary(explanations: Explanations, told: Told) -> BoolArray:
     if told.turned_left is None:
         return np.zeros(count, dtype=np.bool_)
     turned = np.array([explanations.turned(k) for k in range(count)])
-    return np.asarray((np.abs(turned) > LEAST_TURN) & ((turned > 0.0) != told.turned_left))
+    return np.asarray((np.abs(turned) > UPRIGHT.least_turn) & ((turned > 0.0) != told.turned_left))
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
@@ -151,7 +150,7 @@ def _all_agree(
     given: int,
     remains: BoolArray,
     knowledge: Knowledge,
-    contrary: bool,
+    contrary: BoolArray,
 ) -> Blame:
     candidates = _field_candidates(explanations, remains, given)
     axes = AxesFound(candidates, True, knowledge.mounting.pose, _dip_known(knowledge))
@@ -159,10 +158,14 @@ def _all_agree(
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
     if more:
-        evidence += f" fit, and {more} other ways do. To tell which, {axes.movement or LIFT}"
+        rest = "one other way does" if more == 1 else f"{more} other ways do"
+        evidence += f" fit, and {rest}. To tell which, {axes.movement or LIFT}"
     found = [looked_at("axes", "axes", evidence)]
-    if contrary:
-        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", TOLD_OTHERWISE))
+    if contrary[given]:
+        others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
+        alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
+        said = TOLD_OTHERWISE + "".join(f", or the {sensor} alone errs" for sensor in alone)
+        found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes, True)
 
 
@@ -205,7 +208,7 @@ def _accused(
                 words.append((sensor, _force_words(_distinct(explanations.gyro[ways]), tuning)))
     either = len(culprits) > 1
     names = " or ".join(" and ".join(sensors) for sensors in culprits)
-    evidence = f"not those of the rest: {names}"
+    evidence = f"contradicted by the other sensors: {names}"
     tell = f". Either this or another sensor errs; to tell which, {LIFT}" if either else ""
     findings = tuple(
         wrong(f"{KEYS[sensor]}_axes", f"{sensor}: axes", evidence, said + tell)

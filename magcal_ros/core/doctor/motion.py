@@ -11,14 +11,16 @@ from magcal_ros.core.assessment.axes import AxesFound
 from magcal_ros.core.doctor.blame import blame
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
-from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factor
+from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
 from magcal_ros.core.doctor.upright import Told, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment_fit import BIAS, LAG, SCALE
+from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
+from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.stretch import Stretch
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
@@ -27,14 +29,11 @@ FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive ov
 FULL_TURN = "stand still, then turn a full circle"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
+LEANS = "lift the nose by 20° within a second or two"
 NO_GYRO = (
     "without a gyro nothing tells turned, swapped or mirrored axes of the magnetometer: check them "
     "by the data sheet, or drive straight where speed or a course is there"
 )
-
-
-LARGEST_NOISE = 0.25
-"""Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 
 
 @dataclass(frozen=True)
@@ -51,21 +50,28 @@ class MotionTuning:
         rad/s, standard deviation of a bias that was read at rest.
     borne_out : float
         Share of the bias by which the rate at rest may be another.
+    alike : float
+        Times the least residual with which a known unit of the gyro is preferred.
     lag : float
         Seconds between the sensors' stamps.
     sigmas : float
         So many standard deviations it must be, too.
     vague : tuple of float
-        Standard deviations of bias (rad/s), scale and lag (s) beyond which it is not shown.
+        Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
+        beyond which it is not shown.
+    largest_noise : float
+        Usual change between neighbours, over the whole changing part, that is no noise at rest.
     """
 
     bias: float = math.radians(0.8)
     scale: float = 0.03
     at_rest: float = math.radians(0.1)
     borne_out: float = 0.4
+    alike: float = 1.2
     lag: float = 0.015
     sigmas: float = 3.0
-    vague: tuple[float, float, float] = (math.radians(0.6), 0.015, 0.012)
+    vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    largest_noise: float = 0.25
 
 
 TUNING = MotionTuning()
@@ -89,6 +95,8 @@ class MotionFound:
         What makes rad/s of the gyro's numbers.
     up_is_down : bool or None
         Whether gravity's sign is what errs; None where that is not decided.
+    explained : bool
+        Whether the explanation explains the movement.
     """
 
     findings: tuple[Finding, ...]
@@ -97,6 +105,7 @@ class MotionFound:
     chosen: int = 0
     factor: float = 1.0
     up_is_down: bool | None = False
+    explained: bool = False
 
 
 def compare(
@@ -122,11 +131,10 @@ def compare(
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
-    factor = rate_factor(part.stretch)
-    body = replace(body, rate=factor * body.rate)
-    given = explain(body, knowledge.reference.inclination)
+    given, factor = _explained(body, rate_factors(part.stretch), knowledge, tuning)
     if given is None:
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+    body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     other = given.with_inclination(_opposite(knowledge.reference.inclination))
     stands = upright(log, given, other, told)
@@ -137,16 +145,39 @@ def compare(
         findings += _gyro_errors(
             explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped, tuning
         )
-        findings.append(_latency(explanations, blamed.chosen, prepared.restamped, tuning))
+        if prepared.restamped:
+            findings.append(not_shown("latency", "field: latency", NO_BURSTS))
+        else:
+            findings += _latencies(body, explanations, blamed.chosen, tuning)
     return MotionFound(
-        tuple(findings), blamed.axes, explanations, blamed.chosen, factor, stands.sign_wrong
+        tuple(findings),
+        blamed.axes,
+        explanations,
+        blamed.chosen,
+        factor,
+        stands.sign_wrong,
+        blamed.explained,
     )
+
+
+def _explained(
+    log: SensorLog, factors: tuple[float, ...], knowledge: Knowledge, tuning: MotionTuning
+) -> tuple[Explanations | None, float]:
+    """Explain the movement with the unit of the gyro that fits best, a known one if it can be."""
+    inclination = knowledge.reference.inclination
+    ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in factors]
+    found = [(way, f, float(way.rms[way.best])) for way, f in ways if way is not None]
+    # A gyro that may be right and turned too little shows nothing.
+    if not found or (1.0 in factors and ways[factors.index(1.0)][0] is None):
+        return None, factors[0]
+    least = min(rms for _, _, rms in found)
+    return next((way, f) for way, f, rms in found if rms <= tuning.alike * least)
 
 
 def _field_moves(stretch: Stretch) -> bool:
     """Return whether the field changes by more than its noise."""
     usual = float(np.median(np.linalg.norm(np.diff(stretch.field, axis=0), axis=1)))
-    return usual < LARGEST_NOISE
+    return usual < TUNING.largest_noise
 
 
 def _opposite(belief: Belief) -> Belief:
@@ -158,7 +189,7 @@ def _nothing_shown(why: str) -> tuple[Finding, ...]:
         not_shown("axes", "axes", why),
         not_shown("gyro_bias", "gyro: bias", why),
         not_shown("rate_scale", "gyro: scale", why),
-        not_shown("latency", "latency", why),
+        not_shown("latency", "field: latency", why),
     )
 
 
@@ -222,18 +253,52 @@ def _borne_out(rest: Rest | None, bias: FloatArray, tuning: MotionTuning) -> boo
     return float(np.linalg.norm(rest.rate - bias)) < max(tuning.bias, tuning.borne_out * size)
 
 
-def _latency(
-    explanations: Explanations, chosen: int, restamped: bool, tuning: MotionTuning
-) -> Finding:
-    if restamped:
-        return not_shown("latency", "latency", NO_BURSTS)
-    lag, off = float(explanations.parameters[chosen, LAG]), float(explanations.sigma[chosen, LAG])
-    evidence = f"the field is {lag * 1e3:+.0f} ± {off * 1e3:.0f} ms late against the gyro"
-    if off > tuning.vague[2]:
-        return not_shown("latency", "latency", f"within {off * 1e3:.0f} ms; {STARTS}")
-    remedy = (
-        f"stamp both sensors when they measure: take {lag:.3f} s off the field's stamps in its "
-        "driver, or add it to the IMU's"
+def _latencies(
+    log: SensorLog, explanations: Explanations, chosen: int, tuning: MotionTuning
+) -> list[Finding]:
+    """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
+    field, force = (
+        measured if measured is not None and measured.sigma < vague else None
+        for measured, vague in (
+            (field_latency(log, explanations, chosen), tuning.vague[2]),
+            (force_latency(log, explanations, chosen), tuning.vague[3]),
+        )
     )
-    too_late = abs(lag) > max(tuning.lag, tuning.sigmas * off)
-    return looked_at("latency", "latency", evidence, remedy * too_late)
+    field_lag, force_lag = _significant(field, tuning), _significant(force, tuning)
+    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < tuning.lag:
+        of_field = of_force = (
+            f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp "
+            "it when it measures, and give it the accelerometer's low-pass filter"
+        )
+    else:
+        mend = ("take {} off", "add it to") if field_lag > 0.0 else ("add {} to", "take it off")
+        of_field = (
+            "stamp both sensors when they measure: "
+            f"{mend[0].format(f'{abs(field_lag):.3f} s')} the field's stamps in its driver, or "
+            f"{mend[1]} the IMU's"
+        )
+        of_force = (
+            f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "
+            "both the same low-pass filter, and publish what was measured together"
+        )
+    return [
+        _latency("latency", "field: latency", field, STARTS, of_field * bool(field_lag)),
+        _latency(
+            "force_latency", "accelerometer: latency", force, LEANS, of_force * bool(force_lag)
+        ),
+    ]
+
+
+def _significant(latency: Latency | None, tuning: MotionTuning) -> float:
+    """Return a latency that is worth a word, seconds; zero for others."""
+    if latency is None or abs(latency.lag) < max(tuning.lag, tuning.sigmas * latency.sigma):
+        return 0.0
+    return latency.lag
+
+
+def _latency(key: str, name: str, latency: Latency | None, tells: str, remedy: str) -> Finding:
+    if latency is None:
+        return not_shown(key, name, tells)
+    lag, off = round(latency.lag * 1e3), latency.sigma * 1e3
+    how = f"{abs(lag)} ± {off:.0f} ms {'early' if lag < 0 else 'late'} against the gyro"
+    return looked_at(key, name, how, remedy)

@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.axes import parameter_line
 from magcal_ros.core.assessment.grading import Grade, worst
+from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
 from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.motion import MotionFound, compare
@@ -34,10 +35,13 @@ class Page:
     mount_rpy_deg : tuple of int, or None
         The mounting that alone mends the magnetometer's axes; None where none does, or where none
         has to.
+    used : AxesInUse or None
+        What a drive's course can be compared with.
     """
 
     findings: tuple[Finding, ...]
     mount_rpy_deg: tuple[int, int, int] | None = None
+    used: AxesInUse | None = None
 
     @property
     def is_wrong(self) -> bool:
@@ -57,6 +61,13 @@ class Page:
     def with_more(self, findings: Iterable[Finding]) -> Page:
         """Return the page with more lines."""
         return replace(self, findings=(*self.findings, *findings))
+
+    def with_course(self, seen: CourseSeen) -> Page:
+        """Return the page with what the course says of the axes' yaw, which no turn can tell."""
+        assert self.used is not None
+        lines, mount = course_findings(self.used, seen)
+        page = self.with_more(lines)
+        return page if mount is None else replace(page, mount_rpy_deg=mount)
 
 
 def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Told()) -> Page:
@@ -82,7 +93,11 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
     axes = found.axes
     if axes is not None and not axes.right and len(axes.candidates) == 1:
         mount = axes.mount_rpy_deg
-    return Page(tuple(lines), mount)
+    used = None
+    if found.explained and found.factor == 1.0 and not found.up_is_down:
+        assert found.explanations is not None
+        used = axes_in_use(found.explanations, found.chosen, knowledge)
+    return Page(tuple(lines), mount, used)
 
 
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
@@ -96,8 +111,9 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
 
 
 def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) -> list[Finding]:
-    if found.explanations is None or any(f.key == "nothing_fits" for f in found.findings):
+    if not found.explained:
         return []
+    assert found.explanations is not None
     log = prepared.log
     body = replace(
         log, rate=found.factor * log.rate, field=log.field @ knowledge.mounting.to_body.T

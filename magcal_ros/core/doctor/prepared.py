@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.doctor.clocks import on_one_clock
 from magcal_ros.core.doctor.finding import Finding, wrong
 from magcal_ros.core.doctor.health import (
     HealthTuning,
@@ -97,6 +98,9 @@ def prepare(
         if log.has_gyro:
             findings.append(alive_finding("gyro", log.rate))
     log = _fresh(log, health)
+    if min(len(log.force), len(log.field)) > health.fewest:
+        log, clocks = on_one_clock(log)
+        findings += clocks
     log, more = _without_frozen(log, frozen)
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more

@@ -68,8 +68,8 @@ def longest_rest(log: SensorLog, tuning: QuietTuning = QuietTuning()) -> Rest | 
     if count < tuning.blocks:
         return None
     edges: FloatArray = begin + tuning.block * np.arange(count + 1, dtype=np.float64)
-    rate, force = (_means(log.imu_time, values, edges) for values in (log.rate, log.force))
-    field = _means(log.field_time, log.field, edges)
+    rate, force = (block_means(log.imu_time, values, edges) for values in (log.rate, log.force))
+    field = block_means(log.field_time, log.field, edges)
     per_block = max(len(log.field) * tuning.block / max(end - begin, 1e-9), 1.0)
     noise = np.median(np.abs(np.diff(log.field, axis=0))) / 0.95 / math.sqrt(per_block)
     size = float(np.median(np.linalg.norm(log.field, axis=1)))
@@ -93,18 +93,16 @@ def longest_rest(log: SensorLog, tuning: QuietTuning = QuietTuning()) -> Rest | 
     return Rest(rate[first : last + 1].mean(axis=0), moved < limit and would > 3.0 * limit)
 
 
-def _means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
-    """Return means (k, 3) between edges (k + 1,); infinite where nothing lies between."""
+def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
+    """Return means (k, 3) between edges (k + 1,); not a number where nothing lies between."""
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     rows = np.searchsorted(time, edges)
     number = np.diff(rows)
-    mean = np.diff(total[rows], axis=0) / np.maximum(number, 1)[:, None]
-    mean[number == 0] = np.inf
-    return np.asarray(mean)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.diff(total[rows], axis=0) / number[:, None])
 
 
 def _step(values: FloatArray) -> FloatArray:
     """Return how far neighbours (k, 3) are apart, shape (k - 1,); infinite where one is."""
-    with np.errstate(invalid="ignore"):
-        apart = np.linalg.norm(np.diff(values, axis=0), axis=1)
+    apart = np.linalg.norm(np.diff(values, axis=0), axis=1)
     return np.asarray(np.where(np.isfinite(apart), apart, np.inf))

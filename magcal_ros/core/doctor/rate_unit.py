@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,37 +20,56 @@ KNOWN: tuple[tuple[float, str], ...] = (
 )
 """What makes rad/s of rates that people have published, and how it comes to be."""
 
-PLAIN = 5.0
-"""Times too large or too small from which no scale error can be meant."""
-CLOSE = 2.2
-"""Times by which the rough look may be off a known factor."""
-SPAN = 0.5
-"""Seconds over which field and gyro are compared."""
-MOVED = 0.15
-"""Share of its size by which the field must move in that time to take part."""
+
+@dataclass(frozen=True)
+class RateUnitTuning:
+    """When the gyro is taken to count in another unit.
+
+    Parameters
+    ----------
+    plain : float
+        Times too large or too small from which no scale error can be meant.
+    span : float
+        Seconds over which field and gyro are compared.
+    moved : float
+        Share of its size by which the field must move in that time to take part.
+    below, above : float
+        Times by which a known factor may be below and above the rough one: short arcs and noise
+        make that too large.
+    """
+
+    plain: float = 5.0
+    span: float = 0.5
+    moved: float = 0.15
+    below: float = 8.0
+    above: float = 2.2
 
 
-def rate_factor(stretch: Stretch) -> float:
-    """Return what the gyro's rates must be multiplied by to be rad/s; 1 if they are.
+TUNING = RateUnitTuning()
+
+
+def rate_factors(stretch: Stretch) -> tuple[float, ...]:
+    """Return what may make rad/s of the gyro's rates, the likeliest first; 1 alone if they are.
 
     The way that the field goes in half a second is its size times the angle; the size is that of
     the field's changing part, which is right within a factor two for a quarter turn or more.
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
-    last = np.searchsorted(seconds, seconds + SPAN)
+    last = np.searchsorted(seconds, seconds + TUNING.span)
     first = np.flatnonzero(last < len(seconds))
     last = last[first]
     way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
     turned = np.linalg.norm(angle[last] - angle[first], axis=1)
-    moved = way > max(MOVED, 0.5 * float(np.max(way, initial=0.0)))
+    moved = way > max(TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
     if moved.sum() < 3:
-        return 1.0
+        return (1.0,)
     rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
-    if 1.0 / PLAIN < rough < PLAIN:
-        return 1.0
-    near = min((factor for factor, _ in KNOWN), key=lambda f: abs(math.log(rough / f)))
-    return near if abs(math.log(rough / near)) < math.log(CLOSE) else rough
+    if 1.0 / TUNING.plain < rough < TUNING.plain:
+        return (1.0,)
+    known = (1.0, *(factor for factor, _ in KNOWN))
+    near = [factor for factor in known if rough / TUNING.below < factor < rough * TUNING.above]
+    return (*sorted(near, key=lambda factor: abs(math.log(rough / factor))), rough)
 
 
 def factor_in_words(factor: float) -> str:

@@ -37,6 +37,12 @@ def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Re
     return explained(refusal, window) if wrong is None else wrong
 
 
+def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return the refusal of a turn that was not seen, or what the page says of the sensors."""
+    words = _by_the_page(window, knowledge)
+    return Refusal(Reason.AXES_DISAGREE, words) if words else refusal
+
+
 def _by_the_page(window: Window, knowledge: Knowledge) -> str:
     findings = examine_window(window, knowledge).findings
     return "; ".join(f.remedy for f in findings if f.is_wrong and f.key in AXES)

@@ -13,12 +13,28 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.signed_axes import DIRECTIONS
 from magcal_ros.core.samples.sensor_log import SensorLog
 
-LEAST_UPRIGHT = 0.5
-"""Share of gravity on z from which z points up."""
-CLEAR = 12.0
-"""Chi-square between an explanation and another that decides."""
-LEAST_TURN = math.radians(30.0)
-"""Turn whose sense is believed."""
+
+@dataclass(frozen=True)
+class UprightTuning:
+    """When gravity is called upright or upside down.
+
+    Parameters
+    ----------
+    least_upright : float
+        Share of gravity on z from which z points up.
+    clear : float
+        Chi-square between an explanation and another that decides.
+    least_turn : float
+        Turn whose sense is believed.
+    """
+
+    least_upright: float = 0.5
+    clear: float = 12.0
+    least_turn: float = math.radians(30.0)
+
+
+TUNING = UprightTuning()
+
 
 SIGN = (
     "gravity has the wrong sign: REP-145 wants +9.81 on z at rest, so negate linear_acceleration "
@@ -84,9 +100,9 @@ def upright(
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
-    if usual[2] > LEAST_UPRIGHT:
+    if usual[2] > TUNING.least_upright:
         return Upright((looked_at("gravity_sign", name, evidence),))
-    if usual[2] > -LEAST_UPRIGHT:
+    if usual[2] > -TUNING.least_upright:
         return Upright((wrong("imu_axes", name, evidence, sideways(usual)),))
     flipped = _is_flipped(given, other, told)
     if flipped is None:
@@ -112,10 +128,10 @@ def _is_flipped(given: Explanations | None, other: Explanations | None, told: To
     if given is None or other is None:
         return None
     best = given.best
-    if told.turned_left is not None and abs(given.turned(best)) > LEAST_TURN:
+    if told.turned_left is not None and abs(given.turned(best)) > TUNING.least_turn:
         # About an up that points down a turn to the left looks like one to the right.
         return (given.turned(best) > 0.0) is not told.turned_left
     as_given, turned_round = given.field_right, other.field_right
-    if abs(as_given - turned_round) < CLEAR:
+    if abs(as_given - turned_round) < TUNING.clear:
         return None
     return turned_round < as_given

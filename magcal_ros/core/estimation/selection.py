@@ -227,7 +227,7 @@ def with_soft_iron_or_without(
     """
     gain = look.gain * _inefficiency(plain)
     # Where soft iron was taken for outliers, what is left no longer shows its slope.
-    honest = honest and plain.block.weighting.inliers.mean() > RULE.honest_share
+    honest = honest and bool(plain.block.weighting.inliers.mean() > RULE.honest_share)
     if always or not honest or gain > RULE.worth_a_fit:
         iron = rich()
         gain = soft_iron_gain(plain, iron)

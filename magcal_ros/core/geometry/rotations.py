@@ -60,6 +60,28 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
     return np.asarray(part * longer[:, None])
 
 
+def chained(steps: FloatArray) -> FloatArray:
+    """Return the products of steps (k, n, 3, 3), each on the left of those before it.
+
+    Shape (k, n + 1, 3, 3), the first ones of each k being the identity. Blocks of about the root of
+    n steps are multiplied side by side and then put behind one another.
+    """
+    count, n = steps.shape[:2]
+    length = max(1, math.isqrt(n))
+    blocks = -(-n // length)
+    padded = np.broadcast_to(np.eye(3), (count, blocks * length, 3, 3)).copy()
+    padded[:, :n] = steps
+    within = padded.reshape(count, blocks, length, 3, 3)
+    for row in range(1, length):
+        within[:, :, row] = within[:, :, row] @ within[:, :, row - 1]
+    before = np.broadcast_to(np.eye(3), (count, blocks, 3, 3)).copy()
+    for block in range(1, blocks):
+        before[:, block] = within[:, block - 1, -1] @ before[:, block - 1]
+    out = np.broadcast_to(np.eye(3), (count, n + 1, 3, 3)).copy()
+    out[:, 1:] = (within @ before[:, :, None]).reshape(count, -1, 3, 3)[:, :n]
+    return out
+
+
 def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
     k = skew(axis)

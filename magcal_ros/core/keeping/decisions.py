@@ -28,7 +28,7 @@ class Decision:
     Parameters
     ----------
     clock : float
-        Of the drive, seconds of movement.
+        Seconds of movement since the drive began.
     verb : Verb
     words : str
         What and why, one sentence.

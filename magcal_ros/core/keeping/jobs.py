@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
@@ -10,6 +11,13 @@ from magcal_ros.core.keeping.candidates import DriveCandidate
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
+
+
+class Step(NamedTuple):
+    """A correction, and the clock from which road is read by it, seconds."""
+
+    since: float
+    correction: Correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,15 +28,15 @@ class Contest:
     ----------
     name : str
         Whose it is, to tell the answers apart.
-    old, new : Correction
-    since : float
-        Clock from which road counts, seconds.
+    old : Correction
+    new : tuple of Step
+        One after another, each for the road that it was not fitted to; what is before the first
+        does not count.
     """
 
     name: str
     old: Correction
-    new: Correction
-    since: float
+    new: tuple[Step, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +80,9 @@ class Findings:
     clock : float
         Of the newest road, seconds.
     candidates : tuple of DriveCandidate
-    since_change : DriveCandidate or None
-        The hard iron of all road since the change that was found.
+    since_change, finer : DriveCandidate or None
+        The hard iron of all road since a change that is suspected, and since the one that was
+        proved.
     proofs : dict of str to Proof
         By the contests' names.
     """
@@ -81,6 +90,7 @@ class Findings:
     clock: float
     candidates: tuple[DriveCandidate, ...]
     since_change: DriveCandidate | None
+    finer: DriveCandidate | None
     proofs: dict[str, Proof]
 
 

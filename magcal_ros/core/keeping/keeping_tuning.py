@@ -12,8 +12,8 @@ class KeepingTuning:
 
     Parameters
     ----------
-    look_every : float
-        Seconds between two looks.
+    look_every, look_again : float
+        Seconds between two looks, and while a changed hard iron is on probation.
     windows, iron_windows : tuple of float
         Seconds of road to which all twelve numbers are fitted, and the hard iron alone.
     look_back, shortest_since, longest_since : float
@@ -24,8 +24,11 @@ class KeepingTuning:
         driving shows.
     more_road : float
         Times the road it came of that this must be fitted to.
-    notice_sigma : float
-        Radians of heading to which a change of the hard iron must be known to be told.
+    notice_sigma, notice_differs : float
+        Radians of heading to which a change of the hard iron must be known to be told, and how many
+        sigmas it must differ from what is in force.
+    plainly : float
+        Share of the difference from what is in force that a changed hard iron may be uncertain by.
     largest_sigma : float
         Radians of heading beyond which a candidate is not believed.
     fewest_sectors, fewest_for_iron : int
@@ -44,9 +47,12 @@ class KeepingTuning:
         Sigmas by which turns must be quieter, and the least mean log ratio.
     turn_spread, pseudo_turns : float
         Usual spread of the log ratios and how many turns it counts for.
-    likelihood_proof : float
-        Fall of minus log likelihood, independent units, on the road of probation; with a rise in
-        neither half.
+    likelihood_proof, iron_proof : float
+        Fall of minus log likelihood, independent units, on the road of probation, with a rise in
+        neither half; less is asked of a hard iron, which was far off already to be noticed.
+    elsewhere_proof : float
+        Units of it that must be left without the quarter of headings that speaks most, where all
+        twelve numbers are new.
     shortest_proof : float
         Seconds of road before which no likelihood is believed.
     agree : float
@@ -60,14 +66,17 @@ class KeepingTuning:
     """
 
     look_every: float = 20.0
+    look_again: float = 10.0
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
-    iron_windows: tuple[float, ...] = (60.0, 90.0, 120.0)
+    iron_windows: tuple[float, ...] = (60.0, 120.0)
     look_back: float = 240.0
-    shortest_since: float = 40.0
+    shortest_since: float = 25.0
     longest_since: float = 300.0
-    finer: float = 0.75
-    more_road: float = 1.3
+    finer: float = 0.9
+    more_road: float = 1.15
     notice_sigma: float = math.radians(5.0)
+    notice_differs: float = 4.0
+    plainly: float = 0.2
     largest_sigma: float = math.radians(3.0)
     fewest_sectors: int = 6
     fewest_for_iron: int = 4
@@ -83,7 +92,9 @@ class KeepingTuning:
     turn_spread: float = 0.35
     pseudo_turns: float = 4.0
     likelihood_proof: float = 12.0
-    shortest_proof: float = 20.0
+    iron_proof: float = 8.0
+    elsewhere_proof: float = 2.0
+    shortest_proof: float = 15.0
     agree: float = 2.0
     course_proof: float = 20.0
     kept: int = 3

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.keeping.candidates import DriveCandidate
+from magcal_ros.core.keeping.jobs import Step
 
 
 class Mode(str, Enum):
@@ -29,6 +31,33 @@ class Trial:
 
     calibration: Calibration
     since: float
+
+
+@dataclass(frozen=True, eq=False)
+class Probation:
+    """A candidate that has to prove itself.
+
+    Parameters
+    ----------
+    candidate : DriveCandidate
+        As it is known by now.
+    steps : tuple of Step
+        What it was at each look, for the road from there.
+    """
+
+    candidate: DriveCandidate
+    steps: tuple[Step, ...]
+
+    @staticmethod
+    def of(candidate: DriveCandidate, before: Probation | None = None) -> Probation:
+        """Return the probation of a candidate, or of one that is known better by now."""
+        step = Step(candidate.end, candidate.calibration.correction)
+        return Probation(candidate, (*(before.steps if before else ()), step))
+
+    @property
+    def since(self) -> float:
+        """Clock from which road counts, seconds."""
+        return self.steps[0].since
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:

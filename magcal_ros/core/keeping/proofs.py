@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from magcal_ros.core.keeping.candidates import Kind
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 
 
@@ -24,6 +25,9 @@ class Proof:
         Fall of minus log likelihood on all of the road, independent units.
     halves : tuple of float
         The same of its two halves.
+    elsewhere : float
+        What of it is left without the quarter of headings that speaks most for the new one: steel
+        on one side of the way speaks in one alone.
     """
 
     seconds: float = 0.0
@@ -32,19 +36,31 @@ class Proof:
     turn_gain: float = 0.0
     likelihood: float = 0.0
     halves: tuple[float, float] = (0.0, 0.0)
+    elsewhere: float = 0.0
 
-    def stands(self, tuning: KeepingTuning = KEEPING) -> str:
-        """Return in words by what the new one is proved better; empty if it is not."""
+    def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind | None = None) -> str:
+        """Return in words by what the new one is proved better; empty if it is not.
+
+        Parameters
+        ----------
+        tuning : KeepingTuning
+        kind : Kind or None
+            Of the new one; None where it was in force before.
+        """
+        enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
         if (
             self.turns >= tuning.fewest_turns
             and self.turn_score > tuning.turn_proof
             and self.turn_gain > tuning.least_gain
+            and self.likelihood >= 0.0
         ):
             gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
             return f"{self.turns} turns driven since are {gain:.0f}% quieter"
-        if self.likelihood > tuning.likelihood_proof and min(self.halves) > 0.0:
+        if kind is Kind.ALL and self.elsewhere < tuning.elsewhere_proof:
+            return ""
+        if self.likelihood > enough and min(self.halves) > 0.0:
             return (
-                f"{self.seconds:.0f} s of road driven since are likelier by"
-                f" {self.likelihood:.0f} units, both halves alike"
+                f"it explains {self.seconds:.0f} s of road driven since better, by"
+                f" {self.likelihood:.0f} units of log likelihood and in both halves"
             )
         return ""

@@ -3,40 +3,50 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.keeping.jobs import Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.drive_model import turned_into
-from magcal_ros.core.smoothing.fit import corrected, favour
+from magcal_ros.core.smoothing.fit import corrected, favour_of
 from magcal_ros.core.smoothing.nodes import Nodes
 
 
 def prove(
     nodes: Nodes,
     old: Correction,
-    new: Correction,
+    new: tuple[Step, ...],
     knowledge: Knowledge,
     tuning: KeepingTuning = KEEPING,
 ) -> Proof:
     """Compare two calibrations on road that neither was fitted to.
 
+    Of a new one that is fitted anew now and then each stretch is foretold by the fit before it
+    (prequential; Dawid, 1984), so that all road since the first fit counts.
+
     Parameters
     ----------
     nodes : Nodes
-        That road.
-    old, new : Correction
+        That road, and more.
+    old : Correction
+    new : tuple of Step
     knowledge : Knowledge
     tuning : KeepingTuning
     """
-    if len(nodes) < 4:
+    rows = np.flatnonzero(nodes.time > new[0].since)
+    if len(rows) < 4:
         return Proof()
+    nodes = nodes.take(rows)
     seconds = float(nodes.time[-1] - nodes.time[0])
-    ratios = turn_ratios(nodes, old, new, knowledge, tuning)
+    before = _read(nodes, (Step(-math.inf, old),), knowledge)
+    after = _read(nodes, new, knowledge)
+    ratios = turn_ratios(before, after, tuning)
     turns = len(ratios)
     score = gain = 0.0
     if turns:
@@ -45,35 +55,37 @@ def prove(
         squares += tuning.pseudo_turns * tuning.turn_spread**2
         spread = math.sqrt(squares / (turns - 1 + tuning.pseudo_turns))
         score = gain / (spread / math.sqrt(turns))
-    likelihood, halves = 0.0, (0.0, 0.0)
+    likelihood, elsewhere, halves = 0.0, 0.0, (0.0, 0.0)
     if seconds >= tuning.shortest_proof:
-        likelihood = favour(nodes, old, new, knowledge)
+        likelihood, elsewhere = favour_of(before, after, knowledge)
         middle = len(nodes) // 2
-        parts = nodes.take(np.arange(middle)), nodes.take(np.arange(middle, len(nodes)))
-        if likelihood > tuning.likelihood_proof:
-            first, second = (favour(part, old, new, knowledge) for part in parts)
+        parts = np.arange(middle), np.arange(middle, len(nodes))
+        if likelihood > min(tuning.iron_proof, tuning.likelihood_proof):
+            first, second = (
+                favour_of(before.take(part), after.take(part), knowledge)[0] for part in parts
+            )
             halves = first, second
-    return Proof(seconds, turns, score, gain, likelihood, halves)
+    return Proof(seconds, turns, score, gain, likelihood, halves, elsewhere)
 
 
-def turn_ratios(
-    nodes: Nodes,
-    old: Correction,
-    new: Correction,
-    knowledge: Knowledge,
-    tuning: KeepingTuning = KEEPING,
-) -> FloatArray:
+def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:
+    """Return the nodes, each corrected by the step of its time."""
+    field = nodes.field.copy()
+    for since, correction in steps:
+        later = nodes.time > since
+        field[later] = corrected(nodes, correction, knowledge.mounting.matrix).field[later]
+    return replace(nodes, field=field)
+
+
+def turn_ratios(old: Nodes, new: Nodes, tuning: KeepingTuning = KEEPING) -> FloatArray:
     """Return for each turn the log of the old field's wander over the new one's, shape (k,).
 
-    Turned back by the gyro a field should stand still.
+    Both are the same corrected nodes. Turned back by the gyro a field should stand still.
     """
-    back = np.swapaxes(nodes.axes @ turned_into(nodes.heading), 1, 2)
-    fields = []
-    for each in (old, new):
-        inside = corrected(nodes, each, knowledge.mounting.matrix)
-        fields.append(np.einsum("nij,nj->ni", back, inside.field)[:, :2])
+    back = np.swapaxes(old.axes @ turned_into(old.heading), 1, 2)
+    fields = [np.einsum("nij,nj->ni", back, each.field)[:, :2] for each in (old, new)]
     found = []
-    for first, last in _turns(nodes, tuning):
+    for first, last in _turns(old, tuning):
         wander = [_wander(field[first : last + 1]) for field in fields]
         found.append(math.log(max(wander[0], 1e-6) / max(wander[1], 1e-6)))
     return np.array(found)

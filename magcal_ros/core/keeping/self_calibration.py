@@ -24,9 +24,9 @@ from magcal_ros.core.keeping.candidates import (
     is_another,
 )
 from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings
+from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
-from magcal_ros.core.keeping.modes import Mode, Trial, is_same
+from magcal_ros.core.keeping.modes import Mode, Probation, Trial, is_same
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
@@ -58,13 +58,12 @@ class SelfCalibration:
         self._recorder = DriveRecorder(MEMORY)
         self._in_force: Calibration | None = None
         self._before: deque[Calibration] = deque(maxlen=tuning.kept)
-        self._on_probation: dict[Kind, DriveCandidate] = {}
+        self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Trial | None = None
         self._decisions: deque[Decision] = deque(maxlen=tuning.remembered)
         self._not_before = self._changed = -math.inf
         self._promised = self._road = 0.0
-        self._has_noticed = False
         self._looked = -math.inf
         self._round = 0
         self._pending = 0
@@ -98,7 +97,8 @@ class SelfCalibration:
         if self.proposal is not None:
             return "a calibration is proposed: call accept to put it in force"
         if self._on_probation:
-            worded = " and ".join(each.in_words for each in self._on_probation.values())
+            each = self._on_probation.values()
+            worded = " and ".join(probation.candidate.in_words for probation in each)
             return f"on probation: {worded}"
         if self._recorder.rests:
             return "waiting for movement"
@@ -141,9 +141,10 @@ class SelfCalibration:
         self._trial = None
         if decided and old is not None and not rolled:
             self._trial = Trial(old, self._recorder.clock)
-        self._has_noticed = False
         if not decided or rolled:
-            self._not_before = self._changed = -math.inf
+            self._changed = -math.inf
+        if not decided:
+            self._not_before = -math.inf
 
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
@@ -153,7 +154,9 @@ class SelfCalibration:
             return False
         if self._pending or self._recorder.seconds < min(self.tuning.iron_windows):
             return False
-        return self._recorder.clock - self._looked >= self.tuning.look_every
+        tuning = self.tuning
+        wait = tuning.look_again if Kind.IRON in self._on_probation else tuning.look_every
+        return self._recorder.clock - self._looked >= wait
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
@@ -166,20 +169,19 @@ class SelfCalibration:
             windows = windows[self._round % len(windows) :][:1]
         contests, suspect = [], self._on_probation.get(Kind.IRON)
         if in_force is not None:
-            for kind, candidate in self._on_probation.items():
-                new = candidate.calibration.correction
-                contests.append(Contest(kind.value, in_force.correction, new, candidate.end))
+            for kind, probation in self._on_probation.items():
+                contests.append(Contest(kind.value, in_force.correction, probation.steps))
             if self._trial is not None:
-                old = self._trial.calibration.correction
-                contests.append(Contest(TRIAL, in_force.correction, old, self._trial.since))
+                old = Step(self._trial.since, self._trial.calibration.correction)
+                contests.append(Contest(TRIAL, in_force.correction, (old,)))
         return DriveJob(
             self._recorder.log(),
             knowledge,
             in_force,
             windows,
-            tuning.iron_windows if in_force is not None else (),
+            tuning.iron_windows if in_force is not None and suspect is None else (),
             self._not_before,
-            None if suspect is None else suspect.calibration.correction,
+            None if suspect is None else suspect.candidate.calibration.correction,
             self._changed,
             tuple(contests),
         )
@@ -201,6 +203,8 @@ class SelfCalibration:
         if not is_current:
             return []
         made = self._weigh(findings)
+        if not math.isnan(self._recorder.begun):
+            made = [replace(each, clock=each.clock - self._recorder.begun) for each in made]
         self._decisions.extend(made)
         return made
 
@@ -213,8 +217,8 @@ class SelfCalibration:
         made += self._proved(findings) or self._refined(findings, self._in_force)
         if made and made[-1].changes:
             return made
-        made += self._noticed(findings, self._in_force)
-        return made + self._take_up(findings, self._in_force)
+        made += self._take_up(findings, self._in_force)
+        return made + self._notice(findings, self._in_force)
 
     def _begin(self, findings: Findings) -> list[Decision]:
         """With nothing in force two windows that agree are enough: nobody is harmed by waiting."""
@@ -246,30 +250,31 @@ class SelfCalibration:
             return []
         why = proof.stands(self.tuning)
         if why:
-            self._trial = None
+            self._trial, self._not_before = None, trial.since
             words = f"the calibration before was better after all: {why} under it"
             verb = Verb.PROPOSED if self.mode is Mode.PROPOSE else Verb.ROLLED_BACK
             return [self._change(findings.clock, trial.calibration, words, verb)]
         if proof.seconds > self.tuning.longest_trial:
             self._trial = None
-            words = f"{proof.seconds:.0f} s of road since it is in force speak for nothing else"
+            words = f"{proof.seconds:.0f} s of road speak for nothing that was in force before"
             return [Decision(findings.clock, Verb.CONFIRMED, words)]
         return []
 
     def _proved(self, findings: Findings) -> list[Decision]:
         made: list[Decision] = []
-        for kind in list(self._on_probation):
+        for kind, probation in list(self._on_probation.items()):
             proof = findings.proofs.get(kind.value, Proof())
-            candidate = self._on_probation[kind]
-            why = proof.stands(self.tuning) or self._by_course(candidate)
-            if why:
+            if kind is Kind.IRON:
+                probation = self._followed(probation, findings)
+            candidate = probation.candidate
+            why = proof.stands(self.tuning, kind) or self._by_course(candidate)
+            if why and self._is_believable(candidate):
                 if kind is Kind.IRON:
-                    candidate = self._with_road_since(candidate, findings)
+                    self._changed = self._not_before = candidate.start
                 words = f"{candidate.in_words}: {why}"
                 return [*made, self._change(findings.clock, candidate.calibration, words)]
-            if findings.clock - candidate.end > self.tuning.longest_probation:
+            if findings.clock - probation.since > self.tuning.longest_probation:
                 del self._on_probation[kind]
-                self._has_noticed = False
                 words = f"{candidate.in_words}: not proved better on the road since"
                 made.append(Decision(findings.clock, Verb.DROPPED, words))
         return made
@@ -283,80 +288,86 @@ class SelfCalibration:
             return ""
         return f"it explains how the compass swings against course (chi-square falls by {gain:.0f})"
 
-    def _with_road_since(self, candidate: DriveCandidate, findings: Findings) -> DriveCandidate:
-        """Return the iron of all road since the change: that it changed is what was proved."""
-        self._changed = self._not_before = candidate.start
+    def _followed(self, probation: Probation, findings: Findings) -> Probation:
+        """Take up the hard iron of all road since the change, as it is known by now."""
         since = findings.since_change
-        if since is None or since.sigma > candidate.sigma:
-            return candidate
-        self._changed = self._not_before = since.start
-        return since
+        if since is not None and self._in_force is not None and is_another(since, self._in_force):
+            probation = self._on_probation[Kind.IRON] = Probation.of(since, probation)
+        return probation
 
     def _refined(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Replace what came of driving by what more of the same driving shows."""
         if in_force.evidence.method != METHOD or self.mode is Mode.PROPOSE:
             return []
         if math.isfinite(self._changed):
-            found = [findings.since_change]
+            found = [findings.finer]
         else:
             found = [each for each in findings.candidates if each.kind is Kind.ALL]
+        known = in_force.evidence.figures.get(Figure.HEADING_SIGMA.value, self._promised)
         for each in found:
             if each is None or not self._is_believable(each):
                 continue
-            sigma = heading_sigma(each.calibration)
-            is_finer = sigma < self.tuning.finer * self._promised
+            is_finer = each.sigma < self.tuning.finer * known
             if is_finer and each.seconds > self._road and not is_another(each, in_force):
                 self._road = self.tuning.more_road * each.seconds
-                words = f"{each.in_words}, where ±{math.degrees(self._promised):.1f}° were known"
+                words = f"{each.in_words}, where ±{math.degrees(known):.1f}° were known"
                 self._on_probation.clear()
                 return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
         return []
 
     def _take_up(self, findings: Findings, in_force: Calibration) -> list[Decision]:
         """Put on probation what is believable and differs from what is in force."""
-        made: list[Decision] = []
-        if findings.since_change is not None and not math.isfinite(self._changed):
-            irons = [findings.since_change]
-        else:
-            irons = [each for each in findings.candidates if each.kind is Kind.IRON]
-        alls = [each for each in findings.candidates if each.kind is Kind.ALL]
-        for kind, found in ((Kind.ALL, alls), (Kind.IRON, irons)):
-            good = [
-                each
-                for each in found
-                if self._is_believable(each) and self._is_worth_it(each, in_force)
-            ]
-            if kind in self._on_probation or not good:
-                continue
-            best = min(good, key=lambda each: each.sigma)
-            self._on_probation[kind] = best
-            apart = math.degrees(difference(in_force, best.calibration))
-            words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
-            made.append(Decision(findings.clock, Verb.PROBATION, words))
-        return made
-
-    def _noticed(self, findings: Findings, in_force: Calibration) -> list[Decision]:
-        """Say once that the hard iron seems to have changed, before it is known how."""
-        if self._has_noticed:
+        good = [
+            each
+            for each in findings.candidates
+            if each.kind is Kind.ALL
+            and self._is_believable(each)
+            and self._is_worth_it(each, in_force)
+            and not self._is_offered(each)
+        ]
+        if Kind.ALL in self._on_probation or not good:
             return []
-        for each in findings.candidates:
-            if each.kind is not Kind.IRON or each.sigma > self.tuning.notice_sigma:
-                continue
-            if is_another(each, in_force, self.tuning):
-                self._has_noticed = True
-                apart = math.degrees(difference(in_force, each.calibration))
-                words = (
-                    f"the hard iron seems to have changed in the last {each.seconds:.0f} s of"
-                    f" driving: headings would differ by {apart:.0f}° ±"
-                    f"{math.degrees(each.sigma):.0f}°"
-                )
-                return [Decision(findings.clock, Verb.NOTICED, words)]
-        return []
+        best = min(good, key=lambda each: each.sigma)
+        self._on_probation[Kind.ALL] = Probation.of(best)
+        apart = math.degrees(difference(in_force, best.calibration))
+        words = f"{best.in_words} differs by {apart:.1f}° from what is in force"
+        return [Decision(findings.clock, Verb.PROBATION, words)]
+
+    def _notice(self, findings: Findings, in_force: Calibration) -> list[Decision]:
+        """Say that the hard iron seems to have changed, and put the new one on probation."""
+        since = findings.since_change
+        if since is None or Kind.IRON in self._on_probation or self._is_offered(since):
+            return []
+        sigma = math.hypot(since.sigma, heading_sigma(in_force))
+        apart = difference(in_force, since.calibration)
+        if since.sigma > self.tuning.notice_sigma or apart < self.tuning.notice_differs * sigma:
+            return []
+        self._on_probation[Kind.IRON] = Probation.of(since)
+        if self._before:
+            # Iron that goes again leaves what was in force before it came.
+            self._trial = Trial(self._before[-1], since.start)
+        words = (
+            f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
+            f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"
+        )
+        return [Decision(findings.clock, Verb.NOTICED, words)]
 
     def _is_believable(self, candidate: DriveCandidate) -> bool:
-        tuning = self.tuning
-        few = tuning.fewest_sectors if candidate.kind is Kind.ALL else tuning.fewest_for_iron
-        return candidate.sigma <= tuning.largest_sigma and candidate.sectors >= few
+        tuning, largest, few = self.tuning, self.tuning.largest_sigma, self.tuning.fewest_sectors
+        if candidate.kind is Kind.IRON and self._in_force is not None:
+            few = tuning.fewest_for_iron
+            # What is plainly broken gives way to what is known roughly.
+            apart = difference(self._in_force, candidate.calibration)
+            largest = max(largest, tuning.plainly * apart)
+        return candidate.sigma <= largest and candidate.sectors >= few
+
+    def _is_offered(self, candidate: DriveCandidate) -> bool:
+        """Whether what waits for a person's word is as good: nobody is told twice."""
+        waits = self.proposal
+        if waits is None or is_another(candidate, waits, self.tuning):
+            return False
+        known = waits.evidence.figures.get(Figure.HEADING_SIGMA.value, math.inf)
+        return candidate.sigma > self.tuning.much_better * known
 
     def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
         if is_another(candidate, in_force, self.tuning):

@@ -107,14 +107,21 @@ class DriveTeller:
     knowledge : Knowledge
     calibration : Calibration or None
         In force at the beginning.
+    machine : SelfCalibration, optional
+        What decides.
     """
 
-    def __init__(self, knowledge: Knowledge, calibration: Calibration | None) -> None:
+    def __init__(
+        self,
+        knowledge: Knowledge,
+        calibration: Calibration | None,
+        machine: SelfCalibration | None = None,
+    ) -> None:
         self._knowledge, self._begun, self._now = knowledge, calibration, calibration
         self.streams = Streams(MAX_GAP)
         self._up = UpFollower()
         self._travelling = Travelling()
-        self._machine = SelfCalibration(Mode.APPLY)
+        self._machine = machine or SelfCalibration(Mode.APPLY)
         self._machine.put_in_force(calibration)
         self._own: Triple | None = None
         self._points: list[_Point] = []

@@ -26,6 +26,9 @@ def answer(job: DriveJob) -> Findings:
             found.append(_iron(part, job, clock - seconds, clock))
     irons = [each for each in found if each is not None]
     since_change = _since_change(nodes, job, irons, clock)
+    finer = None
+    if math.isfinite(job.changed):
+        finer = _iron_since(nodes, job, job.changed, clock)
     not_before = job.not_before
     if since_change is not None:
         not_before = max(not_before, since_change.start)
@@ -33,14 +36,12 @@ def answer(job: DriveJob) -> Findings:
         part = _newest(nodes, clock, seconds, not_before)
         if part is not None:
             found.append(_all_twelve(part, job, clock - seconds, clock))
-    proofs = {}
-    for contest in job.contests:
-        rows = np.flatnonzero(nodes.time > contest.since)
-        if len(rows):
-            road = nodes.take(rows)
-            proofs[contest.name] = prove(road, contest.old, contest.new, job.knowledge)
+    proofs = {
+        contest.name: prove(nodes, contest.old, contest.new, job.knowledge)
+        for contest in job.contests
+    }
     whole = tuple(each for each in found if each is not None)
-    return Findings(clock, whole, since_change, proofs)
+    return Findings(clock, whole, since_change, finer, proofs)
 
 
 def _since_change(
@@ -49,15 +50,14 @@ def _since_change(
     """Return the hard iron of all road since a change, where one is suspected."""
     if job.in_force is None:
         return None
-    if math.isfinite(job.changed):
-        return _iron_since(nodes, job, job.changed, clock)
     suspect, old, tuning = job.suspect, job.in_force, KEEPING
     if suspect is None:
         others = [each for each in irons if is_another(each, old)]
         if not others:
             return None
         suspect = min(others, key=lambda each: each.sigma).calibration.correction
-    recent = nodes.take(np.flatnonzero(nodes.time >= clock - tuning.look_back))
+    first = max(clock - tuning.look_back, job.not_before)
+    recent = nodes.take(np.flatnonzero(nodes.time >= first))
     found = None
     for _ in range(2):
         start = onset(recent, old.correction, suspect, job.knowledge)

@@ -11,6 +11,7 @@ from typing import Any
 from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.course_offset import CourseOffset
+from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.monitoring.course_check import check_by_course
@@ -29,10 +30,13 @@ class RecordedCourse:
     checks : tuple of Check
         Of the calibration; empty where too few courses were driven, or nothing says that the
         vehicle goes where it looks.
+    mounting : MountingYaw or None
+        How the IMU sits in the vehicle, where its acceleration shows it.
     """
 
     offset: CourseOffset
     checks: tuple[Check, ...]
+    mounting: MountingYaw | None = None
 
     @property
     def words(self) -> str:
@@ -99,5 +103,5 @@ def recorded_course(
     course = travelling.fit_course()
     if course is None:
         return None
-    knows_front = travelling.known_mounting is not None
-    return RecordedCourse(course, check_by_course(course) if knows_front else ())
+    mounting = travelling.known_mounting
+    return RecordedCourse(course, () if mounting is None else check_by_course(course), mounting)

@@ -11,11 +11,6 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.stretch import Stretch
 
-START_NOISE = (0.1, 0.1)
-"""Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
-ROUNDS = (5, 4, 4, 4)
-"""Steps between estimates of the noise."""
-
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -73,24 +68,25 @@ def align(
         Whether gravity takes part.
     """
     ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
-    everything = AlignmentFit(stretch, axes, tuning, ways, with_up)
-    state = everything.descend(everything.start(), START_NOISE, ROUNDS[0])
-    first = everything.cost(state, START_NOISE)
-    misfit, rms = first - first.min(), everything.rms(state)
-    kept = np.flatnonzero(misfit <= tuning.hopeless)
-    problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)
-    some = state[kept]
-    noise = START_NOISE
-    for steps in ROUNDS[1:]:
-        best = int(np.argmin(problem.cost(some, noise)))
+    problem = AlignmentFit(stretch, axes, tuning, ways, with_up)
+    some = problem.descend(problem.start(), tuning.start_noise, tuning.rounds[0])
+    cost, noise = problem.cost(some, tuning.start_noise), tuning.start_noise
+    state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
+    kept = np.arange(len(axes))
+    for limit, steps in zip(
+        (tuning.hopeless, tuning.lost, tuning.lost), tuning.rounds[1:], strict=True
+    ):
+        left = misfit[kept] <= limit
+        kept, some = kept[left], some[left]
+        problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)
+        best = int(np.argmin(cost[left]))
         noise = problem.noise(some, best)
         problem.share = _shares(problem.residuals(some), best)
         some = problem.descend(some, noise, steps)
-    cost = problem.cost(some, noise)
+        cost = problem.cost(some, noise)
+        state[kept], rms[kept], misfit[kept] = some, problem.rms(some), cost - cost.min()
     best = int(np.argmin(cost))
     information = problem.normal_equations(some, noise)[0]
-    state[kept], rms[kept] = some, problem.rms(some)
-    misfit[kept] = cost - cost[best]
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][best]
@@ -106,11 +102,11 @@ def _tilt_spread(attitude: FloatArray) -> float:
 
 def _shares(residuals: tuple[FloatArray, FloatArray], best: int) -> tuple[float, float]:
     """Return how many independent samples each one counts: those of a vehicle repeat long."""
-    field, up = (1.0 / _inefficiency(values[best]) for values in residuals)
+    field, up = (1.0 / inefficiency(values[best]) for values in residuals)
     return field, up
 
 
-def _inefficiency(residual: FloatArray) -> float:
+def inefficiency(residual: FloatArray) -> float:
     """Return how many neighbours (n, 3) count as one sample."""
     centred = residual - residual.mean(axis=0)
     power = float(np.sum(centred**2)) + 1e-300

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotations, skews
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, skews
 from magcal_ros.core.samples.stretch import Stretch
 
 
@@ -44,6 +44,14 @@ class AlignmentTuning:
         Degrees of freedom of the t distribution of the residuals.
     hopeless : float
         Misfit after the first steps, with wide noise, beyond which a candidate is given up.
+    lost : float
+        The same later, with the noise that the best one shows.
+    start_noise : tuple of float
+        Of field (over its size) and up (radians) in the first rounds: wide, so that all can move.
+    rounds : tuple of int
+        Steps between estimates of the noise.
+    settled : float
+        Change of chi-square below which all candidates have settled.
     """
 
     installation: float = math.radians(5.0)
@@ -56,6 +64,10 @@ class AlignmentTuning:
     up_floor: float = math.radians(2.0)
     freedom: float = 4.0
     hopeless: float = 80.0
+    lost: float = 400.0
+    settled: float = 0.01
+    start_noise: tuple[float, float] = (0.1, 0.1)
+    rounds: tuple[int, int, int, int] = (5, 4, 4, 4)
 
 
 TUNING = AlignmentTuning()
@@ -159,13 +171,12 @@ class AlignmentFit:
         pushed = np.zeros((count, n - 1, 3, 4))
         pushed[..., :3] = halfway * seconds[:, None, None]
         pushed[..., 3] = -np.einsum("knij,knj->kni", halfway, self.rotation)
-        attitude = np.empty((n, count, 3, 3))
-        moved = np.zeros((n, count, 3, 4))
-        attitude[0] = np.eye(3)
-        for k in range(n - 1):
-            attitude[k + 1] = steps[:, k] @ attitude[k]
-            moved[k + 1] = steps[:, k] @ moved[k] + pushed[:, k]
-        return attitude.swapaxes(0, 1), moved.swapaxes(0, 1)
+        attitude = chained(steps)
+        # Pushes add up in the world; each is turned back into the body that it is asked for.
+        pushes = np.cumsum(attitude[:, 1:].swapaxes(2, 3) @ pushed, axis=1)
+        moved = np.zeros((count, n, 3, 4))
+        moved[:, 1:] = attitude[:, 1:] @ pushes
+        return attitude, moved
 
     def residuals(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return measured less expected field and up, each (k, n, 3)."""
@@ -223,7 +234,7 @@ class AlignmentFit:
         """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights."""
         attitude, moved = self.propagate(state)
         field, up = self._residuals(state, attitude)
-        jacobian = self._jacobian(state, attitude, moved)
+        jacobian = self.jacobian(state, attitude, moved)
         nu, (count, n) = self.tuning.freedom, field.shape[:2]
         weights = []
         for values, sigma, share in zip((field, up), noise, self.share, strict=True):
@@ -238,11 +249,10 @@ class AlignmentFit:
         gradient = (transposed @ values)[..., 0] - state @ self.prior
         return information, gradient, self._cost(state, (field, up), noise)
 
-    def _jacobian(self, state: FloatArray, attitude: FloatArray, moved: FloatArray) -> FloatArray:
+    def jacobian(self, state: FloatArray, attitude: FloatArray, moved: FloatArray) -> FloatArray:
         """Return how the expectations change with the parameters, shape (k, n, 6, 23)."""
         count, n = attitude.shape[:2]
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
-        up = np.einsum("knij,kj->kni", attitude, state[:, UP])
         soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
         out = np.zeros((count, n, 6, PARAMETERS))
         for axis in range(3):
@@ -250,11 +260,23 @@ class AlignmentFit:
         out[:, :, :3, FIELD] = soft @ attitude
         out[:, :, :3, IRON] = np.eye(3)
         out[:, :, 3:, UP] = attitude
-        for part, vectors, matrix in ((slice(0, 3), body, soft), (slice(3, 6), up, np.eye(3))):
-            cross = skews(vectors.reshape(-1, 3)).reshape(count, n, 3, 3)
-            out[:, :, part, GYRO] = -matrix @ (cross @ moved)
+        out[:, :, :, GYRO] = self.turned_by(state, attitude, moved)
         late = self._against_the_turn(state, body)
         out[:, :, :3, LAG] = np.einsum("kij,knj->kni", soft[:, 0], late)
+        return out
+
+    def turned_by(self, state: FloatArray, attitude: FloatArray, turns: FloatArray) -> FloatArray:
+        """Return how turns (k, n, 3, m) on the left of the attitudes move field and up.
+
+        Shape (k, n, 6, m).
+        """
+        count, n = attitude.shape[:2]
+        out = np.empty((count, n, 6, turns.shape[3]))
+        soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
+        for part, of, matrix in ((slice(0, 3), FIELD, soft), (slice(3, 6), UP, np.eye(3))):
+            vectors = np.einsum("knij,kj->kni", attitude, state[:, of])
+            cross = skews(vectors.reshape(-1, 3)).reshape(count, n, 3, 3)
+            out[:, :, part] = -matrix @ (cross @ turns)
         return out
 
     def descend(self, state: FloatArray, noise: tuple[float, float], steps: int) -> FloatArray:
@@ -269,9 +291,12 @@ class AlignmentFit:
             tried = state + np.linalg.solve(damped, gradient[..., None])[..., 0]
             again = self.normal_equations(tried, noise)
             better = again[2] < cost
+            settled = bool((np.abs(cost - again[2]) < self.tuning.settled).all())
             damping = np.where(better, damping * 0.2, damping * 20.0)
             state = np.where(better[:, None], tried, state)
             information = np.where(better[:, None, None], again[0], information)
             gradient = np.where(better[:, None], again[1], gradient)
             cost = np.where(better, again[2], cost)
+            if settled:
+                break
         return state

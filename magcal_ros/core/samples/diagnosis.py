@@ -9,17 +9,33 @@ from dataclasses import dataclass, field
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.units import likely_field_unit
 
-WORTH_A_WORD = 0.02
-"""Share of dropped samples that is said."""
 
-MOST_REPEATS = 0.9
-"""Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
+@dataclass(frozen=True)
+class DiagnosisTuning:
+    """When a stream is worth a complaint.
 
-LARGEST_OFFSET = 1.0
-"""Seconds between the two sensors' newest stamps."""
+    Parameters
+    ----------
+    worth_a_word : float
+        Share of dropped samples that is said.
+    most_repeats : float
+        Share of repeated field values beyond which the sensor is frozen or the robot at
+        rest.
+    largest_offset : float
+        Seconds between the two sensors' newest stamps.
+    ahead_in_gaps : float
+        Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter
+        any more.
+    """
 
-AHEAD_IN_GAPS = 1.5
-"""Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any more."""
+    worth_a_word: float = 0.02
+    most_repeats: float = 0.9
+    largest_offset: float = 1.0
+    ahead_in_gaps: float = 1.5
+
+
+TUNING = DiagnosisTuning()
+
 
 WORDS = {
     Drop.NOT_FINITE: "samples are not finite",
@@ -76,9 +92,9 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
         found += [
             f"{heard.topic}: {heard.drops[drop]} of {heard.messages} {words}"
             for drop, words in all_words.items()
-            if heard.drops[drop] > WORTH_A_WORD * max(heard.messages, 1)
+            if heard.drops[drop] > TUNING.worth_a_word * max(heard.messages, 1)
         ]
-    if mag.drops[Drop.REPEATED] > MOST_REPEATS * max(mag.messages, 1):
+    if mag.drops[Drop.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
     offset = stamp_offset(streams)
     if offset:
@@ -96,6 +112,8 @@ def stamp_offset(streams: Streams) -> float:
     the two grows when a sensor dies.
     """
     least, most = streams.lead_at_imu, streams.lead_at_field
-    if math.isfinite(least) and least > min(LARGEST_OFFSET, AHEAD_IN_GAPS * streams.max_gap):
+    if math.isfinite(least) and least > min(
+        TUNING.largest_offset, TUNING.ahead_in_gaps * streams.max_gap
+    ):
         return least
-    return most if math.isfinite(most) and most < -LARGEST_OFFSET else 0.0
+    return most if math.isfinite(most) and most < -TUNING.largest_offset else 0.0

@@ -13,22 +13,43 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
-BLOCK = 0.5
-"""Seconds of samples that are averaged before anything is compared."""
-AT_LEAST = 4
-"""Blocks in a row that make a rest."""
-CLEAR = 4.0
-"""Sigmas of a block's mean by which two blocks at rest may differ."""
-SMALLEST_TURN = 0.004
-"""Share of the field's swing that noise of another kind may move it by during a rest."""
-SHOWN = 3.0
-"""Times what a rest may move by that a turn at the gyro's rate must have moved the field by."""
-MOST_MOVED = 0.4
-"""Share of that turn's way by which the field may seem to move during a rest."""
-LOOSE_RATE = 0.01
-"""rad/s by which an engine or a person may rock a robot at rest."""
-NEXT_TO_NOTHING = 0.05
-"""Share of a turn's own rate at which nobody turns steadily for seconds beforehand."""
+
+@dataclass(frozen=True)
+class BiasAtRestTuning:
+    """When a robot is taken to have rested.
+
+    Parameters
+    ----------
+    block : float
+        Seconds of samples that are averaged before anything is compared.
+    at_least : int
+        Blocks in a row that make a rest.
+    clear : float
+        Sigmas of a block's mean by which two blocks at rest may differ.
+    smallest_turn : float
+        Share of the field's swing that noise of another kind may move it by during a rest.
+    shown : float
+        Times what a rest may move by that a turn at the gyro's rate must have moved the
+        field by.
+    most_moved : float
+        Share of that turn's way by which the field may seem to move during a rest.
+    loose_rate : float
+        rad/s by which an engine or a person may rock a robot at rest.
+    next_to_nothing : float
+        Share of a turn's own rate at which nobody turns steadily for seconds beforehand.
+    """
+
+    block: float = 0.5
+    at_least: int = 4
+    clear: float = 4.0
+    smallest_turn: float = 0.004
+    shown: float = 3.0
+    most_moved: float = 0.4
+    loose_rate: float = 0.01
+    next_to_nothing: float = 0.05
+
+
+TUNING = BiasAtRestTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,16 +105,16 @@ def rests_around(
         Raw field in any unit, and rad/s.
     """
     blocks = _split(time)
-    if len(blocks[0]) <= 2 * AT_LEAST:
+    if len(blocks[0]) <= 2 * TUNING.at_least:
         return None, None
     fields, rates = _still(field, rate, blocks)
-    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-AT_LEAST]
+    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
     swing = float(np.ptp(field, axis=0).max())
     found: list[slice | None] = [None, None]
     ends = [*blocks[0], len(time)]
     for start, end in _runs(fields.stays & rates.stays):
         inside = rates.mean[start:end]
-        creeps = float(np.linalg.norm(inside.mean(axis=0))) > NEXT_TO_NOTHING * fastest
+        creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
         if creeps and not (
             _stood(inside, fields.mean[start:end], 0.5 * swing)
             and _would_show(inside, 0.5 * swing, float(fields.limit[start:end].max()))
@@ -129,7 +150,7 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
         Raw field in any unit, and rad/s.
     """
     blocks = _split(time)
-    if len(blocks[0]) <= AT_LEAST:
+    if len(blocks[0]) <= TUNING.at_least:
         return None
     swing = float(np.ptp(field, axis=0).max())
     fields, rates = _still(field, rate, blocks)
@@ -144,7 +165,7 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
 
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the first row of each block, and how many rows it has."""
-    block = ((time - time[0]) / BLOCK).astype(int)
+    block = ((time - time[0]) / TUNING.block).astype(int)
     _, first, count = np.unique(block, return_index=True, return_counts=True)
     return first, count
 
@@ -154,7 +175,9 @@ def _still(
 ) -> tuple[_Blocks, _Blocks]:
     """Return the blocks of field and rate, and where each stays with the next."""
     swing = float(np.ptp(field, axis=0).max())
-    return _Blocks.of(field, *blocks, SMALLEST_TURN * swing), _Blocks.of(rate, *blocks, LOOSE_RATE)
+    return _Blocks.of(field, *blocks, TUNING.smallest_turn * swing), _Blocks.of(
+        rate, *blocks, TUNING.loose_rate
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +190,13 @@ class _Blocks:
 
     @classmethod
     def of(cls, values: FloatArray, first: IntArray, count: IntArray, allowed: float) -> _Blocks:
-        """Average, and compare each block with those after it, `AT_LEAST` with itself."""
+        """Average, and compare each block with those after it, `TUNING.at_least` with itself."""
         mean = np.add.reduceat(values, first, axis=0) / count[:, None]
         noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
-        limit = allowed + CLEAR * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
+        limit = allowed + TUNING.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
         stays = np.zeros(len(mean), dtype=bool)
-        stays[: 1 - AT_LEAST] = True
-        for k in range(1, AT_LEAST):
+        stays[: 1 - TUNING.at_least] = True
+        for k in range(1, TUNING.at_least):
             apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
             stays[: len(apart)] &= ~apart.any(axis=1)
         return cls(mean, limit, stays)
@@ -182,12 +205,12 @@ class _Blocks:
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:
     """Return first block and end of every stretch in which each block stays with the next ones."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stays, [False]]).astype(int)))
-    return [(int(a), int(b) + AT_LEAST - 1) for a, b in edges.reshape(-1, 2)]
+    return [(int(a), int(b) + TUNING.at_least - 1) for a, b in edges.reshape(-1, 2)]
 
 
 def _chord(rates: FloatArray, radius: float) -> float:
     """Return how far a turn at the mean rate would have moved the field, in its unit."""
-    turned = float(np.linalg.norm(rates.mean(axis=0))) * BLOCK * (len(rates) - 1)
+    turned = float(np.linalg.norm(rates.mean(axis=0))) * TUNING.block * (len(rates) - 1)
     return 2.0 * radius * math.sin(0.5 * min(turned, math.pi))
 
 
@@ -197,9 +220,9 @@ def _stood(rates: FloatArray, fields: FloatArray, radius: float) -> bool:
     A slow turn passes from block to block; over the whole of a stretch it shows.
     """
     moved = float(np.linalg.norm(fields - fields[0], axis=1).max())
-    return moved < MOST_MOVED * _chord(rates, radius)
+    return moved < TUNING.most_moved * _chord(rates, radius)
 
 
 def _would_show(rates: FloatArray, radius: float, limit: float) -> bool:
     """Return whether a turn at the rate of a rest would have moved the field out of its limits."""
-    return _chord(rates, radius) > SHOWN * limit
+    return _chord(rates, radius) > TUNING.shown * limit

@@ -18,6 +18,7 @@ from magcal_ros.core.calibrate import (
     drive_rather_than_turn,
     pooled,
 )
+from magcal_ros.core.doctor.refusal import blamed_on_sensors
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
@@ -138,7 +139,10 @@ class Gathering:
             words = "no pair of field and acceleration samples could be made"
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
         window = self._session.window()
-        self.progress().require_arc(self._session.limits.smallest_arc)
+        try:
+            self.progress().require_arc(self._session.limits.smallest_arc)
+        except Refusal as refusal:
+            raise blamed_on_sensors(refusal, window, Knowledge(mounting=self.mounting)) from refusal
         return window
 
     def _collect(self) -> None:

@@ -60,8 +60,8 @@ ROWS = 10
 
 
 UNSEEN = (
-    "; if it did turn, the field does not show it: it is too steep for a compass here, or the "
-    "magnetometer does not measure it"
+    "; if it did turn, `magcal doctor` says which sensor does not show it: the field may be too "
+    "steep for a compass here, the magnetometer may measure nothing, or the gyro another axis"
 )
 
 

@@ -98,7 +98,7 @@ def reversing(rng: np.random.Generator, trips: int, share: float = 0.5) -> list[
     for _ in range(trips):
         sign = -1.0 if rng.random() < share else 1.0
         speed, pull = sign * rng.uniform(1.5, 5.0), rng.uniform(0.6, 1.5)
-        curvature = rng.choice([0.0, 0.05, -0.05])
+        curvature = float(rng.choice([0.0, 0.05, -0.05]))
         legs += [
             Leg(abs(speed) / pull, speed),
             Leg(rng.uniform(3.0, 10.0), speed),

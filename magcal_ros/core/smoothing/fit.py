@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.certainty import Twelve, twelve_of
 from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
@@ -62,7 +62,11 @@ class DriveFit:
 
 def sectors_of(yaw: FloatArray) -> int:
     """Return how many of twelve sectors yaws fall into."""
-    return len(np.unique((np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(int)))
+    return len(np.unique(_sector(yaw)))
+
+
+def _sector(yaw: FloatArray) -> IntArray:
+    return (np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(np.int64) % SECTORS
 
 
 def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING) -> DriveFit:
@@ -203,9 +207,14 @@ def held_fit(
     Smoothed or None
         `here.cost` of two calibrations on the same nodes can be compared.
     """
-    inside = corrected(nodes, correction, knowledge.mounting.matrix)
+    return _held(corrected(nodes, correction, knowledge.mounting.matrix), knowledge, sizes, tuning)
+
+
+def _held(
+    inside: Nodes, knowledge: Knowledge, sizes: Sizes, tuning: SmootherTuning
+) -> Smoothed | None:
     prior = held_prior(free_prior(knowledge, tuning), iron=False)
-    start = Unknowns(prior.mean, nodes.heading, np.zeros((len(nodes), 3)))
+    start = Unknowns(prior.mean, inside.heading, np.zeros((len(inside), 3)))
     declination = knowledge.reference.declination or 0.0
     problem = Problem(inside, prior, declination, sizes, tuning)
     return descend(problem, _followed(start, inside))
@@ -234,11 +243,25 @@ def favour(
         Fall of minus twice the log likelihood, over `counts`: neighbours are alike. Zero where one
         of them cannot be followed.
     """
-    sizes = Sizes()
-    fits = [held_fit(nodes, each, knowledge, sizes, tuning) for each in (old, new)]
+    before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
+    return favour_of(before, after, knowledge, tuning)[0]
+
+
+def favour_of(
+    old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
+) -> tuple[float, float]:
+    """Return the same as `favour` of nodes that are corrected already, and what is left elsewhere.
+
+    Elsewhere is where the robot did not look into the quarter that speaks most for the new one.
+    """
+    fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
-        return 0.0
-    return (fits[0].here.cost - fits[1].here.cost) / tuning.counts
+        return 0.0, 0.0
+    gain = fits[0].here.cost - fits[1].here.cost
+    by_node = fits[0].here.node_costs - fits[1].here.node_costs
+    by_sector = np.bincount(_sector(fits[1].unknowns.yaw), by_node, SECTORS)
+    quarters = sum(np.roll(by_sector, shift) for shift in range(SECTORS // 4))
+    return gain / tuning.counts, float(gain - np.max(quarters)) / tuning.counts
 
 
 def onset(

@@ -30,6 +30,11 @@ class DriveRecorder:
     seconds : float
         Of movement that is kept.
     tuning : SmootherTuning
+
+    Attributes
+    ----------
+    begun : float
+        Where its clock began, seconds; NaN before the first movement.
     """
 
     def __init__(self, seconds: float = 600.0, tuning: SmootherTuning = TUNING) -> None:
@@ -48,6 +53,7 @@ class DriveRecorder:
         self._row = self._newest = -math.inf
         self._pause = 0.0
         self._rests = False
+        self.begun = math.nan
 
     @property
     def clock(self) -> float:
@@ -132,6 +138,8 @@ class DriveRecorder:
                 stamps = stamps + early
                 self._pause -= early
         chunk[:, 0] = stamps
+        if math.isnan(self.begun):
+            self.begun = float(stamps[0])
         self._chunks.append(chunk)
         return True
 

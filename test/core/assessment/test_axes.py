@@ -56,7 +56,7 @@ def test_a_turn_and_a_lift_decide_every_time():
     check_all(4)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_good_sensors_are_never_called_wrong(seed):
     window, knowledge = good_case(np.random.default_rng([seed, 3]))
     assert find_axes(window, knowledge).words == ""
@@ -98,7 +98,7 @@ def test_without_the_inclination_axes_and_their_opposites_both_stay():
     assert len(found.candidates) == 2
     assert named(found, MIRRORED_Z)
     assert named(found, -MIRRORED_Z)
-    assert "give the inclination" in found.words
+    assert "give the place or the field's inclination" in found.words
 
 
 def test_what_a_level_turn_leaves_open_is_named_with_the_movement_that_tells():

@@ -47,6 +47,7 @@ def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recordi
     assert ours < 3.0 * sigma
 
 
+@pytest.mark.nightly
 def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recording):
     outcome, ours, sigma, best = judged(recording("car_neu2024_rohx"), "whole")
     assert outcome.verdict.accepted

@@ -1,5 +1,6 @@
 """What the verdict says of real turns; skipped where the recordings are not at hand."""
 
+import functools
 import math
 
 import numpy as np
@@ -20,11 +21,13 @@ def knowledge(microtesla, degrees):
     return Knowledge(ReferenceField(strength, Belief(math.radians(degrees), math.radians(1.0))))
 
 
+@functools.cache
+def table(path):
+    return np.genfromtxt(path, delimiter=",", skip_header=1)
+
+
 def window(folder, first=-math.inf, last=math.inf, added=0.0):
-    imu, mag = (
-        np.genfromtxt(folder / f"{part}.csv", delimiter=",", skip_header=1)
-        for part in ("imu", "mag")
-    )
+    imu, mag = (table(folder / f"{part}.csv") for part in ("imu", "mag"))
     rows = (mag[:, 0] >= first) & (mag[:, 0] <= last)
     time = mag[rows, 0]
     motion = np.column_stack([np.interp(time, imu[:, 0], imu[:, c]) for c in range(1, 7)])
@@ -45,6 +48,7 @@ class TestHandHeldTurn:
     def turn(self, recording):
         return window(recording("broad05"), 48.0, 62.0, np.array([20e-6, -15e-6, 12e-6]))
 
+    @pytest.mark.nightly
     def test_it_is_accepted(self, turn):
         assert calibrate(turn, self.known).verdict.accepted
 
@@ -70,6 +74,7 @@ class TestHandHeldTurn:
         assert not verdict.accepted
         assert "the gyro's axes are not the accelerometer's: x and y and z" in refused(verdict)
 
+    @pytest.mark.nightly
     def test_a_board_upside_down_is_refused(self, turn):
         flip = np.array([1.0, -1.0, -1.0])
         flipped = Window(
@@ -79,6 +84,7 @@ class TestHandHeldTurn:
         assert not verdict.accepted
         assert "z points down" in refused(verdict)
 
+    @pytest.mark.nightly
     def test_acceleration_published_as_gravity_is_refused(self, turn):
         negated = Window(turn.time, turn.field, -turn.specific_force, turn.angular_rate)
         assert not calibrate(negated, self.known).verdict.accepted
@@ -90,6 +96,7 @@ class TestHandHeldTurn:
         verdict = calibrate(piece, self.known).verdict
         assert verdict.confidence.rank >= Grade.WARN.rank
 
+    @pytest.mark.nightly
     def test_a_unit_of_gravity_is_named(self, turn):
         in_g = Window(turn.time, turn.field, turn.specific_force / 9.7, turn.angular_rate)
         verdict = calibrate(in_g, self.known).verdict

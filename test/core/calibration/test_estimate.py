@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.calibration.correction import Correction
@@ -29,7 +30,7 @@ def estimate_with(covariance):
     )
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(st.integers(0, 1000))
 def test_yaw_jacobian_is_the_derivative(seed):
     rng = np.random.default_rng(seed)

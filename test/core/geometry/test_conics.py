@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
@@ -24,7 +25,7 @@ def curve(centre=(0.0, 0.0), radii=(1.0, 1.0), angle=0.0, arc=315.0, noise=0.0, 
 
 
 @every_fit
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(
     x=st.floats(-3.0, 3.0),
     y=st.floats(-3.0, 3.0),
@@ -49,7 +50,7 @@ def test_a_circle_through_the_origin(fit):
 
 
 @pytest.mark.parametrize("fit", FREE)
-@settings(max_examples=40, deadline=None)
+@examples(40)
 @given(angle=st.floats(-1.5, 1.5), short=st.floats(0.2, 0.9))
 def test_free_ellipses_keep_their_angle_and_radii(fit, angle, short):
     conic = fit(curve((2.0, -1.0), (1.0, short), angle))

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
@@ -24,7 +25,7 @@ def unit(vector):
 
 
 @every_fit
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(seed=st.integers(0, 10_000))
 def test_finds_any_plane_at_any_place_and_size(fit, seed):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +20,7 @@ def on_sphere(rng, count=60):
     return points / np.linalg.norm(points, axis=1, keepdims=True)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(seeds)
 def test_every_ellipsoid_is_found_from_clean_points(seed):
     rng = np.random.default_rng(seed)
@@ -33,7 +34,7 @@ def test_every_ellipsoid_is_found_from_clean_points(seed):
     assert np.linalg.det(found.axes) == pytest.approx(1.0)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(seeds)
 def test_the_restricted_shapes_are_found(seed):
     rng = np.random.default_rng(seed)

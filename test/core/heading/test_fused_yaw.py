@@ -5,7 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from moving import FORWARD, ROBOT, Course
 from sample_results import EVIDENCE
@@ -265,7 +266,7 @@ def test_a_large_bias_at_rest_does_not_turn_the_yaw():
     assert np.mean((biased.errors_deg() / biased.sigmas_deg()) ** 2) < 1.5
 
 
-@settings(max_examples=3)
+@examples(3)
 @given(st.integers(0, 10_000))
 def test_missing_late_repeated_and_reordered_messages(seed):
     rng = np.random.default_rng(seed)

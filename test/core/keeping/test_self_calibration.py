@@ -35,7 +35,7 @@ ROBOT = Robot(
     noise_field=0.3e-6,
 )
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
-PROVED = Proof(60.0, 0, 0.0, 0.0, 20.0, (9.0, 11.0))
+PROVED = Proof(60.0, 0, 0.0, 0.0, 20.0, (9.0, 11.0), 5.0)
 
 
 def calibration(iron=(0.0, 0.0, 0.0), sigma=math.radians(0.8), method="maximum_likelihood"):
@@ -54,8 +54,8 @@ def candidate(iron, end, kind=Kind.ALL, sigma=math.radians(2.0), sectors=9):
     return DriveCandidate(kind, found, sigma, sectors, end - 120.0, end)
 
 
-def findings(clock, *candidates, since=None, **proofs):
-    return Findings(clock, candidates, since, proofs)
+def findings(clock, *candidates, since=None, finer=None, **proofs):
+    return Findings(clock, candidates, since, finer, proofs)
 
 
 class Keeper:
@@ -115,6 +115,56 @@ def test_what_is_not_proved_within_its_time_is_dropped():
     keeper = Keeper(calibration())
     keeper.note(findings(120.0, candidate(FAR, 120.0)))
     assert keeper.note(findings(310.0, all=Proof(190.0))) == [Verb.DROPPED]
+
+
+def test_of_iron_on_probation_the_newest_fit_is_put_in_force():
+    keeper = Keeper(calibration())
+    first, last = (
+        candidate(iron, clock, Kind.IRON, math.radians(sigma))
+        for iron, clock, sigma in ((FAR, 120.0, 2.5), ((8e-6, 0.0, 0.0), 140.0, 2.0))
+    )
+    assert keeper.note(findings(120.0, since=first)) == [Verb.NOTICED]
+    assert keeper.note(findings(140.0, since=last)) == []
+    contest = keeper.machine.job(BOSTON).contests[0]
+    assert [step.since for step in contest.new] == [120.0, 140.0]
+    keeper.machine.fail()
+    assert keeper.note(findings(160.0, iron=PROVED)) == [Verb.APPLIED]
+    assert keeper.machine.decisions[-1].calibration.correction is last.calibration.correction
+
+
+def test_iron_that_is_proved_to_have_changed_waits_until_it_is_known():
+    keeper = Keeper(calibration())
+    vague = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON, math.radians(4.5))
+    keeper.note(findings(120.0, since=vague))
+    assert keeper.note(findings(140.0, iron=PROVED)) == []
+    clear = candidate((10e-6, 0.0, 0.0), 160.0, Kind.IRON, math.radians(3.5))
+    assert keeper.note(findings(160.0, since=clear, iron=PROVED)) == [Verb.APPLIED]
+
+
+def test_iron_that_goes_again_brings_back_what_was_in_force_before_it_came():
+    old = calibration()
+    keeper = Keeper(old)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    keeper.note(findings(120.0, since=came))
+    keeper.note(findings(140.0, since=came, iron=PROVED))
+    keeper.note(findings(460.0, **{TRIAL: Proof(310.0)}))
+    went = candidate((0.5e-6, 0.0, 0.0), 900.0, Kind.IRON)
+    assert keeper.note(findings(900.0, since=went)) == [Verb.NOTICED]
+    trial = next(each for each in keeper.machine.job(BOSTON).contests if each.name == TRIAL)
+    assert trial.new[0].since == went.start
+    keeper.machine.fail()
+    assert keeper.note(findings(910.0, **{TRIAL: PROVED})) == [Verb.ROLLED_BACK]
+    assert keeper.machine.decisions[-1].calibration.correction is old.correction
+    assert keeper.machine.job(BOSTON).not_before == went.start
+
+
+def test_what_waits_for_a_word_is_offered_once():
+    keeper = Keeper(calibration(), Mode.PROPOSE)
+    came = candidate((10e-6, 0.0, 0.0), 120.0, Kind.IRON)
+    came.calibration.evidence.figures["heading_sigma"] = came.sigma
+    keeper.note(findings(120.0, since=came))
+    assert keeper.note(findings(140.0, since=came, iron=PROVED)) == [Verb.PROPOSED]
+    assert keeper.note(findings(160.0, since=came)) == []
 
 
 def test_what_agrees_mends_nothing():
@@ -178,6 +228,13 @@ def test_a_lost_job_is_asked_for_again():
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) != []
 
 
+def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
+    proof = dataclasses.replace(PROVED, elsewhere=-0.1)
+    assert not proof.stands(kind=Kind.ALL)
+    assert proof.stands(kind=Kind.IRON)
+    assert proof.stands()
+
+
 @pytest.mark.parametrize(
     ("proof", "stands"),
     [
@@ -187,9 +244,12 @@ def test_a_lost_job_is_asked_for_again():
         (Proof(90.0, 4, 3.0, 0.5), True),
         (Proof(90.0, 1, 3.0, 0.5), False),
         (Proof(90.0, 4, 3.0, 0.05), False),
+        (Proof(90.0, 4, 3.0, 0.5, -1.0), False),
     ],
 )
-def test_a_proof_stands_on_turns_or_on_both_halves_of_the_road(proof, stands):
+def test_a_proof_stands_on_turns_that_the_road_does_not_contradict_or_on_both_its_halves(
+    proof, stands
+):
     assert bool(proof.stands()) is stands
 
 
@@ -225,6 +285,7 @@ def test_an_ordinary_drive_calibrates_from_nothing():
     made = follow(drive, machine)
     applied = [decision for _, decision in made if decision.verb is Verb.APPLIED]
     assert len(applied) == 1
+    assert all(0.0 < decision.clock <= seconds for seconds, decision in made)
     assert heading_error(applied[0].calibration.correction, ROBOT) < 5.0
 
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import printed_tip
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from tip_bridge import ours, window_of, worst_difference
 from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
@@ -103,7 +104,7 @@ class TestConventions:
 class TestNoise:
     def test_level_full_turn_is_at_least_as_good_as_the_tip(self):
         robot = Robot()
-        estimates = [fit(level_turn(robot, seed), robot.knowledge()) for seed in range(30)]
+        estimates = [fit(level_turn(robot, seed), robot.knowledge()) for seed in range(15)]
         errors = [heading_errors(estimate.correction, robot) for estimate in estimates]
         assert rms_deg(np.array(errors)[:, :, LEVEL_TILT]) < 0.12
         assert rms_deg(errors) < 0.12
@@ -227,7 +228,7 @@ def test_figures_of_a_clean_level_turn():
     assert all(math.isfinite(value) for value in figures.values())
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     seed=st.integers(0, 10_000),
     samples=st.integers(20, 80),

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, tumble, tumbling, with_fields
@@ -44,7 +45,7 @@ def refusal(window, knowledge=Knowledge(), **options):
     return caught.value
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(seeds)
 def test_any_square_sensor_is_found_exactly_without_noise(seed):
     rng = np.random.default_rng(seed)

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from tip_turns import rms_deg
 from tumbles import QUIET, SQUARE, hand_tumbling, pole_window, tumble, tumbling, with_fields
@@ -37,7 +38,7 @@ def refusal(window, knowledge=Knowledge(), **options):
     return caught.value
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seeds, st.booleans())
 def test_offset_and_scale_are_exact_where_every_axis_met_the_field(seed, robust):
     rng = np.random.default_rng(seed)

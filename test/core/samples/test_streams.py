@@ -1,7 +1,8 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.samples.streams import (
@@ -263,7 +264,7 @@ class TestPairs:
         assert [pair.field.stamp for pair in walk.pairs] == [1.005]
         assert walk.pairs[0].imu.force == pytest.approx(line(1.005).force)
 
-    @settings(max_examples=60)
+    @examples(60)
     @given(
         st.data(),
         st.floats(20.0, 400.0),

@@ -3,7 +3,8 @@
 import math
 
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.session.rotation_plan import (
@@ -70,7 +71,7 @@ def test_the_way_out_ends_when_every_heading_was_seen():
 
 
 @given(speed=st.floats(0.3, 1.0), gain=st.floats(0.8, 1.4), gyro=st.booleans())
-@settings(max_examples=25)
+@examples(25)
 def test_velocities_ramp_softly_and_a_slipping_base_is_no_fault(speed, gain, gyro):
     _, _, commands = run(Base(gain, gyro=gyro), speed)
     steps = [abs(b - a) for a, b in zip([0.0, *commands], commands, strict=False)]

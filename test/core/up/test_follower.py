@@ -5,7 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from long_form import first_of
 from moving import DEGREE, FORWARD, LEFT, ROBOT, Course, TiltErrors
@@ -175,8 +176,8 @@ def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
             errors.take(sample, ride, linear_acceleration=tuple(1.03 * pull + noise))
         plain(sample, ride)
 
-    course = Course(listen)
-    for _ in range(8):
+    course = Course(listen, rate=50.0)
+    for _ in range(6):
         for forward, rate in ((2.0, 0.0), (0.3, 0.4), (-1.5, 0.0), (-0.8, -0.3)):
             pull = forward * FORWARD + 4.0 * rate * LEFT
             course.go(2.5, acceleration=pull, yaw_rate=rate)
@@ -294,7 +295,7 @@ triples = st.one_of(st.tuples(numbers, numbers, numbers), st.tuples(*[st.floats(
 samples = st.builds(ImuSample, st.floats(0.0, 3.0), triples, triples)
 
 
-@settings(max_examples=200)
+@examples(80)
 @given(st.lists(samples, max_size=30))
 def test_whatever_comes_up_is_a_unit_vector_with_a_variance(messages):
     follower = UpFollower()
@@ -307,7 +308,7 @@ def test_whatever_comes_up_is_a_unit_vector_with_a_variance(messages):
                 assert 0.0 < up.variance < math.inf
 
 
-@settings(max_examples=8)
+@examples(3)
 @given(st.integers(0, 10_000))
 def test_lost_repeated_and_late_messages_do_little_harm(seed):
     rng = np.random.default_rng(seed)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import yaml
 from consumers import FLIP
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import calibration
 
@@ -52,7 +53,7 @@ def in_frd(correct):
     return lambda field: correct(field * FLIP) * FLIP
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds, st.sampled_from(sorted(FULL)))
 def test_consumers_of_the_full_matrix_get_all_of_it(seed, name):
     correction = any_correction(seed)
@@ -62,7 +63,7 @@ def test_consumers_of_the_full_matrix_get_all_of_it(seed, name):
     assert "LOST" not in text
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds)
 def test_vectornav_gets_gauss_in_its_own_axes_and_a_checksum(seed):
     correction = any_correction(seed)
@@ -70,7 +71,7 @@ def test_vectornav_gets_gauss_in_its_own_axes_and_a_checksum(seed):
     np.testing.assert_allclose(correct(FIELDS), correction.apply(FIELDS), atol=SMALLEST)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds, st.sampled_from(sorted(SYMMETRIC)))
 def test_autopilots_get_a_symmetric_correction_whole(seed, name):
     correction = symmetric_correction(seed)
@@ -80,7 +81,7 @@ def test_autopilots_get_a_symmetric_correction_whole(seed, name):
     assert "LOST" not in text
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(seeds, st.sampled_from(sorted(SYMMETRIC)))
 def test_autopilots_lose_a_rotation_and_nothing_else(seed, name):
     correction = any_correction(seed, degrees=4.5)

@@ -5,7 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField
@@ -44,7 +45,7 @@ def same(a, b):
     return np.array(a).tobytes() == np.array(b).tobytes()
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60)
 @given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=3, max_size=3), NINE, ORDERS)
 def test_a_field_is_what_rclpy_reads(frame, sec, nanosec, field, covariance, order):
     data = by_hand(order, frame, sec, nanosec, [*field, *covariance])
@@ -57,7 +58,7 @@ def test_a_field_is_what_rclpy_reads(frame, sec, nanosec, field, covariance, ord
     assert found.covariance == message.magnetic_field_covariance.tobytes()
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60)
 @given(FRAMES, SECONDS, NANOSECONDS, st.lists(DOUBLES, min_size=37, max_size=37), ORDERS)
 def test_an_imu_is_what_rclpy_reads(frame, sec, nanosec, doubles, order):
     data = by_hand(order, frame, sec, nanosec, doubles)
@@ -121,7 +122,7 @@ def test_bytes_cut_short_are_said_to_be_unreadable(kind, read):
             read(data[:size])
 
 
-@settings(max_examples=300, deadline=None)
+@examples(90)
 @given(st.binary(max_size=400), st.sampled_from([b"", b"\0\1\0\0", b"\0\0\0\0", b"\0\7\0\0"]))
 def test_random_bytes_are_a_message_or_unreadable(data, start):
     for read in (read_imu, read_field):

@@ -5,7 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from examples import examples
+from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
@@ -61,7 +62,7 @@ def attitude_message(stamp, frame, heading, declination, sigma=0.0):
     return message
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60)
 @given(
     STAMPS,
     FRAMES,
@@ -74,7 +75,7 @@ def test_a_field(stamp, frame, field, covariance):
     assert essence(filled) == essence(field_message(stamp, frame, field, covariance))
 
 
-@settings(max_examples=200, deadline=None)
+@examples(60)
 @given(STAMPS, FRAMES, st.tuples(*[ANGLES] * 3), st.tuples(*[DOUBLES] * 4), ANGLES, ANGLES)
 def test_an_attitude(stamp, frame, angles, variances, declination, sigma):
     heading = Heading(*angles, *variances)

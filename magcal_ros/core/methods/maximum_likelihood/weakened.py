@@ -8,7 +8,7 @@ known, and that share is taken for a gain of the two level axes before the fit.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,18 +17,40 @@ from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.knowledge import Knowledge, SoftIron
 from magcal_ros.core.samples.window import Window
 
-WEAK = 0.75
-"""Share of the reference's level field below which a circle is taken for weakened."""
-WEAKEST = 0.15
-"""Share below which little more than noise is left."""
-EARTHS_FIELD = (20e-6, 70e-6)
-"""Tesla. A reference outside is none, and no circle is weak beside it."""
-LEAST_PHASES = 30
-PHASES = 36
-"""A circle's radius is believed where so many of so many sectors were seen."""
-LARGEST_LEAN = math.radians(25.0)
-"""Of the circle's plane from the level."""
-SIDEWAYS = 0.95
+
+@dataclass(frozen=True)
+class WeakenedTuning:
+    """When a body is taken to weaken the level field.
+
+    Parameters
+    ----------
+    weak : float
+        Share of the reference's level field below which a circle is taken for weakened.
+    weakest : float
+        Share below which little more than noise is left.
+    earths_field : tuple of float
+        Tesla. A reference outside is none, and no circle is weak beside it.
+    least_phases, phases : int
+        A circle's radius is believed where so many of so many sectors were seen.
+    largest_lean : float
+        Radians of the circle's plane from the level.
+    sideways : float
+        Share of up along one of the magnetometer's axes from which the other two are the level
+        ones.
+    """
+
+    weak: float = 0.75
+    weakest: float = 0.15
+    earths_field: tuple[float, float] = (20e-6, 70e-6)
+    least_phases: int = 30
+    phases: int = 36
+    largest_lean: float = math.radians(25.0)
+    sideways: float = 0.95
+
+
+TUNING = WeakenedTuning()
+
+
 UNEVEN = SoftIron(0.15, 0.1, always=True)
 """What takes away so much of the field is hardly the same in all directions."""
 
@@ -44,19 +66,19 @@ def level_share(window: Window, knowledge: Knowledge) -> float:
         Its reference field, and the mounting.
     """
     reference = knowledge.reference
-    if not reference.is_complete or len(window) < LEAST_PHASES:
+    if not reference.is_complete or len(window) < TUNING.least_phases:
         return 1.0
-    if not EARTHS_FIELD[0] <= reference.strength.value <= EARTHS_FIELD[1]:
+    if not TUNING.earths_field[0] <= reference.strength.value <= TUNING.earths_field[1]:
         return 1.0
     points = window.field @ knowledge.mounting.to_body.T
     circle = fit_circle_robustly(points)
     ups = unit(window.specific_force)
     up = unit(ups.mean(axis=0))
-    if abs(float(circle.normal @ up)) < math.cos(LARGEST_LEAN):
+    if abs(float(circle.normal @ up)) < math.cos(TUNING.largest_lean):
         return 1.0
     x, y = np.linalg.svd(circle.normal[None])[2][1:] @ (points - circle.centre).T
-    phases = np.floor((np.arctan2(y, x) + math.pi) / math.tau * PHASES)
-    if len(np.unique(phases)) < LEAST_PHASES:
+    phases = np.floor((np.arctan2(y, x) + math.pi) / math.tau * TUNING.phases)
+    if len(np.unique(phases)) < TUNING.least_phases:
         return 1.0
     # On a slope the axis may lean towards the field, and then an honest circle is smaller.
     slope = float(np.median(np.arccos(np.clip(ups @ up, -1.0, 1.0))))
@@ -69,11 +91,11 @@ def weakened(knowledge: Knowledge, share: float) -> Knowledge | None:
 
     None where the field is not weakened, or where no axis of the sensor points upwards.
     """
-    if not WEAKEST < share < WEAK:
+    if not TUNING.weakest < share < TUNING.weak:
         return None
     mounting = knowledge.mounting
     upwards = np.abs(mounting.pose[2])
-    if upwards.max() < SIDEWAYS:
+    if upwards.max() < TUNING.sideways:
         return None
-    gains = np.where(upwards > SIDEWAYS, 1.0, share) * mounting.gains
+    gains = np.where(upwards > TUNING.sideways, 1.0, share) * mounting.gains
     return replace(knowledge, mounting=replace(mounting, gains=gains), soft_iron=UNEVEN)

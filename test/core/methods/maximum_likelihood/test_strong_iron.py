@@ -81,7 +81,7 @@ def test_iron_that_flattens_or_mirrors_is_refused_and_raises_nothing_else(elemen
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))
-@pytest.mark.parametrize("wiring", ["sign", "swap", "ned"])
+@pytest.mark.parametrize("wiring", first_of(["ned", "sign", "swap"]))
 def test_wrong_axes_are_a_verdict_whatever_the_fit_makes_of_them(seed, wiring):
     rng = np.random.default_rng(seed)
     robot = Robot(roll=rng.uniform(-0.3, 0.3), pitch=rng.uniform(-0.3, 0.3))

@@ -1,0 +1,120 @@
+"""What self-calibration decides on recordings: `python benchmarks/recorded_drives.py [FOLDER...]`.
+
+Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
+with the calibration in force that the smoother finds on all of it, which nothing should replace.
+Where more than six minutes were driven, 10 µT are added after two of them, in four directions.
+Degrees of heading, RMS against the truth on the whole recording, a constant taken off.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from recorded_truth import Drive, read_drive
+from recordings import DEFAULT, recordings_in
+
+from magcal_ros.core.calibrate import calibrate_drive
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.keeping.candidates import difference, heading_sigma
+from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.smoothing.log import log_of
+
+WORSE = 0.3
+LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", type=Path, nargs="*", default=[DEFAULT])
+    parser.add_argument("--only", default="", help="recordings whose name holds this")
+    arguments = parser.parse_args()
+    worse = windows = 0
+    for folder in recordings_in(arguments.folders):
+        drive = read_drive(folder, None)
+        if arguments.only not in folder.name or drive.everything.angular_rate is None:
+            continue
+        _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))
+        for begun, name in in_force(drive):
+            for first, last in ((0.0, 1.0), (0.0, 0.6), (0.4, 1.0)):
+                story = told(drive, begun, first, last)
+                windows += 1
+                worse += _tell(f"{name}, {first:.0%} to {last:.0%}", drive, begun, story)
+            if drive.everything.time[-1] - drive.everything.time[0] > LONG:
+                for quarter in range(4):
+                    _tell_change(drive, begun, quarter * 0.5 * math.pi)
+    print(f"with a calibration in force: {windows} windows, {worse} made worse by > {WORSE}°")
+
+
+def told(drive: Drive, begun: Calibration | None, first: float, last: float) -> DriveStory:
+    time = drive.everything.time
+    start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
+    teller = DriveTeller(drive.knowledge, begun)
+    teller.take((each for each in drive.recording.samples() if start <= each.stamp <= stop), ())
+    return teller.story()
+
+
+def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
+    """Add iron on the way, and say what comes of it: degrees from what is then right."""
+    iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
+    start = drive.everything.time[0] + CHANGE_AT
+    teller = DriveTeller(drive.knowledge, begun)
+    teller.take(
+        (
+            each._replace(field=tuple(np.add(each.field, iron).tolist()))
+            if isinstance(each, FieldSample) and each.stamp > start
+            else each
+            for each in drive.recording.samples()
+        ),
+        (),
+    )
+    old = begun.correction
+    right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
+    print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
+    print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
+    for at, made in teller.story().decisions:
+        left = ""
+        if made.calibration is not None:
+            left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
+        print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
+    print(flush=True)
+
+
+def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
+    """Yield what may be in force: what all of the drive shows."""
+    found = calibrate_drive(log_of(drive.everything), drive.knowledge).calibration
+    if found is not None:
+        yield found, "its own in force"
+
+
+def score(drive: Drive, calibration: Calibration | None) -> float:
+    if calibration is None:
+        return math.nan
+    apply = calibration.correction.apply
+    found = drive.score(lambda up, raw: yaw_from_up_and_field(up, apply(raw)))
+    return found.rms if found else math.nan
+
+
+def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveStory) -> bool:
+    before, after = score(drive, begun), score(drive, story.ended)
+    said = math.degrees(heading_sigma(story.ended)) if story.ended else math.nan
+    first = next((at for at, made in story.decisions if made.calibration is not None), math.nan)
+    made = " ".join(each.verb.value for _, each in story.decisions)
+    is_worse = after > before + WORSE
+    print(
+        f"{drive.name:28s}{name:32s}{story.moved:5.0f} s moved, changed after {first:4.0f} s, said"
+        f" {said:4.1f}, rms {before:5.2f} -> {after:5.2f}{' WORSE' if is_worse else ''} {made}",
+        flush=True,
+    )
+    return is_worse
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""Which of four yaws the magnetometer has, by the course: what no turn on the spot can tell."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.assessment.axes import mount_of, parameter_line
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.signed_axes import is_mirrored, spoken
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.alignment_fit import FIELD, IRON, SOFT
+
+NAME = "axes: yaw by course"
+LONGER = "drive farther, to several sides, straight and at more than walking pace"
+
+
+@dataclass(frozen=True)
+class AxesYawTuning:
+    """When a course decides on the yaw of axes.
+
+    Parameters
+    ----------
+    vague : float
+        Radians of sigma beyond which it does not.
+    near : float
+        Radians that may be left beside a multiple of 90°, for a declination that is not known.
+    iron : float
+        Sigma of the hard iron over the level field beyond which there is no compass to compare.
+    """
+
+    vague: float = math.radians(12.0)
+    near: float = math.radians(35.0)
+    iron: float = 0.3
+
+
+TUNING = AxesYawTuning()
+
+
+@dataclass(frozen=True)
+class CourseSeen:
+    """What a drive shows of the compass, radians; NaN where it does not.
+
+    Parameters
+    ----------
+    gap, sigma : float
+        Yaw of the compass less course, less declination, less the yaw of the IMU where it is known.
+    imu_yaw, imu_sigma : float
+        Of the IMU in the vehicle, to the left, by the vehicle's own acceleration.
+    """
+
+    gap: float = math.nan
+    sigma: float = math.nan
+    imu_yaw: float = math.nan
+    imu_sigma: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class AxesInUse:
+    """The magnetometer's axes by which the page goes, and the compass that they make.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (3, 3)
+        Rows in the body's, after the mounting that is known.
+    pose : ndarray, shape (3, 3)
+        The mounting that is known.
+    compass : Calibration
+        Good enough to be compared with a course.
+    """
+
+    axes: FloatArray
+    pose: FloatArray
+    compass: Calibration
+
+
+def axes_in_use(
+    explanations: Explanations, k: int, knowledge: Knowledge, tuning: AxesYawTuning = TUNING
+) -> AxesInUse | None:
+    """Return the compass that an explanation makes; None where the movement shows none.
+
+    Parameters
+    ----------
+    explanations : Explanations
+        Of a gyro in rad/s.
+    k : int
+        Which one.
+    knowledge : Knowledge
+        Its mounting was taken off.
+    tuning : AxesYawTuning, optional
+    """
+    axes, state, sigma = (
+        values[k] for values in (explanations.field, explanations.parameters, explanations.sigma)
+    )
+    if not np.array_equal(explanations.gyro[k], np.eye(3)) or is_mirrored(axes):
+        return None
+    up = explanations.part.stretch.up[0]
+    level = float(np.linalg.norm(np.cross(state[FIELD], up)))
+    if not float(sigma[IRON].max()) < tuning.iron * level:
+        return None
+    size = explanations.part.stretch.size
+    to_axes = axes.T @ knowledge.mounting.to_body
+    soft = np.eye(3) + state[SOFT].reshape(3, 3)
+    compass = Calibration(
+        Correction(np.linalg.inv(soft) @ to_axes, np.linalg.solve(to_axes, size * state[IRON])),
+        1e-4 * np.eye(PARAMETERS),
+        1e-6,
+        math.radians(1.0),
+        size * float(np.linalg.norm(state[FIELD])),
+        0.0,
+        Evidence("doctor", "", "", ""),
+    )
+    return AxesInUse(axes, knowledge.mounting.pose, compass)
+
+
+def course_findings(
+    used: AxesInUse, seen: CourseSeen, tuning: AxesYawTuning = TUNING
+) -> tuple[list[Finding], tuple[int, int, int] | None]:
+    """Return the lines, and the mounting that mends the yaw where it is wrong.
+
+    Parameters
+    ----------
+    used : AxesInUse
+        With which the course was compared.
+    seen : CourseSeen
+        What came of it.
+    tuning : AxesYawTuning, optional
+    """
+    lines = []
+    knows_imu = seen.imu_sigma < tuning.vague
+    if knows_imu:
+        lines.append(_imu_yaw(seen, tuning))
+    if not seen.sigma < tuning.vague:
+        return [*lines, not_shown("field_yaw", NAME, LONGER)], None
+    quarters = round(seen.gap / (0.5 * math.pi))
+    evidence = (
+        f"the compass is {math.degrees(seen.gap):+.0f} ± {math.degrees(seen.sigma):.0f}° off the "
+        "course"
+    )
+    if not quarters % 4 or abs(seen.gap - 0.5 * math.pi * quarters) > tuning.near:
+        return [*lines, looked_at("field_yaw", NAME, evidence)], None
+    axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
+    mount = mount_of(axes, used.pose)
+    turned = f"the magnetometer's axes are {spoken(axes)}: set `{parameter_line(mount)}`"
+    if knows_imu:
+        return [*lines, wrong("field_yaw", NAME, evidence, turned)], mount
+    either = (
+        f"either {turned}; or the IMU looks {90 * quarters:+d}° to the left of the front and the "
+        f"magnetometer with it: set `vehicle_yaw_deg: {90.0 * quarters}`. To tell which, record "
+        "the speed too, and accelerate and brake"
+    )
+    return [*lines, wrong("field_yaw", NAME, evidence, either)], None
+
+
+def _imu_yaw(seen: CourseSeen, tuning: AxesYawTuning) -> Finding:
+    degrees = math.degrees(seen.imu_yaw)
+    evidence = (
+        f"looks {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "
+        f"{'left' if degrees >= 0.0 else 'right'} of the front"
+    )
+    remedy = (
+        f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
+        f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
+    )
+    is_off = abs(seen.imu_yaw) > tuning.near
+    return looked_at("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

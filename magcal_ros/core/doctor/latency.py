@@ -1,0 +1,203 @@
+"""How late the field and the accelerometer are against the gyro, by every sample.
+
+A vector that stands still in the world shows when a sensor measured it by how far it has turned.
+What moves it beside that is fitted with the latency: the sensor's own installation, scale and
+offset, the gyro's bias and scale, the gyro's random walk in steps, and for an accelerometer that
+it does not sit on the axis of the turn. What remains sets the sigma, so it is what the rates and
+the noise of this movement allow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
+from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.log_stretch import LogStretch, LogStretchTuning, stretch_of_log
+from magcal_ros.core.doctor.noise import white_noise
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import skews
+from magcal_ros.core.samples.alignment import inefficiency
+from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
+from magcal_ros.core.samples.sensor_log import SensorLog
+
+OF_FIELD = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
+OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
+
+
+@dataclass(frozen=True)
+class LatencyTuning:
+    """How the latency of a sensor is fitted.
+
+    Parameters
+    ----------
+    most : int
+        Samples; more are averaged.
+    field, force : AlignmentTuning
+        What is believed of the magnetometer and of the accelerometer, whose offset counts in the
+        changing part of gravity.
+    lever : float
+        Metres, standard deviation of how far the accelerometer sits off the turn's axis.
+    walk_step : float
+        Seconds between the steps of the gyro's random walk at least.
+    walk_steps : int
+        Of them at most.
+    walk : float
+        Radians in a second that a gyro without noise walks.
+    shaken : float
+        Seconds over which the noise is taken together.
+    least : float
+        Seconds, standard deviation of the stamps' own habits.
+    rounds : int
+        Of robust weights.
+    steps : int
+        Of the fit between two estimates of the noise.
+    """
+
+    most: int = 1500
+    field: AlignmentTuning = OF_FIELD
+    force: AlignmentTuning = OF_FORCE
+    lever: float = 0.3
+    walk_step: float = 1.0
+    walk_steps: int = 40
+    walk: float = math.radians(0.01)
+    shaken: float = 1.5
+    least: float = 1e-3
+    rounds: int = 3
+    steps: int = 4
+
+
+@dataclass(frozen=True)
+class Latency:
+    """How late a sensor is, in seconds, and the standard deviation of that."""
+
+    lag: float
+    sigma: float
+
+
+TUNING = LatencyTuning()
+
+
+def field_latency(
+    log: SensorLog, explanations: Explanations, k: int, tuning: LatencyTuning = TUNING
+) -> Latency | None:
+    """Return the field's latency by one explanation; None where there are too few samples.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As it was explained: rates in rad/s, the known mounting taken off.
+    explanations : Explanations
+        What explains the axes, the bias and the hard iron.
+    k : int
+        Which explanation.
+    tuning : LatencyTuning, optional
+    """
+    state = explanations.parameters[k : k + 1].copy()
+    before = float(state[0, LAG])
+    part = stretch_of_log(log, before, _each_sample(tuning))
+    if part is None:
+        return None
+    state[:, LAG] = 0.0
+    state[:, FIELD.start : IRON.stop] *= explanations.part.stretch.size / part.stretch.size
+    axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
+    fit = AlignmentFit(part.stretch, axes, tuning.field, gyro)
+    found = _fitted(fit, state, part, log, None, tuning)
+    return Latency(before + found.lag, found.sigma)
+
+
+def force_latency(
+    log: SensorLog, explanations: Explanations, k: int, tuning: LatencyTuning = TUNING
+) -> Latency | None:
+    """Return the accelerometer's latency, of which only what leans gravity shows anything.
+
+    Takes the same as `field_latency`.
+    """
+    gravity = replace(log, field_time=log.imu_time, field=log.force)
+    gyro, before = explanations.gyro[k : k + 1], 0.0
+    found: Latency | None = None
+    for _ in range(WEIGHED.looks):
+        part = stretch_of_log(gravity, before, _each_sample(tuning))
+        if part is None:
+            break
+        fit = AlignmentFit(part.stretch, np.eye(3)[None], tuning.force, gyro, with_up=False)
+        state = fit.descend(fit.start(), tuning.force.start_noise, tuning.steps)
+        turns = skews(fit.rate[0])
+        lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
+        more = _fitted(fit, state, part, log, tuning.lever / part.stretch.size * lever, tuning)
+        found = Latency(before + more.lag, more.sigma)
+        if abs(more.lag) < WEIGHED.settled:
+            break
+        before = found.lag
+    return found
+
+
+def _each_sample(tuning: LatencyTuning) -> LogStretchTuning:
+    return LogStretchTuning(fewest=tuning.most, most=tuning.most)
+
+
+def _fitted(
+    fit: AlignmentFit,
+    state: FloatArray,
+    part: LogStretch,
+    log: SensorLog,
+    lever: FloatArray | None,
+    tuning: LatencyTuning,
+) -> Latency:
+    """Fit the latency with all that looks like it; `lever` (n, 3, 3) is of unit prior."""
+    for _ in range(2):
+        noise = fit.noise(state, 0)
+        state = fit.descend(state, noise, tuning.steps)
+    attitude, moved = fit.propagate(state)
+    residual = fit.residuals(state)[0][0]
+    walked = fit.turned_by(state, attitude, _walk(attitude, part.time, log, tuning))
+    parts = [fit.jacobian(state, attitude, moved)[0, :, :3], walked[0, :, :3]]
+    if lever is not None:
+        parts.append(lever)
+    design = np.concatenate(parts, axis=2)
+    count = design.shape[2]
+    prior = np.eye(count)
+    prior[: len(fit.prior), : len(fit.prior)] = fit.prior
+    pull = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
+    left, nu = residual, fit.tuning.freedom
+    for _ in range(tuning.rounds):
+        variance = _noise_around(left, part.time, tuning)
+        weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
+        weight /= inefficiency(left / np.sqrt(variance)[:, None])
+        rows = (design * weight[:, None, None]).reshape(-1, count)
+        information = rows.T @ design.reshape(-1, count) + prior
+        step = np.linalg.solve(information, rows.T @ residual.ravel() - pull)
+        left = residual - design @ step
+    covariance = np.linalg.inv(information)
+    off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), tuning.least)
+    return Latency(float(state[0, LAG] + step[LAG]), off)
+
+
+def _noise_around(left: FloatArray, time: FloatArray, tuning: LatencyTuning) -> FloatArray:
+    """Return the variance per axis around each moment, shape (n,): who moves is shaken."""
+    power = np.sum(left**2, axis=1)
+    usual = float(np.median(power))
+    width = max(1, int(tuning.shaken / max(float(np.median(np.diff(time))), 1e-4)))
+    calm = np.minimum(power, 20.0 * usual)
+    near = np.convolve(calm, np.ones(width), "same") / np.convolve(
+        np.ones_like(calm), np.ones(width), "same"
+    )
+    return np.asarray(np.maximum(near, 0.3 * usual) / 3.0)
+
+
+def _walk(
+    attitude: FloatArray, time: FloatArray, log: SensorLog, tuning: LatencyTuning
+) -> FloatArray:
+    """Return what each step of the gyro's random walk turns, of unit prior, (1, n, 3, m)."""
+    span = float(time[-1] - time[0])
+    count = int(np.clip(span / tuning.walk_step, 1, tuning.walk_steps))
+    seconds = span / count
+    done = np.clip((time[:, None] - time[0]) / seconds - np.arange(count), 0.0, 1.0)
+    period = float(np.median(np.diff(log.imu_time)))
+    noise = float(white_noise(log.rate).max()) * math.sqrt(period)
+    size = math.hypot(noise, tuning.walk) * math.sqrt(seconds)
+    each = size * attitude[..., None] * done[None, :, None, None, :]
+    return np.asarray(each.reshape(*attitude.shape[:3], -1))

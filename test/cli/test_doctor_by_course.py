@@ -1,0 +1,54 @@
+"""`magcal doctor` tells the yaw of the axes where a bag has a course."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from drives import DRIVE_VEHICLE, recorded, write_bag
+
+from magcal_ros.cli.main import main
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.simulation.drive import simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.travel import travel
+
+LEFT = rotation_from_rpy(0.0, 0.0, math.pi / 2.0)
+
+
+def turned(sample, imu, field):
+    """A sample as sensors say it that are turned by `imu` and `field` in the vehicle."""
+    if isinstance(sample, ImuSample):
+        force, rate = (tuple(imu.T @ np.array(v)) for v in (sample.force, sample.rate))
+        return sample._replace(force=force, rate=rate)
+    if isinstance(sample, FieldSample):
+        return sample._replace(field=tuple(field.T @ np.array(sample.field)))
+    return sample
+
+
+@pytest.fixture(scope="module")
+def samples():
+    rng = np.random.default_rng(4)
+    truth = travel(city(rng, 150.0), rng, rate=20.0)
+    return list(simulated_drive(truth, rng, DRIVE_VEHICLE, streets=None).samples())
+
+
+@pytest.mark.parametrize(
+    ("imu", "field", "wrong"),
+    [
+        (np.eye(3), LEFT, {"field_yaw"}),
+        pytest.param(np.eye(3), np.eye(3), set(), marks=pytest.mark.nightly),
+        pytest.param(LEFT, LEFT, {"imu_yaw"}, marks=pytest.mark.nightly),
+    ],
+    ids=["magnetometer to the left", "right", "both to the left"],
+)
+def test_a_course_tells_the_yaw(samples, imu, field, wrong, tmp_path, capsys):
+    said = [recorded(turned(sample, imu, field)) for sample in samples]
+    bag = write_bag(tmp_path / "bag", [each for each in said if each])
+    main(["doctor", str(bag), "--json"])
+    page = json.loads(capsys.readouterr().out)
+    lines = {f["key"]: f for f in page["findings"]}
+    assert {key for key, f in lines.items() if f["grade"] in ("warn", "refused")} == wrong
+    assert {"field_yaw", "imu_yaw"} <= set(lines)
+    assert page["mount_rpy_deg"] == ([0, 0, 90] if "field_yaw" in wrong else None)

@@ -1,0 +1,14 @@
+"""What the tests of reports share."""
+
+import pytest
+from remembered import remembered
+
+from magcal_ros.report import turn
+
+EXAMINE_WINDOW = remembered(turn.examine_window)
+
+
+@pytest.fixture(autouse=True)
+def one_look(monkeypatch):
+    """Look at the sensors of one turn once: it is half of a report."""
+    monkeypatch.setattr(turn, "examine_window", EXAMINE_WINDOW)

@@ -1,0 +1,61 @@
+"""The demo as `make demo` runs it, eight times as fast."""
+
+import subprocess
+import sys
+
+import pytest
+
+from magcal_ros.cli.main import main
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.ros import rehearsal
+
+DEMO = ["demo", "--speed", "8"]
+
+
+class Brief(rehearsal.Rehearsal):
+    """Stands at three headings instead of twenty-four: that is most of the demo."""
+
+    def published_errors(self, tilts, headings=3):
+        return super().published_errors(tilts, headings)
+
+
+def errors(printed, row):
+    """Degrees on the level and on slopes, from one row of the table."""
+    line = next(line for line in printed.splitlines() if line.startswith(f"  {row}"))
+    level, slope = line.replace("°", "").split()[-2:]
+    return float(level), float(slope)
+
+
+def check(printed, folder):
+    assert "Calibrated, quality" in printed
+    assert "true    found    error" in printed
+    assert errors(printed, "before")[0] > 10.0
+    published, slopes = errors(printed, "after: published")
+    assert published < 0.7
+    assert slopes < 1.0
+    assert max(errors(printed, "after, without the sensors' noise")) < 0.3
+    calibration, _ = read_calibration(folder / "calibration.yaml")
+    assert abs(calibration.correction.hard_iron[0] - 15e-6) < 0.3e-6
+
+
+def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(rehearsal, "Rehearsal", Brief)
+    assert main(DEMO) == 0
+    check(capsys.readouterr().out, tmp_path)
+
+
+@pytest.mark.nightly
+def test_the_demo_as_it_is_typed(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "magcal_ros.cli.main", *DEMO],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    check(done.stdout, tmp_path)
