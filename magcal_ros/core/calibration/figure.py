@@ -99,8 +99,8 @@ class Figure(str, Enum):
     """Field that is there while the robot turns and not while it rests beside its turn, or that
     switched on the way, tesla; zero where chance explains it, absent where nothing tells."""
     LATENCY = "latency"
-    """By how much the field comes later than the gyro, seconds, taken off; zero where the turn does
-    not show any, absent where the gyro did not carry the attitude."""
+    """By how much the field comes later than the gyro, seconds, taken off; absent where the turn
+    does not show any."""
     SIDEWAYS_PULL = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"

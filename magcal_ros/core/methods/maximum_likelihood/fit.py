@@ -178,7 +178,8 @@ class Solved:
         acceleration = np.zeros(3)
         if isinstance(block, GyroBlock):
             acceleration = block.acceleration
-            figures[Figure.LATENCY] = float(block.path.found(block.errors, Effect.LATENCY).sum())
+            if Effect.LATENCY in block.path.effects:
+                figures[Figure.LATENCY] = float(block.path.found(block.errors, Effect.LATENCY)[0])
         return figures | {
             Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock) or self.choice.own_lean),
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
