@@ -3,7 +3,9 @@
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
 without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
 median promised sigma, NEES of the heading, and the share beyond three sigmas. Sensors are judged as
-they are used: an accelerometer that is off is off afterwards, too.
+they are used: an accelerometer that is off is off afterwards, too; motors are off when they are.
+Some effects have a course of their own: a rest before and after the turn, stops on the way, an
+uneven speed. Such turns go through a session, as those of a robot do.
 """
 
 from __future__ import annotations
@@ -21,11 +23,15 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.session import Limits, Session
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
+    UP_ENU,
     Motion,
     Robot,
     measure,
@@ -36,6 +42,10 @@ from magcal_ros.core.simulation.simulator import (
 )
 
 SAMPLES, SECONDS = 600, 20.0
+REST = 3.0
+"""Seconds before and after a turn that starts and ends at rest."""
+RUNS_FROM = 0.02
+"""rad/s from which the motors run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +60,55 @@ class Scene:
 
 
 Spoil = Callable[[np.random.Generator, Scene], Scene]
+Course = Callable[[FloatArray], FloatArray]
+"""How fast a robot turns at moments (seconds from the turn's start), over its fastest."""
 
 
-def drawn(rng: np.random.Generator) -> tuple[Scene, Knowledge]:
+def evenly(time: FloatArray) -> FloatArray:
+    return np.clip(np.minimum(time, SECONDS - time) / 0.5, 0.0, 1.0)
+
+
+def stop_and_go(time: FloatArray) -> FloatArray:
+    return evenly(time) * np.clip(4.0 * np.sin(math.tau * time / 5.0) + 2.0, 0.0, 1.0)
+
+
+def unevenly(time: FloatArray) -> FloatArray:
+    return evenly(time) * (1.0 + 0.5 * np.sin(math.tau * time / 7.0))
+
+
+def there_and_back(time: FloatArray) -> FloatArray:
+    return evenly(time) * np.clip(2.0 * (0.5 * SECONDS - time), -1.0, 1.0)
+
+
+def driven(
+    course: Course, arc: float, start_rpy: tuple[float, float, float], sway: FloatArray
+) -> Motion:
+    """Return a turn that begins and ends at rest; it sways while it turns."""
+    step = SECONDS / SAMPLES
+    time = np.arange(-REST, SECONDS + REST, step)
+    rate = course(time)
+    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step)])
+    yaw *= arc / np.ptp(yaw)
+    lean = np.zeros((len(time), 3))
+    lean[: len(sway)] = sway
+    lean = np.roll(lean, round(REST / step), axis=0) * np.minimum(np.abs(rate), 1.0)[:, None]
+    slope = rotation_from_rpy(*start_rpy).T
+    return Motion(time, exp_rotations(lean) @ rotation_about(UP_ENU, -yaw) @ slope)
+
+
+def collected(window: Window) -> Window:
+    """Return what a session makes of samples."""
+    session = Session(Limits(), Mounting(), 0.0)
+    rates = window.angular_rate
+    rates = np.full_like(window.field, math.nan) if rates is None else rates
+    rows = zip(window.time, window.field, window.specific_force, rates, strict=True)
+    for stamp, field_, force, rate in rows:
+        imu = ImuSample(stamp, tuple(force), tuple(rate))
+        session.add(Pair(FieldSample(stamp, tuple(field_)), imu), stamp)
+    return session.window()
+
+
+def drawn(rng: np.random.Generator, course: Course | None = None) -> tuple[Scene, Knowledge]:
     """Draw a robot, its turn, and what is known of the field."""
     robot = Robot(
         inclination=rng.uniform(50.0, 70.0) * DEGREE,
@@ -67,7 +123,10 @@ def drawn(rng: np.random.Generator) -> tuple[Scene, Knowledge]:
     slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
     sway = smooth_wobble(rng, SAMPLES, SECONDS, 1.0 * DEGREE, (0.2, 2.0))
     arc = rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.15) * math.tau
-    motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
+    if course is None:
+        motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
+    else:
+        motion = driven(course, arc, slope, sway)
     strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
     dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
     scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
@@ -118,13 +177,24 @@ def coloured(size: float, seconds: float) -> Spoil:
     """Add noise of three axes that lasts for seconds; endless seconds: a random walk."""
 
     def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
-        step = SECONDS / SAMPLES
+        step, count = SECONDS / SAMPLES, len(scene.window)
         keeps = math.exp(-step / seconds)
         grows = math.sqrt(step if math.isinf(seconds) else 1.0 - keeps**2)
-        noise = np.zeros((SAMPLES, 3))
-        for k in range(1, SAMPLES):
+        noise = np.zeros((count, 3))
+        for k in range(1, count):
             noise[k] = keeps * noise[k - 1] + grows * rng.standard_normal(3)
         return with_field(scene, size * (noise - noise.mean(axis=0)))
+
+    return spoil
+
+
+def motors(size: float, *, signed: bool = False) -> Spoil:
+    """Add a field (tesla) of the body while the robot turns; it turns round with the turn."""
+
+    def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
+        rate = scene.motion.angular_rate[:, 2]
+        runs = (np.abs(rate) > RUNS_FROM) * (np.sign(rate) if signed else 1.0)
+        return with_field(scene, size * np.outer(runs, direction(rng)))
 
     return spoil
 
@@ -222,6 +292,29 @@ EFFECTS: dict[str, Spoil] = {
 }
 
 
+COURSES: dict[str, tuple[Course, Spoil]] = {
+    "rests": (evenly, lambda _, scene: scene),
+    "rests, all that is typical": (evenly, TYPICAL),
+    "rests, motors 1 µT": (evenly, motors(1e-6)),
+    "rests, motors 3 µT": (evenly, motors(3e-6)),
+    "rests, gyro bias 2 °/s": (evenly, biased(2.0)),
+    "rests, acceleration .5": (evenly, off(0.5)),
+    "stops": (stop_and_go, lambda _, scene: scene),
+    "stops, all that is typical": (stop_and_go, TYPICAL),
+    "stops, motors 1 µT": (stop_and_go, motors(1e-6)),
+    "stops, motors 3 µT": (stop_and_go, motors(3e-6)),
+    "stops, latency 50 ms": (stop_and_go, late(0.05)),
+    "stops, lever arm .5 m": (stop_and_go, lever_arm(0.5)),
+    "uneven": (unevenly, lambda _, scene: scene),
+    "uneven, motors 1 µT": (unevenly, motors(1e-6)),
+    "uneven, latency 50 ms": (unevenly, late(0.05)),
+    "uneven, lever arm .5 m": (unevenly, lever_arm(0.5)),
+    "there and back, motors 1 µT": (there_and_back, motors(1e-6)),
+    "there and back, signed 1 µT": (there_and_back, motors(1e-6, signed=True)),
+}
+"""Effects that show where a robot rests, or turns at another speed."""
+
+
 def heading_error(scene: Scene, correction: Correction) -> float:
     """Return the RMS heading error on the level with the sensors as they are, radians."""
     poses = trial_attitudes()[:, LEVEL_TILT]
@@ -235,9 +328,11 @@ def heading_error(scene: Scene, correction: Correction) -> float:
 def row(name: str, runs: int, *, gyro: bool) -> str:
     errors, sigmas, refused, warned = [], [], 0, 0
     for number in range(runs):
-        scene, knowledge = drawn(np.random.default_rng([1, number]))
-        scene = EFFECTS[name](np.random.default_rng([2, number]), scene)
+        course, effect = COURSES.get(name) or (None, EFFECTS[name])
+        scene, knowledge = drawn(np.random.default_rng([1, number]), course)
+        scene = effect(np.random.default_rng([2, number]), scene)
         window = scene.window if gyro else replace(scene.window, angular_rate=None)
+        window = window if course is None else collected(window)
         outcome = calibrate(window, knowledge)
         if outcome.estimate is None or not outcome.verdict.accepted:
             refused += 1
@@ -245,7 +340,7 @@ def row(name: str, runs: int, *, gyro: bool) -> str:
         warned += Grade.WARN in (outcome.verdict.quality, outcome.verdict.confidence)
         errors.append(heading_error(scene, outcome.estimate.correction))
         sigmas.append(predicted_heading_sigma(outcome.estimate, 0.0))
-    text = f"{name:24s}{'gyro' if gyro else '-':>5s}{refused:8d}{warned:8d}"
+    text = f"{name:28s}{'gyro' if gyro else '-':>5s}{refused:8d}{warned:8d}"
     if not errors:
         return text
     ratio = np.array(errors) / np.array(sigmas)
@@ -259,8 +354,8 @@ def main() -> None:
     parser.add_argument("--only", default="", help="effects whose name holds this")
     arguments = parser.parse_args()
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s")
-    print(f"{'effect':24s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
-    for name in EFFECTS:
+    print(f"{'effect':28s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
+    for name in (*EFFECTS, *COURSES):
         if arguments.only in name:
             for gyro in (True, False):
                 print(row(name, arguments.runs, gyro=gyro), flush=True)

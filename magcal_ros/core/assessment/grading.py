@@ -32,7 +32,7 @@ class Aspect(str, Enum):
 
 
 DEGREES = 180.0 / math.pi
-SCALES = {"°": DEGREES, "%": 100.0}
+SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 """From SI to the unit people see; all others are shown as they are."""
 
 

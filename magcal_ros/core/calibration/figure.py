@@ -95,6 +95,12 @@ class Figure(str, Enum):
     STEADY_PULL = "steady_pull"
     """Lean of the accelerometer's up that was found to turn with the robot and was taken off,
     radians; zero without one; absent without a gyro."""
+    MOTOR_FIELD = "motor_field"
+    """Field that is there while the robot turns and not while it rests beside its turn, or that
+    switched on the way, tesla; zero where chance explains it, absent where nothing tells."""
+    LATENCY = "latency"
+    """By how much the field comes later than the gyro, seconds, taken off; absent where the turn
+    does not show any."""
     SIDEWAYS_PULL = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"

@@ -32,6 +32,9 @@ class SwingTuning:
         Of Cauchy weights; they settle sooner.
     spike : float
         Times the median stray beyond which a sector does not count.
+    most_radial : float
+        Radians up to which a stray along the radius stands for one across it. More is a turn that
+        does not fit: its halves and residuals say so, and a wide sigma would excuse them.
     """
 
     sector: float = math.radians(12.0)
@@ -39,6 +42,7 @@ class SwingTuning:
     scale: float = 0.01
     rounds: int = 10
     spike: float = 6.0
+    most_radial: float = math.radians(2.0)
 
 
 SWING = SwingTuning()
@@ -128,3 +132,23 @@ def _turn_about_z(rotations: FloatArray) -> FloatArray:
     return np.arctan2(
         rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
     )
+
+
+def lasting_stray(radial: FloatArray, turned: FloatArray) -> float:
+    """Return the lasting part of a residual along the turn's radius, without the noise of samples.
+
+    Without a gyro nothing shows what strays across the radius; what strays along it is as large.
+
+    Parameters
+    ----------
+    radial : ndarray, shape (n,)
+        Residual along the radius over it: what it would be across, in radians.
+    turned : ndarray, shape (n,)
+        Angle of the turn, radians, unwrapped.
+    """
+    noise = _sample_noise(radial)
+    index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
+    count = np.bincount(index)
+    mean = np.bincount(index, radial) / count
+    lasting = math.sqrt(max(float(np.mean(mean**2) - np.mean(noise**2 / count)), 0.0))
+    return lasting if lasting < SWING.most_radial else 0.0

@@ -1,9 +1,9 @@
 """A turn through which the gyro propagates one attitude (doc/estimator.md, section 4).
 
 Instead of an attitude for each sample there is one for the turn, and a vector of errors with
-priors: bias, scale, a slow drift whose size is estimated, and where it is asked for a steady linear
-acceleration. This ties neighbours together: leans need not be integrated out, short arcs gain most,
-and a field that does not turn with the robot shows.
+priors: bias, scale, a slow drift whose size is estimated, and what else follows the turn where it
+shows (`effects`). This ties neighbours together: leans need not be integrated out, short arcs gain
+most, and a field that does not turn with the robot shows.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.estimation.block import AXES, Reduced, TurnBlock
+from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.gyro_path import GyroPath
 from magcal_ros.core.estimation.model import (
     Evaluation,
@@ -69,7 +70,7 @@ class GyroBlock:
     Parameters
     ----------
     place : Evaluation
-        Globals and propagated attitudes; samples with the linear acceleration taken off.
+        Globals and propagated attitudes; samples with the effects taken off.
     samples : Samples
         As measured.
     weighting : Weighting
@@ -113,7 +114,8 @@ class GyroBlock:
     @property
     def acceleration(self) -> FloatArray:
         """Steady linear acceleration in body axes, over gravity, shape (3,)."""
-        return self.path.acceleration(self.errors)
+        found = self.path.found(self.errors, Effect.PULL)
+        return found[:3] if len(found) else np.zeros(3)
 
     @property
     def wobble(self) -> float:
@@ -162,7 +164,7 @@ class GyroBlock:
         among = rows.T @ direct.reshape(-1, size)
         across = (by_turning @ direct).reshape(-1, size).T @ basis
         within = basis.T @ ((by_turning @ turning) @ self.path.basis).reshape(basis.shape)
-        # Globals come first, then the basis, then the linear acceleration.
+        # Globals come first, then the basis, then the effects.
         count = len(free)
         order = np.r_[:count, size : size + basis.shape[1], count:size]
         information = np.block([[among, across], [across.T, within]])[np.ix_(order, order)]
@@ -177,14 +179,11 @@ class GyroBlock:
     def _direct_jacobian(self, local: FloatArray, free: IntArray) -> FloatArray:
         place = self.place
         direct = global_jacobian(place.state, place.prediction, local, place.samples)[:, :, free]
-        if not self.path.accelerated:
+        effects = self.path.effects.columns
+        if not effects.shape[2]:
             return direct
-        by_acceleration = np.zeros((*local.shape[:2], 6))
-        by_acceleration[:, :3, :3] = self.place.state.shared.body_axis.T
-        by_acceleration[:, :3, 3:] = (
-            self.path.swiftness[:, None, None] * self.place.state.shared.body_axis.T
-        )
-        return np.concatenate([direct, by_acceleration], axis=2)
+        up = place.state.shared.body_axis.T @ effects[:, :3]
+        return np.concatenate([direct, np.concatenate([up, effects[:, 3:]], axis=1)], axis=2)
 
     @property
     def _to_frame(self) -> FloatArray:
@@ -197,8 +196,11 @@ class GyroBlock:
         turns = exp_rotations((self._to_frame @ turned[:, :, None])[:, :, 0])
         state = State(self.place.state.shared.moved(step), turns @ self.place.state.attitude)
         errors, samples = self.errors + local, self.samples
-        if self.path.accelerated:
-            samples = replace(samples, up=samples.up - self.path.accelerations(errors))
+        if len(self.path.effects):
+            added = self.path.added(errors)
+            samples = replace(
+                samples, up=samples.up - added[:, :3], field=samples.field - added[:, 3:]
+            )
         return replace(self, place=Evaluation(state, samples), errors=errors)
 
     def weighted(self, weighting: Weighting) -> GyroBlock:

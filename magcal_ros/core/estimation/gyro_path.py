@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.estimation.effects import Effect, Effects, pull
 from magcal_ros.core.estimation.model import Samples
+from magcal_ros.core.estimation.pace import Pace, attitudes, averages, pace_of
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
+from magcal_ros.core.geometry.rotations import rotation_vectors
+from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up import relative_attitudes
 
-SMOOTHED = 1.0
-"""Seconds over which the turn rate is averaged before it is squared."""
 CLEAR_SENSE = 0.5
 """Correlation of gyro and field from which the sense of the mounting is taken as shown."""
 
@@ -28,6 +29,9 @@ class GyroErrors:
     ----------
     bias : float
         Sigma of the gyro's bias, rad/s per axis: about 0.2 degrees a second, of consumer MEMS.
+    rested_bias : float
+        The same where a rest right beside the turn showed it and it was taken off: what a bias
+        changes by from rest to motion.
     scale : float
         Sigma of its scale, per axis, relative.
     acceleration : float
@@ -44,6 +48,7 @@ class GyroErrors:
     """
 
     bias: float = 0.003
+    rested_bias: float = 0.0005
     scale: float = 0.02
     acceleration: float = 0.1
     doubtful_bias: float = 0.05
@@ -51,6 +56,11 @@ class GyroErrors:
     most_knots: int = 12
     longest_spacing: float = 5.0
     most_of_all: int = 72
+
+    def after(self, rests: tuple[RestBeside, ...]) -> GyroErrors:
+        """Return what is known where rests were seen beside the turn."""
+        sigmas = [math.hypot(self.rested_bias, rest.rate_sigma) for rest in rests]
+        return replace(self, bias=min([self.bias, *sigmas]))
 
     def knots(self, seconds: float) -> int:
         """Return how many knots a window of so many seconds has."""
@@ -61,10 +71,24 @@ class GyroErrors:
 BIAS = slice(3, 6)
 SCALE = slice(6, 9)
 FIRST_KNOT = 9
-ACCELERATION = 6
-"""Where the errors stand in their vector: start (3), bias, scale, knots, linear acceleration."""
-LARGEST_SWIFTNESS = 3.0
-"""A jerk of the rate beyond so many means says nothing of the speed."""
+"""Where the errors stand in their vector: start (3), bias, scale, knots, effects."""
+
+
+@dataclass(frozen=True, eq=False)
+class RestOnPath:
+    """A rest right before or after a turn, and where the gyro saw the robot stand.
+
+    Parameters
+    ----------
+    relative : ndarray, shape (3, 3)
+        Rotation from the first sample's body axes to those at rest.
+    is_before : bool
+    seen : RestBeside
+    """
+
+    relative: FloatArray
+    is_before: bool
+    seen: RestBeside
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,34 +110,43 @@ class GyroPath:
         Seconds between knots.
     known : GyroErrors
         Their priors.
-    swiftness : ndarray, shape (n,)
-        Square of the turn rate over its mean, less one: a circle's acceleration follows it where
-        the radius is held, and does not where the speed is.
-    accelerated : bool
-        Whether a linear acceleration of the turn is estimated too. Its six errors come last: what
-        up vectors read too much in body axes, always, and in proportion to `swiftness`.
+    pace : Pace
+        How fast the robot turned.
+    effects : Effects
+        What else the samples are wrong by. Their numbers come last among the errors.
+    rests : tuple of RestOnPath
+        Where the robot stood beside the turn, which shows the gyro's bias.
     """
 
     relative: FloatArray
     basis: FloatArray
     knots: int
     spacing: float
-    swiftness: FloatArray
+    pace: Pace
+    effects: Effects
     known: GyroErrors = GyroErrors()
-    accelerated: bool = False
+    rests: tuple[RestOnPath, ...] = ()
 
     @property
     def size(self) -> int:
         """Number of errors."""
-        return int(self.basis.shape[2]) + ACCELERATION * int(self.accelerated)
+        return int(self.basis.shape[2]) + len(self.effects)
 
-    def acceleration(self, errors: FloatArray) -> FloatArray:
-        """Return the mean linear acceleration among the errors, over gravity, shape (3,)."""
-        return errors[-6:-3] if self.accelerated else np.zeros(3)
+    def found(self, errors: FloatArray, kind: Effect) -> FloatArray:
+        """Return an effect's numbers among the errors; none where it is not estimated."""
+        return np.asarray(errors[int(self.basis.shape[2]) :][self.effects.where(kind)])
 
-    def accelerations(self, errors: FloatArray) -> FloatArray:
-        """Return the linear acceleration at each sample, over gravity, shape (n, 3)."""
-        return errors[-6:-3] + self.swiftness[:, None] * errors[-3:]
+    def added(self, errors: FloatArray) -> FloatArray:
+        """Return what the effects add to up and field, shape (n, 6)."""
+        return np.asarray(self.effects.columns @ errors[int(self.basis.shape[2]) :])
+
+    def with_effects(self, effects: Effects) -> GyroPath:
+        """Return the path with further effects."""
+        return replace(self, effects=self.effects.plus(effects))
+
+    def with_acceleration(self) -> GyroPath:
+        """Return the path of a robot that may be pulled while it turns."""
+        return self.with_effects(pull(self.pace, self.known.acceleration))
 
     def with_doubtful_gyro(self) -> GyroPath:
         """Return the path of a gyro whose bias may be large."""
@@ -138,8 +171,8 @@ class GyroPath:
             difference = np.eye(self.knots) - np.eye(self.knots, k=-1)
             walk = difference.T @ difference / (drift**2 * self.spacing)
             information[self.drifts, self.drifts] = np.kron(walk, np.eye(3))
-        if self.accelerated:
-            information[-6:, -6:] = np.eye(6) / self.known.acceleration**2
+        place = np.arange(int(self.basis.shape[2]), self.size)
+        information[place, place] = self.effects.sigma**-2.0
         return information
 
     @property
@@ -165,53 +198,40 @@ def gyro_path(window: Window, first: IntArray, known: GyroErrors = GyroErrors())
     """
     if window.angular_rate is None:
         raise ValueError("the window has no angular rate")
-    attitude = relative_attitudes(window.time, window.angular_rate)
+    attitude = attitudes(window)
     back = np.swapaxes(attitude, 1, 2)
-    step = np.diff(window.time)
+    step = np.diff(window.time)[:, None, None]
+    turns = rotation_vectors(attitude[:-1] @ back[1:])
     by_bias = _cumulated(back, step)
-    by_scale = _cumulated(back * window.angular_rate[:, None, :], step)
+    by_scale = _cumulated(back, turns[:, None, :])
     elapsed = window.time - window.time[0]
     knots = known.knots(float(elapsed[-1]))
     spacing = float(elapsed[-1]) / knots
     hats = np.maximum(0.0, 1.0 - np.abs(elapsed[:, None] / spacing - np.arange(1, knots + 1)))
     # Averaged part by part: the whole basis of a million samples would not fit in memory.
-    by_bias, by_scale, hats = (_averages(part, first) for part in (by_bias, by_scale, hats))
+    by_bias, by_scale, hats = (averages(part, first) for part in (by_bias, by_scale, hats))
     count = len(first)
     by_knot = (hats[:, None, :, None] * np.eye(3)[None, :, None, :]).reshape(count, 3, -1)
     start = np.broadcast_to(np.eye(3), (count, 3, 3))
     basis = np.concatenate([start, by_bias, by_scale, by_knot], axis=2)
-    swift = _averages(_swiftness(window.time, window.angular_rate), first)
-    return GyroPath(_average_rotations(attitude, first), basis, knots, spacing, swift, known)
+    pace, none = pace_of(window, turns, first), Effects.none(count)
+    rests = tuple(_on_path(rest, window.time, attitude) for rest in window.rests)
+    mean, known = _average_rotations(attitude, first), known.after(window.rests)
+    return GyroPath(mean, basis, knots, spacing, pace, none, known, rests)
 
 
-def _swiftness(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the square of the turn rate over its mean, less one, smoothed over a second; (n,)."""
-    mean = rate.mean(axis=0)
-    about = rate @ unit(mean) if mean.any() else rate[:, 2]
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (about[1:] + about[:-1]) * np.diff(time))])
-    ahead = np.minimum(time + 0.5 * SMOOTHED, time[-1])
-    behind = np.maximum(time - 0.5 * SMOOTHED, time[0])
-    smooth = (np.interp(ahead, time, turned) - np.interp(behind, time, turned)) / np.maximum(
-        ahead - behind, 1e-6
-    )
-    square = smooth**2
-    relative = square / max(float(square.mean()), 1e-12) - 1.0
-    return np.asarray(np.clip(relative, -1.0, LARGEST_SWIFTNESS))
+def _on_path(rest: RestBeside, time: FloatArray, attitude: FloatArray) -> RestOnPath:
+    row = int(np.argmin(np.abs(time - rest.beside)))
+    return RestOnPath(rest.turned @ attitude[row], 2 * row < len(time), rest)
 
 
 def _cumulated(values: FloatArray, step: FloatArray) -> FloatArray:
-    mean = 0.5 * (values[1:] + values[:-1]) * step[:, None, None]
+    mean = 0.5 * (values[1:] + values[:-1]) * step
     return np.concatenate([np.zeros_like(values[:1]), np.cumsum(mean, axis=0)])
 
 
-def _averages(values: FloatArray, first: IntArray) -> FloatArray:
-    count = np.diff(np.append(first, len(values)))
-    mean = np.add.reduceat(values, first, axis=0).T / count
-    return np.asarray(mean.T)
-
-
 def _average_rotations(rotations: FloatArray, first: IntArray) -> FloatArray:
-    mean = _averages(rotations, first)
+    mean = averages(rotations, first)
     # Two Newton steps to the nearest rotation: the mean of a short stretch is nearly one.
     for _ in range(2):
         mean = mean @ (1.5 * np.eye(3) - 0.5 * np.swapaxes(mean, 1, 2) @ mean)

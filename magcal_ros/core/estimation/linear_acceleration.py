@@ -6,17 +6,17 @@ follows the turn rate, and a bias does not.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.estimation.effect_choice import propagated, with_effects_that_show
 from magcal_ros.core.estimation.evidence import propagated_evidence
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath
 from magcal_ros.core.estimation.heading_gap import heading_gap
-from magcal_ros.core.estimation.prior import Prior
-from magcal_ros.core.estimation.schedule import FIRST_NOISE, PROPAGATING
-from magcal_ros.core.estimation.solver import Fit, refined, settled
+from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.geometry.attitude import unit
 
 
 @dataclass(frozen=True)
@@ -53,35 +53,67 @@ class AccelerationRule:
 ACCELERATION = AccelerationRule()
 
 
-def propagated(start: Fit, path: GyroPath, prior: Prior) -> Fit:
-    """Fit one turn with gyro-propagated attitudes from the attitudes of any fit."""
-    weighting = replace(start.block.weighting, noise=FIRST_NOISE, inefficiency=1.0)
-    block = start.block
-    begun = GyroBlock.started(block.place.state, block.samples, weighting, path, DRIFT.first)
-    return settled(refined(Fit((begun,), prior), PROPAGATING))
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What explains up and gyro together.
+
+    Parameters
+    ----------
+    fit : Fit
+    gap : float
+        Radians of heading between it and another explanation that cannot be excluded.
+    own_lean : bool
+        Whether up leans from the gyro's axis at rest as well, so that the lean is the
+        accelerometer's own: the compass has it, too, and the gyro's axis helps nothing.
+    """
+
+    fit: Fit
+    gap: float = 0.0
+    own_lean: bool = False
 
 
-def pulled_or_not(start: Fit, path: GyroPath) -> tuple[Fit, float]:
+def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
     """Fit without soft iron: plain, with a linear acceleration, or with a large bias of the gyro.
 
-    Returns
-    -------
-    Fit
-    float
-        Radians of heading between it and another explanation that cannot be excluded.
+    A rest beside the turn decides it: it shows the bias, and what pulls a turn is not there.
     """
-    plain = propagated(start, path, start.prior)
+    plain = with_effects_that_show(start, path)
+    block = plain.block
+    assert isinstance(block, GyroBlock)
+    path = block.path
     if not _is_strained(plain):
-        return plain, 0.0
-    pulled = propagated(start, replace(path, accelerated=True), start.prior)
+        return Explanation(plain)
+    pulled = propagated(start, path.with_acceleration(), start.prior)
+    if path.rests:
+        factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled))
+        none, pull = (propagated_evidence(fit, factor) for fit in (plain, pulled))
+        if none < pull + ACCELERATION.needed:
+            return Explanation(plain)
+        own = _leans_at_rest(pulled)
+        return Explanation(plain if own else pulled, own_lean=own)
     biased = propagated(start, path.with_doubtful_gyro(), start.prior)
     factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled, biased))
     none, pull, bias = (propagated_evidence(fit, factor) for fit in (plain, pulled, biased))
     if none < min(pull, bias) + ACCELERATION.needed:
-        return plain, 0.0
+        return Explanation(plain)
     if pull < bias - ACCELERATION.clear:
-        return pulled, 0.0
-    return biased, heading_gap(biased, pulled)
+        return Explanation(pulled)
+    return Explanation(biased, heading_gap(biased, pulled))
+
+
+def _leans_at_rest(pulled: Fit) -> bool:
+    """Return whether most of a pull is there at rest, where nothing pulls."""
+    block = pulled.block
+    assert isinstance(block, GyroBlock)
+    shared, path = block.place.state.shared, block.path
+    shares = []
+    for rest in path.rests:
+        row = 0 if rest.is_before else -1
+        body = shared.body_axis @ block.place.state.attitude[row] @ shared.world_axis.T
+        upright = rest.relative @ path.relative[row].T @ body[:, 2]
+        lean = unit(rest.seen.force) - upright
+        shares.append(float(lean @ block.acceleration))
+    return float(np.mean(shares)) > 0.5 * float(block.acceleration @ block.acceleration)
 
 
 def _is_strained(plain: Fit) -> bool:

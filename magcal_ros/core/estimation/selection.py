@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.estimation.effect_choice import propagated
 from magcal_ros.core.estimation.evidence import evidence
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath
 from magcal_ros.core.estimation.information import inverse_information
-from magcal_ros.core.estimation.linear_acceleration import propagated, pulled_or_not
+from magcal_ros.core.estimation.linear_acceleration import pulled_or_not
 from magcal_ros.core.estimation.model import Evaluation, State
 from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.schedule import (
@@ -101,12 +102,15 @@ class Choice:
         Where soft iron was left out and could have been there.
     gap : float
         Radians of heading to another explanation of the gyro that cannot be excluded.
+    own_lean : bool
+        Whether the accelerometer leans from the gyro's axis at rest as well.
     """
 
     fit: Fit
     soft_iron_gain: float = 0.0
     doubt: Doubt | None = None
     gap: float = 0.0
+    own_lean: bool = False
 
 
 def free_attitudes(start: Fit, with_iron: Prior, *, always: bool) -> Choice:
@@ -163,11 +167,12 @@ def propagated_attitudes(start: Fit, path: GyroPath, with_iron: Prior, *, always
     with_iron, always
         As for `free_attitudes`.
     """
-    plain, gap = pulled_or_not(start, path)
+    explained = pulled_or_not(start, path)
+    plain, gap = explained.fit, explained.gap
     block = plain.block
     assert isinstance(block, GyroBlock)
-    if not with_iron.has_soft_iron:
-        return Choice(plain, gap=gap)
+    if explained.own_lean or not with_iron.has_soft_iron:
+        return Choice(plain, gap=gap, own_lean=explained.own_lean)
     path = block.path
 
     def rich() -> Fit:

@@ -48,21 +48,26 @@ class Turning:
         return cls(math.sqrt(float(np.mean(np.sum(rate**2, axis=1)))), float(about.std()))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lasting:
-    """What the residuals show of errors that last; radians of heading, RMS around the turn.
+    """What samples and rests show of errors that last.
 
     Parameters
     ----------
     stray : float
-        Lasting swing between the gyro's yaw and the compass's; zero without a gyro.
+        Lasting swing between the gyro's yaw and the compass's, radians of heading, RMS around the
+        turn; zero without a gyro.
     gap : float
-        Heading between the fit with gyro-propagated attitudes and the one without; zero where
-        there is but one, or where the two must differ.
+        Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
+        where there is but one, or where the two must differ.
+    motors : ndarray, shape (3,), or None
+        Field that is there while the robot turns and not while it rests, tesla, in the
+        magnetometer's axes: a hard iron that is there or not.
     """
 
     stray: float = 0.0
     gap: float = 0.0
+    motors: FloatArray | None = None
 
 
 def systematic_covariance(
@@ -98,6 +103,8 @@ def systematic_covariance(
     covariance = np.zeros((12, 12))
     of_iron = systematics.field**2 * np.eye(3) + lasting * across
     covariance[9:, 9:] = distortion @ of_iron @ distortion.T
+    if seen.motors is not None:
+        covariance[9:, 9:] += np.outer(seen.motors, seen.motors)
     turned = (-skew(axis) @ np.linalg.inv(distortion)).ravel()
     covariance[:9, :9] = systematics.axes**2 * np.outer(turned, turned)
     return covariance

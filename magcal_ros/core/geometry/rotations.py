@@ -49,6 +49,17 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
+def rotation_vectors(rotations: FloatArray) -> FloatArray:
+    """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
+
+    Angles below a quarter turn.
+    """
+    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
+    longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
+    return np.asarray(part * longer[:, None])
+
+
 def chained(steps: FloatArray) -> FloatArray:
     """Return the products of steps (k, n, 3, 3), each on the left of those before it.
 

@@ -35,6 +35,7 @@ WORST_IS_LARGEST = (
     Figure.KAPPA,
     Figure.WOBBLE,
     Figure.STEADY_PULL,
+    Figure.MOTOR_FIELD,
 )
 WORST_IS_SMALLEST = (Figure.INLIER_FRACTION, Figure.GYRO_CARRIED)
 """Figures of the turns' own fits of which the worst speaks for all."""
@@ -79,9 +80,10 @@ def lasting_covariance(
     for turn in turns:
         axis = turn.block.place.state.shared.body_axis
         turning = Turning.of(turn.window, seen_arc(turn.block))
-        shared, seen = replace(fit.best.shared, body_axis=axis), turn.own_fit.seen(systematics)
+        shared, own = replace(fit.best.shared, body_axis=axis), turn.own_fit
+        seen, unseen = own.seen(systematics), own.unseen(systematics)
         mounting, scale = fit.best.mounting, fit.scale
-        each.append(systematic_covariance(shared, mounting, scale, systematics, turning, seen))
+        each.append(systematic_covariance(shared, mounting, scale, unseen, turning, seen))
     return np.asarray(np.mean(each, axis=0))
 
 

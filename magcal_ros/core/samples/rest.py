@@ -1,4 +1,4 @@
-"""What a gyro reads while its robot does not turn.
+"""What the sensors say while their robot does not turn.
 
 A robot rests, or rolls straight on, where neither its field nor its turn rate moves. The field is
 needed: a robot that turns evenly has a steady rate, too.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,8 @@ class BiasAtRestTuning:
         Share of that turn's way by which the field may seem to move during a rest.
     loose_rate : float
         rad/s by which an engine or a person may rock a robot at rest.
+    next_to_nothing : float
+        Share of a turn's own rate at which nobody turns steadily for seconds beforehand.
     """
 
     block: float = 0.5
@@ -44,9 +46,95 @@ class BiasAtRestTuning:
     shown: float = 3.0
     most_moved: float = 0.4
     loose_rate: float = 0.01
+    next_to_nothing: float = 0.05
 
 
 TUNING = BiasAtRestTuning()
+
+
+@dataclass(frozen=True, eq=False)
+class RestBeside:
+    """What the sensors said while a robot stood right before or after its turn.
+
+    Parameters
+    ----------
+    seconds : float
+        How long.
+    field : array_like, shape (3,)
+        Mean raw field, tesla.
+    field_sigma : float
+        Of that mean, per axis.
+    force : array_like, shape (3,)
+        Mean specific force in body axes, m/s².
+    rate : array_like, shape (3,)
+        What the gyro read, rad/s: its bias.
+    rate_sigma : float
+        Of that mean, per axis.
+    beside : float
+        Stamp of the turn's sample that is nearest, seconds.
+    turned : array_like, shape (3, 3)
+        Rotation from the body axes of that sample to those at rest, as the gyro tells.
+    """
+
+    seconds: float
+    field: FloatArray
+    field_sigma: float
+    force: FloatArray
+    rate: FloatArray
+    rate_sigma: float
+    beside: float
+    turned: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, shape in (("field", (3,)), ("force", (3,)), ("rate", (3,)), ("turned", (3, 3))):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+
+
+def rests_around(
+    time: FloatArray, field: FloatArray, rate: FloatArray
+) -> tuple[slice | None, slice | None]:
+    """Return the rows at which a robot stands before its turn, and after it; None for no rest.
+
+    It stood if the field did, and turned later, far faster than the gyro then read.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds, increasing.
+    field, rate : ndarray, shape (n, 3)
+        Raw field in any unit, and rad/s.
+    """
+    blocks = _split(time)
+    if len(blocks[0]) <= 2 * TUNING.at_least:
+        return None, None
+    fields, rates = _still(field, rate, blocks)
+    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
+    swing = float(np.ptp(field, axis=0).max())
+    found: list[slice | None] = [None, None]
+    ends = [*blocks[0], len(time)]
+    for start, end in _runs(fields.stays & rates.stays):
+        inside = rates.mean[start:end]
+        creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
+        if creeps and not (
+            _stood(inside, fields.mean[start:end], 0.5 * swing)
+            and _would_show(inside, 0.5 * swing, float(fields.limit[start:end].max()))
+        ):
+            continue
+        # The block in which the robot sets off, or comes to stand, counts on neither side.
+        if start == 0 and end < len(blocks[0]):
+            found[0] = slice(0, ends[end - 1])
+        elif start > 0 and end == len(blocks[0]):
+            found[1] = slice(ends[start + 1], len(time))
+    return found[0], found[1]
+
+
+def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
+    """Return the mean of values (n, 3) at rest and its sigma per axis, slow noise included."""
+    first, count = _split(time)
+    means = np.add.reduceat(values, first, axis=0) / count[:, None]
+    between = float(np.mean(means.var(axis=0, ddof=1))) / len(means) if len(means) > 1 else 0.0
+    within = float(np.mean(values.var(axis=0))) / len(values)
+    return values.mean(axis=0), math.sqrt(max(between, within))
 
 
 def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> FloatArray | None:
@@ -61,13 +149,11 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
     field, rate : ndarray, shape (n, 3)
         Raw field in any unit, and rad/s.
     """
-    block = ((time - time[0]) / TUNING.block).astype(int)
-    _, first, count = np.unique(block, return_index=True, return_counts=True)
-    if len(first) <= TUNING.at_least:
+    blocks = _split(time)
+    if len(blocks[0]) <= TUNING.at_least:
         return None
     swing = float(np.ptp(field, axis=0).max())
-    fields = _Blocks.of(field, first, count, TUNING.smallest_turn * swing)
-    rates = _Blocks.of(rate, first, count, TUNING.loose_rate)
+    fields, rates = _still(field, rate, blocks)
     rests = [
         rates.mean[start:end]
         for start, end in _runs(fields.stays & rates.stays)
@@ -75,6 +161,23 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
         and _would_show(rates.mean[start:end], 0.5 * swing, float(fields.limit[start:end].max()))
     ]
     return np.median(np.concatenate(rests), axis=0) if rests else None
+
+
+def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the first row of each block, and how many rows it has."""
+    block = ((time - time[0]) / TUNING.block).astype(int)
+    _, first, count = np.unique(block, return_index=True, return_counts=True)
+    return first, count
+
+
+def _still(
+    field: FloatArray, rate: FloatArray, blocks: tuple[IntArray, IntArray]
+) -> tuple[_Blocks, _Blocks]:
+    """Return the blocks of field and rate, and where each stays with the next."""
+    swing = float(np.ptp(field, axis=0).max())
+    return _Blocks.of(field, *blocks, TUNING.smallest_turn * swing), _Blocks.of(
+        rate, *blocks, TUNING.loose_rate
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from magcal_ros.core.samples.rest import RestBeside
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,11 @@ class Window:
         m/s² in body axes at the same moments, +9.81 upwards at rest.
     angular_rate : array_like, shape (n, 3), or None
         rad/s in body axes at the same moments; None without a gyro.
+    turned : array_like, shape (n, 3, 3), or None
+        Rotations from the body axes at one moment to those of each sample, by all that the gyro
+        said, where samples between those of the window were left out.
+    rests : tuple of RestBeside
+        What was seen right before and after the turn, where the robot stood there.
 
     Raises
     ------
@@ -34,6 +40,8 @@ class Window:
     field: FloatArray
     specific_force: FloatArray
     angular_rate: FloatArray | None = None
+    turned: FloatArray | None = None
+    rests: tuple[RestBeside, ...] = ()
 
     def __post_init__(self) -> None:
         time = frozen_array(self.time, (-1,), "time")
@@ -45,6 +53,8 @@ class Window:
         if self.angular_rate is not None:
             rate = frozen_array(self.angular_rate, (n, 3), "angular rate")
             object.__setattr__(self, "angular_rate", rate)
+        if self.turned is not None:
+            object.__setattr__(self, "turned", frozen_array(self.turned, (n, 3, 3), "turned"))
         if (np.diff(time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 
@@ -54,4 +64,6 @@ class Window:
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
         rate = None if self.angular_rate is None else self.angular_rate[rows]
-        return Window(self.time[rows], self.field[rows], self.specific_force[rows], rate)
+        force = self.specific_force[rows]
+        turned = None if self.turned is None else self.turned[rows]
+        return Window(self.time[rows], self.field[rows], force, rate, turned, self.rests)

@@ -37,6 +37,8 @@ class SelfTurnTuning:
         stop it.
     listeners_within : float
         Seconds within which something must have subscribed to the commands.
+    stands_first : float
+        Seconds that it stands before it sets off: they show the gyro's bias and the motors' field.
     guarded_within : float
         Seconds within which the guard must be ready; a small computer takes three to start
         one.
@@ -47,6 +49,7 @@ class SelfTurnTuning:
     gyro_silence: float = 0.5
     longest_look: float = 0.5
     listeners_within: float = 3.0
+    stands_first: float = 3.0
     guarded_within: float = 10.0
 
 
@@ -274,7 +277,8 @@ class SelfTurn:
                 remedy = "remap cmd_vel to the base's topic"
                 return self.break_off(f"nobody listens to {topic}: {remedy}")
         elif around.is_guarded:
-            self._set_off(stage.order, now)
+            if now - stage.since >= TUNING.stands_first:
+                self._set_off(stage.order, now)
         elif now - stage.since > TUNING.guarded_within:
             return self.break_off(UNGUARDED)
         return Steering()

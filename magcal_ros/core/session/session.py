@@ -13,12 +13,13 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
-from magcal_ros.core.samples.rest import bias_at_rest
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.resting import apart_from_rests
+from magcal_ros.core.up import relative_attitudes
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ class Session:
         return Progress(stage, coverage, self._size, elapsed, rate, self._sigmas[1])
 
     def window(self) -> Window:
-        """Return what was collected, thinned to equal angles.
+        """Return what was collected of the turn, thinned to equal angles, and its rests.
 
         Raises
         ------
@@ -243,26 +244,19 @@ class Session:
                 Reason.TOO_FEW_SAMPLES,
                 "no pair of field and acceleration samples has arrived; check both topics",
             )
-        rows = self._without_bias(self._rows())
+        rows = np.array(self._buffer[: self._size])
+        if _rate_if_any(rows) is None:
+            rows = rows[self._kept(rows)]
+            return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
+        rows, rests = apart_from_rests(rows[np.isfinite(rows[:, 7:10]).all(axis=1)])
+        turned, kept = relative_attitudes(rows[:, 0], rows[:, 7:10]), self._kept(rows)
+        time, field, force, rate = np.split(rows[kept], [1, 4, 7], axis=1)
+        return Window(time[:, 0], field, force, rate, turned[kept], rests)
+
+    def _kept(self, rows: FloatArray) -> IntArray:
+        """Return which rows stay when they are thinned to equal angles."""
         angle = self._angle(rows)
-        if angle is not None:
-            rows = rows[thin_to_equal_angles(angle)]
-        rate = _rate_if_any(rows)
-        if rate is not None:
-            rows, rate = rows[np.isfinite(rate).all(axis=1)], rate[np.isfinite(rate).all(axis=1)]
-        return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rate)
-
-    def _rows(self) -> FloatArray:
-        return np.array(self._buffer[: self._size])
-
-    def _without_bias(self, rows: FloatArray) -> FloatArray:
-        """Take off what the gyro reads while the field stands still, before rests are thinned."""
-        finite = np.isfinite(rows[:, 7:10]).all(axis=1)
-        seen = rows[finite]
-        bias = bias_at_rest(seen[:, 0], seen[:, 1:4], seen[:, 7:10]) if len(seen) else None
-        if bias is not None and seen[:, 7:10].any():
-            rows[:, 7:10] -= bias
-        return rows
+        return np.arange(len(rows)) if angle is None else thin_to_equal_angles(angle)
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
         rate = _rate_if_any(rows)

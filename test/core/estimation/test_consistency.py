@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.estimation.consistency import lasting_stray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
@@ -31,3 +32,13 @@ def test_a_room_that_turns_the_field_shows_in_its_true_size(phase, swing_deg):
     distorted = Window(window.time, field, window.specific_force, window.angular_rate)
     found = fit(distorted, robot.knowledge()).figures["gyro_compass_rms"]
     assert found == pytest.approx(swing_deg * DEGREE / math.sqrt(2.0), rel=0.2)
+
+
+def test_a_stray_along_the_radius_lasts_where_noise_does_not():
+    rng = np.random.default_rng(5)
+    turned = np.linspace(0.0, math.tau, 600)
+    noise = 0.01 * rng.standard_normal(600)
+    wave = 0.01 * np.sin(3.0 * turned)
+    assert lasting_stray(noise, turned) < 0.0015
+    assert lasting_stray(noise + wave, turned) == pytest.approx(0.01 / math.sqrt(2.0), rel=0.2)
+    assert lasting_stray(30.0 * wave, turned) == 0.0

@@ -8,6 +8,7 @@ from slope_turns import EAST, KNOWN, window_on
 
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.averaging import prepare
+from magcal_ros.core.estimation.effects import Effect, effects_of_rate
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
 from magcal_ros.core.estimation.gyro_path import gyro_path
@@ -23,7 +24,7 @@ def window():
     return window_on(EAST, np.random.default_rng(1), gyro=True, samples=120)
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["plain", "accelerated"])
+@pytest.fixture(scope="module", params=[False, True], ids=["plain", "with effects"])
 def block(request, window):
     """A block away from its optimum, with errors of every kind."""
     rng = np.random.default_rng(2)
@@ -32,7 +33,11 @@ def block(request, window):
     n = len(samples)
     weights = Weights(rng.uniform(0.3, 1.5, n), np.ones(n), (rng.random(n) > 0.2).astype(float))
     weighting = Weighting(Noise(0.02, 0.02, 0.1), weights, 1.7)
-    path = replace(gyro_path(window, np.arange(n)), accelerated=request.param)
+    path = gyro_path(window, np.arange(n))
+    if request.param:
+        raw = samples.field - shared.hard_iron
+        effects = effects_of_rate(path.pace, raw, shared.distortion(KNOWN.mounting.matrix))
+        path = path.with_acceleration().with_effects(effects)
     state = FreeBlock.seated_at(shared, samples, weighting).place.state
     started = GyroBlock.started(state, samples, weighting, path, DRIFT.first)
     away = 1e-3 * rng.standard_normal(p.COUNT)
@@ -90,5 +95,5 @@ def test_a_linear_acceleration_is_taken_off_the_up_vectors(window):
     leaning = replace(window, specific_force=9.80665 * force)
     block = solve(leaning, KNOWN).choice.fit.block
     assert isinstance(block, GyroBlock)
-    if block.path.accelerated:
+    if Effect.PULL in block.path.effects:
         np.testing.assert_allclose(block.acceleration[:2], pull[:2], atol=0.01)

@@ -1,11 +1,13 @@
 """Gyro-propagated attitudes, and how its errors enter them, against integrated truth."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magcal_ros.core.estimation.averaging import prepare
+from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.gyro_path import (
     BIAS,
     SCALE,
@@ -15,7 +17,9 @@ from magcal_ros.core.estimation.gyro_path import (
 )
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_angle
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.up import relative_attitudes
 
 QUIET = Robot(noise_rate=0.0, gyro_bias=np.zeros(3))
 
@@ -55,20 +59,47 @@ def test_an_error_of_the_gyro_turns_the_attitudes_as_the_basis_says(part, size, 
 def test_the_prior_is_of_bias_scale_drift_and_acceleration():
     known = GyroErrors(bias=0.01, scale=0.05, acceleration=0.2)
     window = window_with_gyro()
-    path = replace(gyro_path(window, np.arange(len(window)), known), accelerated=True)
+    path = gyro_path(window, np.arange(len(window)), known).with_acceleration()
     information = path.prior_information(1e-3)
     assert information.shape == (path.size, path.size)
     errors = np.zeros(path.size)
     errors[BIAS], errors[SCALE], errors[-3:] = [0.01, 0, 0], [0, 0.05, 0], [0, 0, 0.2]
     assert errors @ information @ errors == pytest.approx(3.0)
     assert path.bias_in_sigmas(errors) == pytest.approx(1.0)
-    np.testing.assert_array_equal(path.acceleration(errors), errors[-6:-3])
-    by_rate = path.swiftness[:, None] * errors[-3:]
-    np.testing.assert_allclose(path.accelerations(errors), by_rate, atol=1e-15)
+    np.testing.assert_array_equal(path.found(errors, Effect.PULL), errors[-6:])
+    by_rate = path.pace.swiftness[:, None] * errors[-3:]
+    np.testing.assert_allclose(path.added(errors)[:, :3], by_rate, atol=1e-15)
     drift = np.zeros(path.size)
     drift[path.drifts] = np.random.default_rng(2).standard_normal(3 * path.knots)
     walk = np.sum(path.knot_steps(drift) ** 2) / (1e-3**2 * path.spacing)
     assert drift @ information @ drift == pytest.approx(walk)
+
+
+def test_samples_that_were_left_out_do_not_spoil_the_path():
+    window = window_with_gyro()
+    whole = gyro_path(window, np.arange(len(window)))
+    turned = relative_attitudes(window.time, window.angular_rate)
+    rows = np.unique(np.random.default_rng(3).integers(0, len(window), 60))
+    few, kept = window.take(rows), replace(window, turned=turned).take(rows)
+    truth = whole.relative[rows] @ whole.relative[rows[0]].T
+    blind, seeing = (gyro_path(each, np.arange(len(rows))).relative for each in (few, kept))
+    assert widest(seeing, truth) < 1e-9
+    assert widest(blind, truth) > 0.3 * DEGREE
+
+
+def rested(window, **changes):
+    still = RestBeside(3.0, np.ones(3), 1e-8, 9.81 * np.ones(3), np.zeros(3), 2e-4, 0.0, np.eye(3))
+    return replace(window, rests=(replace(still, **changes),))
+
+
+def test_a_rest_beside_the_turn_shows_the_bias_and_where_the_robot_stood():
+    window, known = window_with_gyro(), GyroErrors()
+    every = np.arange(len(window))
+    path = gyro_path(rested(window, beside=window.time[-1]), every)
+    assert path.known.bias == pytest.approx(math.hypot(known.rested_bias, 2e-4))
+    assert gyro_path(window, every).known.bias == known.bias
+    np.testing.assert_allclose(path.rests[0].relative, path.relative[-1], atol=1e-9)
+    assert not path.rests[0].is_before
 
 
 def test_stretches_are_averaged_to_rotations():

@@ -86,6 +86,14 @@ def test_it_waits_for_a_guard_that_takes_its_time():
     assert scene.until_concluded().success
 
 
+def test_it_stands_first_so_that_a_rest_is_seen():
+    scene = robot()
+    scene.live(TUNING.stands_first - 0.3)
+    assert not scene.said
+    assert scene.until_concluded().success
+    assert scene.turn.last_window.rests[0].seconds > TUNING.stands_first - 1.0
+
+
 def test_a_guard_that_ends_in_the_turn_ends_it():
     scene = robot()
     scene.until_moving()

@@ -10,12 +10,15 @@ from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.averaging import Prepared, prepare
-from magcal_ros.core.estimation.consistency import gyro_compass_swing
+from magcal_ros.core.estimation.block import TurnBlock
+from magcal_ros.core.estimation.consistency import gyro_compass_swing, lasting_stray
+from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
 from magcal_ros.core.estimation.heading_gap import heading_gap
 from magcal_ros.core.estimation.initial import starts
+from magcal_ros.core.estimation.motor_field import motor_field
 from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.seating import attitudes_from_vectors
@@ -128,6 +131,8 @@ class Solved:
         Of gyro and compass; None without a gyro.
     gyro_gap : float
         Radians of heading between the fits with gyro-propagated attitudes and without.
+    motors : ndarray, shape (3,), or None
+        Field of the motors, tesla, in the magnetometer's axes; None where no rest tells.
     """
 
     prepared: Prepared
@@ -136,12 +141,27 @@ class Solved:
     window: Window
     swing: GyroSwing | None = None
     gyro_gap: float = 0.0
+    motors: FloatArray | None = None
 
     def seen(self, systematics: Systematics) -> Lasting:
         """Return what the residuals show of lasting errors; nothing where none are believed."""
-        if systematics.are_none or self.swing is None:
+        if systematics.are_none:
             return Lasting()
-        return Lasting(self.swing.rms, self.gyro_gap)
+        if self.swing is None:
+            return Lasting(_radial_stray(self.choice.fit.block), motors=self.motors)
+        return Lasting(self.swing.rms, self.gyro_gap, self.motors)
+
+    def unseen(self, systematics: Systematics) -> Systematics:
+        """Return what stays unseen of lasting errors: what was fitted is in the covariance."""
+        block = self.choice.fit.block
+        if not isinstance(block, GyroBlock):
+            return systematics
+        fitted = block.path.effects
+        return replace(
+            systematics,
+            lever_arm=0.0 if Effect.LEVER_ARM in fitted else systematics.lever_arm,
+            latency=0.0 if Effect.LATENCY in fitted else systematics.latency,
+        )
 
     @property
     def figures(self) -> dict[Figure, float]:
@@ -150,12 +170,18 @@ class Solved:
             Figure.RIVAL_GAP: self.rival_gap,
             Figure.SOFT_IRON_GAIN: self.choice.soft_iron_gain,
         }
+        if self.motors is not None:
+            figures[Figure.MOTOR_FIELD] = float(np.linalg.norm(self.motors))
         if self.swing is None:
             return figures
         block = self.choice.fit.block
-        acceleration = block.acceleration if isinstance(block, GyroBlock) else np.zeros(3)
+        acceleration = np.zeros(3)
+        if isinstance(block, GyroBlock):
+            acceleration = block.acceleration
+            if Effect.LATENCY in block.path.effects:
+                figures[Figure.LATENCY] = float(block.path.found(block.errors, Effect.LATENCY)[0])
         return figures | {
-            Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock)),
+            Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock) or self.choice.own_lean),
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
@@ -181,7 +207,7 @@ def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
         fit.shared,
         fit.mounting,
         scale,
-        knowledge.systematics,
+        solved.unseen(knowledge.systematics),
         Turning.of(solved.window, arc),
         solved.seen(knowledge.systematics),
     )
@@ -205,21 +231,39 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     start, always = found.best.with_blocks([begun]), knowledge.soft_iron.always
     if path is None:
         free = free_attitudes(start, with_iron, always=always)
-        return Solved(prepared, free, found.rival_gap, window)
+        motors = motor_field(free.fit, None, scale)
+        return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
     gap = choice.gap
     block = choice.fit.block
     assert isinstance(block, GyroBlock)
-    if not explains_as_well(choice.fit, found.best):
+    # What follows the turn rate is off with the gyro and without, or they would differ by it.
+    seated = FreeBlock.seated_at(found.best.shared, block.place.samples, weighting)
+    freed = start.with_blocks([seated])
+    if choice.own_lean:
+        choice = replace(free_attitudes(freed, with_iron, always=always), own_lean=True)
+    elif not explains_as_well(choice.fit, found.best):
         choice = free_attitudes(start, with_iron, always=always)
-    elif not block.path.accelerated and not knowledge.systematics.are_none:
-        free = free_attitudes(start, with_iron, always=always)
+    elif Effect.PULL not in block.path.effects and not knowledge.systematics.are_none:
+        free = free_attitudes(freed, with_iron, always=always)
         gap = max(gap, heading_gap(choice.fit, free.fit))
         # What soft iron explains only without the gyro, the gyro's own walk had hidden.
         if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
             choice, gap = free, 0.0
     swing = _swing(choice, path, window.time[prepared.first])
-    return Solved(prepared, choice, found.rival_gap, window, swing, gap)
+    motors = motor_field(choice.fit, path, scale)
+    return Solved(prepared, choice, found.rival_gap, window, swing, gap, motors)
+
+
+def _radial_stray(block: TurnBlock) -> float:
+    """Return the lasting stray of the field along the turn's radius, radians; inliers alone."""
+    prediction, counted = block.place.prediction, block.weighting.inliers
+    back = np.linalg.inv(prediction.field_matrix)
+    residual = (prediction.field_residual @ back.T)[counted]
+    across = prediction.field[counted, :2]
+    radius = np.linalg.norm(across, axis=1)
+    radial = np.sum(residual[:, :2] * across, axis=1) / radius**2
+    return lasting_stray(radial, np.unwrap(np.arctan2(across[:, 1], across[:, 0])))
 
 
 def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:

@@ -1,0 +1,104 @@
+"""Which effects of the turn rate a turn shows (doc/estimator.md, section 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from magcal_ros.core.estimation.effects import Effect, Effects, effects_of_rate
+from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
+from magcal_ros.core.estimation.gyro_path import GyroPath
+from magcal_ros.core.estimation.prior import Prior
+from magcal_ros.core.estimation.schedule import FIRST_NOISE, PROPAGATING
+from magcal_ros.core.estimation.solver import Fit, refined, settled
+from magcal_ros.core.geometry.arrays import FloatArray
+
+
+@dataclass(frozen=True)
+class EffectRule:
+    """When an effect is fitted.
+
+    Parameters
+    ----------
+    chance : float
+        Of the fall of chi-square that it promises (Rao's score test, samples as they are), and of
+        what came of it (Wald's test, samples counted by the inefficiency factor that is left).
+    largest : float
+        Sigmas of its prior beyond which it is something else: a car's circle is no lever arm.
+    """
+
+    chance: float = 1e-4
+    largest: float = 4.0
+
+
+EFFECTS = EffectRule()
+OF_RATE = (Effect.LATENCY, Effect.LEVER_ARM, Effect.MOTORS)
+
+
+def propagated(start: Fit, path: GyroPath, prior: Prior) -> Fit:
+    """Fit one turn with gyro-propagated attitudes from the attitudes of any fit."""
+    weighting = replace(start.block.weighting, noise=FIRST_NOISE, inefficiency=1.0)
+    block = start.block
+    begun = GyroBlock.started(block.place.state, block.samples, weighting, path, DRIFT.first)
+    return settled(refined(Fit((begun,), prior), PROPAGATING))
+
+
+def with_effects_that_show(start: Fit, path: GyroPath) -> Fit:
+    """Fit without soft iron, with those effects of the turn rate that stand out of chance.
+
+    The clearest first: what is not yet taken off may pass for another.
+    """
+    fit, left = propagated(start, path, start.prior), list(OF_RATE)
+    shared = fit.shared
+    field = start.block.samples.field - shared.hard_iron
+    effects = effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
+    while left:
+        over = {kind: _promised(fit, effects.only(kind)) for kind in left}
+        clearest = max(left, key=lambda kind: over[kind])
+        if over[clearest] < 1.0:
+            break
+        left.remove(clearest)
+        wider = path.with_effects(effects.only(clearest))
+        richer = propagated(start, wider, start.prior)
+        if _stands_out(richer, clearest):
+            fit, path = richer, wider
+    return fit
+
+
+def _promised(fit: Fit, effects: Effects) -> float:
+    """Return by what an effect's first step would lower chi-square, over what chance would.
+
+    What is left out correlates the residuals, so samples count as they are.
+    """
+    block = fit.block
+    assert isinstance(block, GyroBlock)
+    size = len(effects)
+    errors = np.concatenate([block.errors, np.zeros(size)])
+    freed = replace(block, path=block.path.with_effects(effects), errors=errors)
+    left, slope = _alone(freed, fit, size)
+    fall = float(slope @ np.linalg.solve(left, slope))
+    return fall / float(chdtri(size, EFFECTS.chance))
+
+
+def _stands_out(fit: Fit, kind: Effect) -> bool:
+    """Return whether the newest effect is more than chance (Wald's test), and possible."""
+    block = fit.block
+    assert isinstance(block, GyroBlock)
+    found = block.path.found(block.errors, kind)
+    left, _ = _alone(block, fit, len(found))
+    fall = float(found @ left @ found) / block.weighting.inefficiency
+    sigma = block.path.effects.only(kind).sigma
+    possible = float(np.abs(found / sigma).max()) < EFFECTS.largest
+    return possible and fall > float(chdtri(len(found), EFFECTS.chance))
+
+
+def _alone(block: GyroBlock, fit: Fit, size: int) -> tuple[FloatArray, FloatArray]:
+    """Return information on the last errors, all else eliminated, and their gradient."""
+    equations = block.equations(fit.free)
+    information, count = equations.information.copy(), equations.free
+    information[:count, :count] += block.weighting.inefficiency * fit.prior_information
+    across = information[:-size, -size:]
+    among = np.linalg.lstsq(information[:-size, :-size], across, rcond=None)[0]
+    return information[-size:, -size:] - across.T @ among, equations.gradient[-size:]

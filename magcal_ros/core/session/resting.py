@@ -1,0 +1,71 @@
+"""What a session saw while the robot stood before and after its turn, kept apart from the turn.
+
+A pause does not weigh in a turn, but it says what the gyro's bias is, and what the field is like
+while the motors are off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
+from magcal_ros.core.up import relative_attitudes
+
+LONGEST = 10.0
+"""Seconds of a rest that count, those nearest to the turn: before, things may have been moved."""
+FEWEST = 20
+"""Rows that are left of a turn; where there are fewer, the robot hardly moved."""
+
+
+def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ...]]:
+    """Take the gyro's bias off, and the rests before and after the turn away from it.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (n, 10)
+        Stamp, field, specific force and angular rate of pairs, all finite.
+
+    Returns
+    -------
+    ndarray, shape (m, 10)
+        The turn.
+    tuple of RestBeside
+    """
+    time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
+    before, after = rests_around(time, field, rate)
+    first = 0 if before is None else before.stop
+    end = len(rows) if after is None else after.start
+    bias = bias_at_rest(time, field, rate)
+    if end - first < FEWEST:
+        before, after, first, end = None, None, 0, len(rows)
+    rests = []
+    if before is not None:
+        near = rows[before][time[before] > time[first] - LONGEST]
+        rests.append(_rest(near, near[-1], rows[first]))
+    if after is not None:
+        near = rows[after][time[after] < time[end - 1] + LONGEST]
+        rests.append(_rest(near, near[0], rows[end - 1]))
+    if bias is None and rests:
+        weights = [rest.rate_sigma**-2 for rest in rests]
+        bias = np.average([rest.rate for rest in rests], axis=0, weights=weights)
+    turn = rows[first:end].copy()
+    if bias is not None:
+        turn[:, 7:10] -= bias
+    return turn, tuple(rests)
+
+
+def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray) -> RestBeside:
+    """Return what rows at rest say; `last` is the one of them next to the turn's row `beside`."""
+    time = rows[:, 0]
+    (field, field_sigma), (force, _), (rate, rate_sigma) = (
+        mean_and_sigma(time, rows[:, columns])
+        for columns in (slice(1, 4), slice(4, 7), slice(7, 10))
+    )
+    # Turned back by what the gyro read over the one step between them, which may run either way.
+    step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
+    turned = relative_attitudes(np.array([0.0, 1.0]), np.array([step, step]))[1]
+    seconds = float(time[-1] - time[0])
+    return RestBeside(
+        seconds, field, field_sigma, force, rate, rate_sigma, float(beside[0]), turned
+    )

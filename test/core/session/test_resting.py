@@ -1,0 +1,54 @@
+"""What is seen at rest is kept apart from the turn, and says the gyro's bias."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
+
+BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
+
+
+@pytest.mark.parametrize("course", [evenly, stop_and_go])
+def test_rests_before_and_after_are_no_part_of_the_turn(course):
+    window = collected(driven(course, replace(ROBOT, gyro_bias=BIAS))[1])
+    before, after = window.rests
+    assert -0.6 < window.time[0] <= 0.0
+    assert SECONDS <= window.time[-1] < SECONDS + 0.6
+    for rest, end in ((before, window.time[0]), (after, window.time[-1])):
+        assert rest.beside == end
+        assert rest.seconds == pytest.approx(REST - 0.5, abs=0.2)
+        np.testing.assert_allclose(rest.rate, BIAS, atol=5.0 * rest.rate_sigma)
+        assert rest.rate_sigma < 4e-4
+        assert rest.field_sigma < 0.1e-6
+        np.testing.assert_allclose(rest.turned, np.eye(3), atol=1e-3)
+
+
+def test_even_a_small_bias_is_taken_off():
+    motion, window = driven(evenly, replace(ROBOT, gyro_bias=BIAS))
+    turned = collected(window)
+    left = turned.angular_rate - motion.angular_rate[np.isin(motion.time, turned.time)]
+    np.testing.assert_allclose(left.mean(axis=0), 0.0, atol=5e-4)
+
+
+def test_stops_on_the_way_do_not_spoil_the_gyros_path():
+    motion, window = driven(stop_and_go)
+    turned = collected(window)
+    rows = np.isin(motion.time, turned.time)
+    truth = motion.attitude[rows] @ motion.attitude[rows][0].T
+    away = turned.turned @ turned.turned[0].T @ np.swapaxes(truth, 1, 2)
+    assert np.abs(away - np.eye(3)).max() < 0.3 * DEGREE
+
+
+def test_a_turn_that_never_rests_has_none():
+    assert collected(driven(lambda time: 1.0 + 0.0 * time)[1]).rests == ()
+
+
+def test_a_robot_that_only_stands_is_left_as_it_is():
+    window = collected(driven(evenly)[1].take(np.arange(80)))
+    assert window.rests == ()
+    assert len(window) > 70
+
+
+def test_without_a_gyro_no_rest_is_told():
+    assert collected(replace(driven(evenly)[1], angular_rate=None)).rests == ()
