@@ -197,7 +197,7 @@ def judge(
         if axis_share(window) < tuning.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > tuning.nearly_full:
-            figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
+            figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
     is_drive = Figure.HEADINGS_DRIVEN in figures
     bounds = tuning.drive_bounds if is_drive else tuning.bounds
     checks = [_check(b, figures, knowledge, tuning) for b in bounds if b.figure in figures]

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.estimation.block import AXES, Reduced, TurnBlock
-from magcal_ros.core.estimation.gyro_path import GyroPath
+from magcal_ros.core.estimation.gyro_path import BIAS, SCALE, GyroPath
 from magcal_ros.core.estimation.model import (
     Evaluation,
     Samples,
@@ -116,6 +116,18 @@ class GyroBlock:
         return self.path.acceleration(self.errors)
 
     @property
+    def bias(self) -> FloatArray:
+        """The gyro's bias, rad/s, shape (3,)."""
+        return self.errors[BIAS]
+
+    @property
+    def unbiased(self) -> FloatArray:
+        """Rotations from the first sample's axes to each, bias and scale taken off, (n, 3, 3)."""
+        known = slice(BIAS.start, SCALE.stop)
+        turned = self.path.basis[:, :, known] @ self.errors[known]
+        return np.asarray(self.path.relative @ exp_rotations(turned))
+
+    @property
     def wobble(self) -> float:
         """RMS lean of the axis, radians per axis."""
         lean = float(np.sqrt(np.mean(self.place.state.lean[:, :2] ** 2)))
@@ -180,10 +192,9 @@ class GyroBlock:
         if not self.path.accelerated:
             return direct
         by_acceleration = np.zeros((*local.shape[:2], 6))
-        by_acceleration[:, :3, :3] = self.place.state.shared.body_axis.T
-        by_acceleration[:, :3, 3:] = (
-            self.path.swiftness[:, None, None] * self.place.state.shared.body_axis.T
-        )
+        swift, to_frame = self.path.swiftness[:, None, None], self.place.state.shared.body_axis.T
+        by_acceleration[:, :3, :3] = (1.0 + self.path.known.follows * swift) * to_frame
+        by_acceleration[:, :3, 3:] = swift * to_frame
         return np.concatenate([direct, by_acceleration], axis=2)
 
     @property

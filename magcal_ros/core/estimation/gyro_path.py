@@ -32,6 +32,9 @@ class GyroErrors:
         Sigma of its scale, per axis, relative.
     acceleration : float
         Sigma of the linear acceleration of the turn in body axes, over gravity: a car in a circle.
+    follows : float
+        By how much of its mean it grows with the relative square of the rate: one half where the
+        speed is held, one where the radius is.
     doubtful_bias : float
         Sigma of the bias of a gyro that nobody knows anything good of, rad/s per axis.
     knot_spacing : float
@@ -46,6 +49,7 @@ class GyroErrors:
     bias: float = 0.003
     scale: float = 0.02
     acceleration: float = 0.1
+    follows: float = 0.75
     doubtful_bias: float = 0.05
     knot_spacing: float = 1.0
     most_knots: int = 12
@@ -91,7 +95,8 @@ class GyroPath:
         the radius is held, and does not where the speed is.
     accelerated : bool
         Whether a linear acceleration of the turn is estimated too. Its six errors come last: what
-        up vectors read too much in body axes, always, and in proportion to `swiftness`.
+        up vectors read too much in body axes on average, and by how much more than `known.follows`
+        of it that grows with `swiftness`.
     """
 
     relative: FloatArray
@@ -113,11 +118,22 @@ class GyroPath:
 
     def accelerations(self, errors: FloatArray) -> FloatArray:
         """Return the linear acceleration at each sample, over gravity, shape (n, 3)."""
-        return errors[-6:-3] + self.swiftness[:, None] * errors[-3:]
+        swift = self.swiftness[:, None]
+        return (1.0 + self.known.follows * swift) * errors[-6:-3] + swift * errors[-3:]
 
     def with_doubtful_gyro(self) -> GyroPath:
         """Return the path of a gyro whose bias may be large."""
         return replace(self, known=replace(self.known, bias=self.known.doubtful_bias))
+
+    def turned(self, turn: FloatArray) -> GyroPath:
+        """Return the path of a gyro whose axes are turned into others, `turn` shape (3, 3).
+
+        The errors of its start, bias and drift then speak in the new axes, its scale in its own.
+        """
+        basis = turn @ self.basis
+        for first in (0, BIAS.start, *range(FIRST_KNOT, basis.shape[2], 3)):
+            basis[:, :, first : first + 3] = basis[:, :, first : first + 3] @ turn.T
+        return replace(self, relative=turn @ self.relative @ turn.T, basis=basis)
 
     def bias_in_sigmas(self, errors: FloatArray) -> float:
         """Return the gyro's bias in sigmas of its prior."""

@@ -10,6 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
 from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.model import Evaluation, predict
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.solver import Fit
@@ -127,7 +128,8 @@ def _circle_figures(
     fit: Fit, knowledge: Knowledge, scale: float, arc: float
 ) -> dict[Figure, float]:
     samples, shared = fit.block.samples, fit.shared
-    points = samples.field[fit.block.weighting.inliers] @ np.linalg.inv(samples.mounting).T
+    points = _upright_field(fit.block.place)[fit.block.weighting.inliers]
+    points = points @ np.linalg.inv(samples.mounting).T
     circle = fit_circle_robustly(points)
     figures = {}
     if knowledge.reference.is_complete:
@@ -138,6 +140,15 @@ def _circle_figures(
     if arc >= LEAST_ELLIPSE_ARC:
         figures[Figure.ELLIPSE_RATIO] = ellipse_ratio(points, circle.centre, circle.normal)
     return figures
+
+
+def _upright_field(place: Evaluation) -> FloatArray:
+    """Return the raw field (n, 3) as it would be had the axis not leaned from sample to sample.
+
+    A robot that leans with the ground draws an ellipse of its own, which is no iron's.
+    """
+    upright = predict(place.state.upright(), place.samples).field_residual
+    return np.asarray(place.samples.field + place.prediction.field_residual - upright)
 
 
 def ellipse_ratio(points: FloatArray, centre: FloatArray, normal: FloatArray) -> float:

@@ -14,8 +14,9 @@ from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
-from magcal_ros.core.estimation.heading_gap import heading_gap
+from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
+from magcal_ros.core.estimation.linear_acceleration import apparent_pull
 from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.seating import attitudes_from_vectors
@@ -128,6 +129,8 @@ class Solved:
         Of gyro and compass; None without a gyro.
     gyro_gap : float
         Radians of heading between the fits with gyro-propagated attitudes and without.
+    pull : float
+        Radians by which the mean specific force leans from the gyro's up.
     """
 
     prepared: Prepared
@@ -136,6 +139,7 @@ class Solved:
     window: Window
     swing: GyroSwing | None = None
     gyro_gap: float = 0.0
+    pull: float = 0.0
 
     def seen(self, systematics: Systematics) -> Lasting:
         """Return what the residuals show of lasting errors; nothing where none are believed."""
@@ -159,6 +163,7 @@ class Solved:
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
+            Figure.SIDEWAYS_PULL: self.pull,
         }
 
 
@@ -214,12 +219,13 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         choice = free_attitudes(start, with_iron, always=always)
     elif not block.path.accelerated and not knowledge.systematics.are_none:
         free = free_attitudes(start, with_iron, always=always)
-        gap = max(gap, heading_gap(choice.fit, free.fit))
+        gap = max(gap, unexplained_gap(choice.fit, free.fit))
         # What soft iron explains only without the gyro, the gyro's own walk had hidden.
         if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
             choice, gap = free, 0.0
     swing = _swing(choice, path, window.time[prepared.first])
-    return Solved(prepared, choice, found.rival_gap, window, swing, gap)
+    pull = apparent_pull(samples, path)
+    return Solved(prepared, choice, found.rival_gap, window, swing, gap, pull)
 
 
 def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:
@@ -228,4 +234,6 @@ def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:
     shared = place.state.shared
     attitude = attitudes_from_vectors(shared, place.samples)
     body = shared.body_axis @ attitude @ shared.world_axis.T
-    return gyro_compass_swing(path.relative, body, time)
+    block = choice.fit.block
+    relative = block.unbiased if isinstance(block, GyroBlock) else path.relative
+    return gyro_compass_swing(relative, body, time)
