@@ -99,5 +99,19 @@ def systematic_covariance(
     of_iron = systematics.field**2 * np.eye(3) + lasting * across
     covariance[9:, 9:] = distortion @ of_iron @ distortion.T
     turned = (-skew(axis) @ np.linalg.inv(distortion)).ravel()
-    covariance[:9, :9] = systematics.axes**2 * np.outer(turned, turned)
+    unseen = math.hypot(systematics.axes, _unseen_turn(shared.soft_iron, systematics))
+    covariance[:9, :9] = unseen**2 * np.outer(turned, turned)
     return covariance
+
+
+def _unseen_turn(soft_iron: FloatArray, systematics: Systematics) -> float:
+    """Return the turn about the axis that axes have which are as crooked as a level turn shows.
+
+    Of errors that are alike in all nine numbers of the axes, a level turn shows two, the ellipse,
+    and hides a third of the same size, the turn. Of soft iron it hides nothing of the kind.
+    """
+    if systematics.axes == 0.0:
+        return 0.0
+    xx, yy, _, xy, _, _ = soft_iron
+    seen = math.hypot(0.5 * (xx - yy), xy) / math.sqrt(2.0)
+    return float(seen / (1.0 + (seen / systematics.crooked) ** 4))
