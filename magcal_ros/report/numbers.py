@@ -57,7 +57,7 @@ FIGURES: dict[Figure, Unit] = {
     Figure.RIVAL_ANGLE: Unit("second solution, installation angle", DEGREES, "°"),
     Figure.RIVAL_GAP: Unit("heading between this and a rival solution", DEGREES, "°"),
     Figure.FIELD_NOISE_RATIO: Unit("noise of the field over its strength", 100.0, "%"),
-    Figure.UP_NOISE: Unit("noise of up", DEGREES, "°"),
+    Figure.UP_NOISE: Unit("noise of up over 10° of the turn", DEGREES, "°"),
     Figure.KAPPA: Unit("samples per independent sample"),
     Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
     Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),

@@ -52,6 +52,9 @@ class VerdictTuning:
         steel it may be the best there is, and who reads only the first word should know.
     nearly_full : float
         Radians of arc from which a steady sideways pull can be told from a slope.
+    weighed_pull_deg : float
+        Degrees of sideways pull that are no warning where the fit has weighed what it may be, and
+        counts in the heading's sigma what it could not tell.
     one_axis : float
         Share of the gyro's squares about one axis from which a turn has one; a sensor that is
         turned over by hand has none, and what counts is how it usually lies.
@@ -80,6 +83,7 @@ class VerdictTuning:
     several: float = 2.0
     rough: float = math.radians(5.0)
     nearly_full: float = math.radians(300.0)
+    weighed_pull_deg: float = 5.0
     one_axis: float = 0.7
     on_its_side: float = math.radians(45.0)
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
@@ -243,6 +247,8 @@ def _check(
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
+    if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:
+        bound = replace(bound, good=tuning.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
         # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
         with_iron = figures.get(Figure.SOFT_IRON)

@@ -53,7 +53,7 @@ class Figure(str, Enum):
     FIELD_NOISE_RATIO = "field_noise_ratio"
     """Standard deviation of the field's noise over its strength."""
     UP_NOISE = "up_noise"
-    """Standard deviation of up, radians."""
+    """Standard deviation of up, averaged over 10° of the turn, radians."""
     KAPPA = "kappa"
     """Samples per independent sample, one or more."""
     WOBBLE = "wobble"

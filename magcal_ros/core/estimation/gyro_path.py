@@ -97,6 +97,8 @@ class GyroPath:
         Whether a linear acceleration of the turn is estimated too. Its six errors come last: what
         up vectors read too much in body axes on average, and by how much more than `known.follows`
         of it that grows with `swiftness`.
+    is_doubted : bool
+        Whether the gyro is taken for worse than gyros usually are.
     """
 
     relative: FloatArray
@@ -106,6 +108,7 @@ class GyroPath:
     swiftness: FloatArray
     known: GyroErrors = GyroErrors()
     accelerated: bool = False
+    is_doubted: bool = False
 
     @property
     def size(self) -> int:
@@ -123,7 +126,8 @@ class GyroPath:
 
     def with_doubtful_gyro(self) -> GyroPath:
         """Return the path of a gyro whose bias may be large."""
-        return replace(self, known=replace(self.known, bias=self.known.doubtful_bias))
+        known = replace(self.known, bias=self.known.doubtful_bias)
+        return replace(self, known=known, is_doubted=True)
 
     def turned(self, turn: FloatArray) -> GyroPath:
         """Return the path of a gyro whose axes are turned into others, `turn` shape (3, 3).
@@ -133,7 +137,7 @@ class GyroPath:
         basis = turn @ self.basis
         for first in (0, BIAS.start, *range(FIRST_KNOT, basis.shape[2], 3)):
             basis[:, :, first : first + 3] = basis[:, :, first : first + 3] @ turn.T
-        return replace(self, relative=turn @ self.relative @ turn.T, basis=basis)
+        return replace(self, relative=turn @ self.relative @ turn.T, basis=basis, is_doubted=True)
 
     def bias_in_sigmas(self, errors: FloatArray) -> float:
         """Return the gyro's bias in sigmas of its prior."""

@@ -111,26 +111,32 @@ def pulled_or_not(start: Fit, path: GyroPath) -> tuple[Fit, float]:
     plain = propagated(start, path, start.prior)
     if not _is_strained(plain):
         return plain, 0.0
-    pulled = propagated(start, replace(path, accelerated=True), start.prior)
-    biased = propagated(start, path.with_doubtful_gyro(), start.prior)
-    leaning = propagated(start, path.turned(_own_lean(pulled)), start.prior)
-    fits = (plain, pulled, biased, leaning)
+    gyros = path, path.with_doubtful_gyro()
+    pulls = [propagated(start, replace(gyro, accelerated=True), start.prior) for gyro in gyros]
+    leans = [
+        propagated(start, gyro.turned(_own_lean(pulled)), start.prior)
+        for gyro, pulled in zip(gyros, pulls, strict=True)
+    ]
+    biased = propagated(start, gyros[1], start.prior)
+    fits = (plain, biased, *leans, *pulls)
     factor = min(fit.block.weighting.inefficiency for fit in fits)
-    none, pull, bias, lean = (_misfit(fit, factor) for fit in fits)
-    shown = min(bias, lean) - pull
-    pull += _cost_of_pull(_gyro_block(pulled))
-    bias += _cost_of_bias(_gyro_block(biased))
-    lean += _cost_of_lean(_lean(pulled), ACCELERATION.own_lean)
-    none += path.bias_in_sigmas(_gyro_block(plain).errors) ** 2
-    own = biased if bias < lean else leaning
-    if none < min(pull, bias, lean) + ACCELERATION.needed:
+    misfits = [_misfit(fit, factor) for fit in fits]
+    costs = [
+        path.bias_in_sigmas(_gyro_block(plain).errors) ** 2,
+        _cost_of_bias(biased),
+        *(_cost_of_own_lean(*pair) for pair in zip(leans, pulls, strict=True)),
+        *(_cost_of_pull(fit) for fit in pulls),
+    ]
+    costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
+    if costs[0] < min(costs) + ACCELERATION.needed:
         return plain, 0.0
-    favour = min(bias, lean) - pull
-    chosen = pulled if favour > 0.0 else own
+    own, pull = (min(some, key=costs.__getitem__) for some in (range(1, 4), range(4, 6)))
+    favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - min(misfits[4:])
+    chosen = fits[pull if favour > 0.0 else own]
     if favour * shown > 0.0 and abs(shown) > ACCELERATION.clear:
         return chosen, 0.0
     doubt = max(1.0 / (1.0 + math.exp(0.5 * abs(favour))), ACCELERATION.least_doubt)
-    return chosen, math.sqrt(doubt) * heading_gap(own, pulled)
+    return chosen, math.sqrt(doubt) * heading_gap(fits[own], fits[pull])
 
 
 def _gyro_block(fit: Fit) -> GyroBlock:
@@ -159,9 +165,10 @@ def _misfit(fit: Fit, factor: float) -> float:
     return propagated_evidence(fit, factor) - bias - pull * block.path.accelerated + far**2
 
 
-def _cost_of_bias(block: GyroBlock) -> float:
+def _cost_of_bias(fit: Fit) -> float:
     """Return what a bias costs of which every size is as likely, if it is not small."""
-    return 3.0 * math.log1p(float(np.sum(block.bias**2)) / ACCELERATION.usual_bias**2)
+    bias = _gyro_block(fit).bias
+    return 3.0 * math.log1p(float(np.sum(bias**2)) / ACCELERATION.usual_bias**2)
 
 
 def _cost_of_lean(lean: float, sigma: float) -> float:
@@ -169,13 +176,19 @@ def _cost_of_lean(lean: float, sigma: float) -> float:
     return (lean / sigma) ** 2 + 4.0 * math.log(sigma / LEVEL_LEAN)
 
 
-def _cost_of_pull(block: GyroBlock) -> float:
+def _cost_of_own_lean(leaning: Fit, pulled: Fit) -> float:
+    """Return what it costs that accelerometer and gyro differ by the lean that a pull would be."""
+    return _cost_of_bias(leaning) + _cost_of_lean(_lean(pulled), ACCELERATION.own_lean)
+
+
+def _cost_of_pull(fit: Fit) -> float:
     """Return what a pull costs: it follows the rate, and who is pulled is jolted, too."""
+    block = _gyro_block(fit)
     able = max(ACCELERATION.jolted * _jolts(block), ACCELERATION.least_pull)
     able = min(able, block.path.known.acceleration)
     size, amiss = (float(np.linalg.norm(block.errors[rows])) for rows in (MEAN, AMISS))
     unlike = amiss / (ACCELERATION.amiss * max(size, 1e-6))
-    return _cost_of_lean(size, able) + unlike**2 + _cost_of_bias(block)
+    return _cost_of_lean(size, able) + unlike**2 + _cost_of_bias(fit)
 
 
 def _jolts(block: GyroBlock) -> float:

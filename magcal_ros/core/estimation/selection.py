@@ -7,6 +7,7 @@ chosen, and doubted, by one rule whatever ties the attitudes and however many tu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -66,6 +67,8 @@ class PropagationRule:
         Share of the samples that are inliers.
     drift : float
         Share of the largest drift.
+    contradiction : float
+        Radians of heading by which a doubted gyro may part from what is found without it.
     """
 
     field_ratio: float = 2.0
@@ -73,6 +76,7 @@ class PropagationRule:
     settled_lenience: float = 0.01
     fewest: float = 0.6
     drift: float = 0.9
+    contradiction: float = math.radians(0.3)
 
 
 AXIS, PROPAGATION = AxisRule(), PropagationRule()

@@ -21,6 +21,9 @@ from magcal_ros.core.geometry.rotations import skew
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.samples.window import Window
 
+COMPASS_SHARE = 0.5
+"""Of the squared stray between gyro and compass, what is the compass's: the gyro strays, too."""
+
 
 @dataclass(frozen=True)
 class Turning:
@@ -93,7 +96,8 @@ def systematic_covariance(
     upright = strength * abs(math.sin(shared.inclination))
     lean = systematics.lever_arm * turning.rms**2 / STANDARD_GRAVITY
     late = systematics.latency * turning.spread
-    lasting = (upright * lean) ** 2 + level**2 * (late**2 + seen.stray**2 + seen.gap**2)
+    stray = COMPASS_SHARE * seen.stray**2
+    lasting = (upright * lean) ** 2 + level**2 * (late**2 + stray + seen.gap**2)
     across = np.eye(3) - np.outer(axis, axis)
     covariance = np.zeros((12, 12))
     of_iron = systematics.field**2 * np.eye(3) + lasting * across

@@ -22,6 +22,8 @@ from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 
 LEAST_ELLIPSE_ARC = math.radians(270.0)
+SECTOR = math.radians(10.0)
+"""Radians of the turn over which noise of up is averaged before it is graded."""
 SPLIT_DAMPING = 1e-6
 """Half a turn may leave a direction open."""
 
@@ -53,7 +55,7 @@ def measure_figures(
         Figure.INLIER_FRACTION: float(weighting.inliers.mean()),
         Figure.SPLIT_HALF: _split_half(fit, scale),
         Figure.FIELD_NOISE_RATIO: weighting.noise.field / abs(shared.strength),
-        Figure.UP_NOISE: weighting.noise.up,
+        Figure.UP_NOISE: weighting.noise.up * math.sqrt(min(_share_of_sector(fit, arc), 1.0)),
         Figure.KAPPA: weighting.inefficiency,
         Figure.WOBBLE: block.wobble,
         Figure.SOFT_IRON: float(fit.prior.has_soft_iron),
@@ -63,6 +65,16 @@ def measure_figures(
     figures.update(_unseen_soft_iron(fit, knowledge, scale))
     figures.update(_circle_figures(fit, knowledge, scale, arc))
     return figures
+
+
+def _share_of_sector(fit: Fit, arc: float) -> float:
+    """Return what share of a sector of the turn one independent sample is.
+
+    Noise that averages out over a sector tells the heading's sigma, and is no fault besides.
+    """
+    weighting = fit.block.weighting
+    count = max(float(np.count_nonzero(weighting.inliers)), 1.0)
+    return arc / SECTOR * weighting.inefficiency / count
 
 
 def _unseen_soft_iron(fit: Fit, knowledge: Knowledge, scale: float) -> dict[Figure, float]:

@@ -219,10 +219,15 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         choice = free_attitudes(start, with_iron, always=always)
     elif not block.path.accelerated and not knowledge.systematics.are_none:
         free = free_attitudes(start, with_iron, always=always)
-        gap = max(gap, unexplained_gap(choice.fit, free.fit))
+        apart = unexplained_gap(choice.fit, free.fit)
         # What soft iron explains only without the gyro, the gyro's own walk had hidden.
         if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
             choice, gap = free, 0.0
+        elif block.path.is_doubted and apart > PROPAGATION.contradiction:
+            # A gyro that is known to be a bad one is no witness against the accelerometer.
+            path, choice = replace(path, relative=block.unbiased), free
+        else:
+            gap = max(gap, apart)
     swing = _swing(choice, path, window.time[prepared.first])
     pull = apparent_pull(samples, path)
     return Solved(prepared, choice, found.rival_gap, window, swing, gap, pull)
