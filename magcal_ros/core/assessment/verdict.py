@@ -65,6 +65,8 @@ class VerdictTuning:
         was not shown is worth a word.
     earths_field_ut : tuple of float
         Outside of these a strength is no Earth's: a warning that names the likely unit.
+    guessed : float
+        Times by which a strength may be out of them that only the turn tells.
     beyond_iron_ut : tuple of float
         Outside of these it is none that iron on the robot could make of it either: refused.
     gravity_misfits : tuple of float
@@ -88,6 +90,7 @@ class VerdictTuning:
     on_its_side: float = math.radians(45.0)
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
+    guessed: float = 1.5
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
     reasons: int = 2
@@ -208,7 +211,7 @@ def judge(
     doubt = check_reference(estimate, figures, knowledge, tuning.doubt)
     if doubt is not None:
         checks.append(doubt)
-    checks.append(_check_strength(estimate.strength, tuning))
+    checks.append(_check_strength(estimate.strength, knowledge, tuning))
     if Figure.GYRO_CARRIED in figures:
         holds = figures[Figure.GYRO_CARRIED] > 0.0
         checks.append(_check_flag(Figure.GYRO_CARRIED, holds, GYRO_EXPLAINS, GYRO_CONTRADICTS))
@@ -281,9 +284,12 @@ def refuse(refusal: Refusal) -> Verdict:
     return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
 
 
-def _check_strength(strength: float, tuning: VerdictTuning) -> Check:
+def _check_strength(strength: float, knowledge: Knowledge, tuning: VerdictTuning) -> Check:
     microtesla = strength * 1e6
     low, high = tuning.earths_field_ut
+    if not knowledge.reference.is_complete:
+        # Where nothing is known, one turn can but guess it.
+        low, high = low / tuning.guessed, high * tuning.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
     words = f"field strength {microtesla:.1f} µT"
     if grade is Grade.WARN:

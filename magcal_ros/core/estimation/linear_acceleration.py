@@ -62,6 +62,8 @@ class AccelerationRule:
         mean.
     least_doubt : float
         Probability that what is less likely keeps as long as the samples leave it open.
+    idle : float
+        Probability below which it is not looked at.
     """
 
     bias: float = 2.0
@@ -78,9 +80,13 @@ class AccelerationRule:
     spread_of_drift: float = 2.0
     amiss: float = 0.35
     least_doubt: float = 0.12
+    idle: float = 0.002
 
 
 ACCELERATION = AccelerationRule()
+OWN, PULLED = range(1, 4), range(4, 6)
+"""Which of the explanations leave up to the accelerometer, and which to the gyro. That the gyro is
+a bad one besides is counted as a doubt and never followed: nothing would be left to tell up."""
 MEAN, AMISS = slice(-6, -3), slice(-3, None)
 """Where a pull stands among the errors of an accelerated path."""
 LEVEL_LEAN = 0.1
@@ -130,13 +136,23 @@ def pulled_or_not(start: Fit, path: GyroPath) -> tuple[Fit, float]:
     costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
     if costs[0] < min(costs) + ACCELERATION.needed:
         return plain, 0.0
-    own, pull = (min(some, key=costs.__getitem__) for some in (range(1, 4), range(4, 6)))
-    favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - min(misfits[4:])
-    chosen = fits[pull if favour > 0.0 else own]
-    if favour * shown > 0.0 and abs(shown) > ACCELERATION.clear:
-        return chosen, 0.0
-    doubt = max(1.0 / (1.0 + math.exp(0.5 * abs(favour))), ACCELERATION.least_doubt)
-    return chosen, math.sqrt(doubt) * heading_gap(fits[own], fits[pull])
+    own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
+    favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - misfits[pull]
+    chosen, rival = (pull, own) if favour > 0.0 else (own, pull)
+    doubts = [_doubt(cost - costs[chosen]) for cost in costs]
+    if favour * shown <= 0.0 or abs(shown) <= ACCELERATION.clear:
+        doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
+    gaps = [
+        math.sqrt(doubts[k]) * heading_gap(fits[k], fits[chosen])
+        for k in (*OWN, *PULLED)
+        if k != chosen and doubts[k] > ACCELERATION.idle
+    ]
+    return fits[chosen], max(gaps, default=0.0)
+
+
+def _doubt(cost: float) -> float:
+    """Return how likely an explanation is beside one that costs so much less."""
+    return 1.0 / (1.0 + math.exp(min(0.5 * cost, 50.0)))
 
 
 def _gyro_block(fit: Fit) -> GyroBlock:
