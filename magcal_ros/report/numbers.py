@@ -62,7 +62,7 @@ FIGURES: dict[Figure, Unit] = {
     Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
     Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),
     Figure.SOFT_IRON_GAIN: Unit("fall of chi-square by soft iron"),
-    Figure.GYRO_CARRIED: Unit("gyro carried the attitude (1 yes, 0 no)"),
+    Figure.GYRO_CARRIED: Unit("the gyro's turning explains the samples (1 yes, 0 no)"),
     Figure.TURNS: Unit("turns that were joined"),
     Figure.TURN_MISFIT: Unit("worst turn off the others, as many times as noise explains"),
     Figure.FIELD_SCALE: Unit("field scale inside the fit", MICRO, " µT"),

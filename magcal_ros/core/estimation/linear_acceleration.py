@@ -55,6 +55,9 @@ class AccelerationRule:
         Seconds over which a jolt is averaged; what is shorter is vibration.
     usual_bias : float
         rad/s. Of a larger bias every size is as likely as another.
+    bad_bias, overwhelming : float
+        rad/s of bias that a pull must not need at the same time, or the gyro is no witness of it;
+        and the fall from which the samples have no other explanation all the same.
     spread_of_drift : float
         Times by which the random walk of gyros usually differs from the usual one.
     amiss : float
@@ -77,6 +80,8 @@ class AccelerationRule:
     least_pull: float = 0.01
     jolt: float = 1.0
     usual_bias: float = 0.003
+    bad_bias: float = math.radians(1.0)
+    overwhelming: float = 60.0
     spread_of_drift: float = 2.0
     amiss: float = 0.35
     least_doubt: float = 0.12
@@ -84,9 +89,9 @@ class AccelerationRule:
 
 
 ACCELERATION = AccelerationRule()
-OWN, PULLED = range(1, 4), range(4, 6)
-"""Which of the explanations leave up to the accelerometer, and which to the gyro. That the gyro is
-a bad one besides is counted as a doubt and never followed: nothing would be left to tell up."""
+OWN, PULLED, BAD = range(1, 4), range(4, 6), 5
+"""Which of the explanations leave up to the accelerometer, and which to the gyro. That it is a bad
+one besides is counted as a doubt and never followed: then the accelerometer is trusted instead."""
 MEAN, AMISS = slice(-6, -3), slice(-3, None)
 """Where a pull stands among the errors of an accelerated path."""
 LEVEL_LEAN = 0.1
@@ -138,8 +143,10 @@ def pulled_or_not(start: Fit, path: GyroPath) -> tuple[Fit, float]:
         return plain, 0.0
     own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
     favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - misfits[pull]
-    chosen, rival = (pull, own) if favour > 0.0 else (own, pull)
-    doubts = [_doubt(cost - costs[chosen]) for cost in costs]
+    bad = misfits[BAD] < misfits[pull] and _bias(fits[BAD]) > ACCELERATION.bad_bias
+    bad = bad and shown < ACCELERATION.overwhelming
+    chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
+    doubts = [min(_doubt(cost - costs[chosen]), 0.5) for cost in costs]
     if favour * shown <= 0.0 or abs(shown) <= ACCELERATION.clear:
         doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
     gaps = [
@@ -164,6 +171,10 @@ def _lean(pulled: Fit) -> float:
     return float(np.linalg.norm(_gyro_block(pulled).acceleration))
 
 
+def _bias(fit: Fit) -> float:
+    return float(np.linalg.norm(_gyro_block(fit).bias))
+
+
 def _own_lean(pulled: Fit) -> FloatArray:
     """Return the turn from the gyro's axes to those in which the accelerometer does not lean."""
     block = _gyro_block(pulled)
@@ -183,8 +194,7 @@ def _misfit(fit: Fit, factor: float) -> float:
 
 def _cost_of_bias(fit: Fit) -> float:
     """Return what a bias costs of which every size is as likely, if it is not small."""
-    bias = _gyro_block(fit).bias
-    return 3.0 * math.log1p(float(np.sum(bias**2)) / ACCELERATION.usual_bias**2)
+    return 3.0 * math.log1p((_bias(fit) / ACCELERATION.usual_bias) ** 2)
 
 
 def _cost_of_lean(lean: float, sigma: float) -> float:

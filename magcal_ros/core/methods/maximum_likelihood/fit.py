@@ -131,6 +131,8 @@ class Solved:
         Radians of heading between the fits with gyro-propagated attitudes and without.
     pull : float
         Radians by which the mean specific force leans from the gyro's up.
+    explained : bool
+        Whether the gyro's turning explains the samples, even where it is not followed.
     """
 
     prepared: Prepared
@@ -140,6 +142,7 @@ class Solved:
     swing: GyroSwing | None = None
     gyro_gap: float = 0.0
     pull: float = 0.0
+    explained: bool = False
 
     def seen(self, systematics: Systematics) -> Lasting:
         """Return what the residuals show of lasting errors; nothing where none are believed."""
@@ -159,7 +162,7 @@ class Solved:
         block = self.choice.fit.block
         acceleration = block.acceleration if isinstance(block, GyroBlock) else np.zeros(3)
         return figures | {
-            Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock)),
+            Figure.GYRO_CARRIED: float(self.explained),
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
@@ -212,7 +215,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         free = free_attitudes(start, with_iron, always=always)
         return Solved(prepared, free, found.rival_gap, window)
     choice = propagated_attitudes(start, path, with_iron, always=always)
-    gap = choice.gap
+    gap, pull = choice.gap, apparent_pull(samples, path)
     block = choice.fit.block
     assert isinstance(block, GyroBlock)
     if not explains_as_well(choice.fit, found.best):
@@ -225,12 +228,12 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
             choice, gap = free, 0.0
         elif block.path.is_doubted and apart > PROPAGATION.contradiction:
             # A gyro that is known to be a bad one is no witness against the accelerometer.
-            path, choice = replace(path, relative=block.unbiased), free
+            path, choice = replace(block.path, relative=block.unbiased), free
         else:
             gap = max(gap, apart)
+    explained = path.is_doubted or isinstance(choice.fit.block, GyroBlock)
     swing = _swing(choice, path, window.time[prepared.first])
-    pull = apparent_pull(samples, path)
-    return Solved(prepared, choice, found.rival_gap, window, swing, gap, pull)
+    return Solved(prepared, choice, found.rival_gap, window, swing, gap, pull, explained)
 
 
 def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:
