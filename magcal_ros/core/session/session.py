@@ -326,7 +326,7 @@ def _turned_over(rows: FloatArray) -> IntArray:
     rate = _rate_if_any(rows)
     if rate is None:
         return np.zeros(0, dtype=np.intp)
-    across = np.cross(rate, unit(rows[:, 4:7]))
+    across = np.cross(np.where(np.isfinite(rate), rate, 0.0), unit(rows[:, 4:7]))
     return np.flatnonzero(np.linalg.norm(across, axis=1) > TUNING.turned_over)
 
 
