@@ -56,8 +56,9 @@ class AccelerationRule:
     usual_bias : float
         rad/s. Of a larger bias every size is as likely as another.
     bad_bias, overwhelming : float
-        rad/s of bias that a pull must not need at the same time, or the gyro is no witness of it;
-        and the fall from which the samples have no other explanation all the same.
+        rad/s of bias about up, which the field shows, that a pull must not need at the same time,
+        or the gyro is no witness of it; and the fall from which the samples have no other
+        explanation all the same.
     spread_of_drift : float
         Times by which the random walk of gyros usually differs from the usual one.
     amiss : float
@@ -80,7 +81,7 @@ class AccelerationRule:
     least_pull: float = 0.01
     jolt: float = 1.0
     usual_bias: float = 0.003
-    bad_bias: float = math.radians(1.0)
+    bad_bias: float = math.radians(0.5)
     overwhelming: float = 60.0
     spread_of_drift: float = 2.0
     amiss: float = 0.35
@@ -143,7 +144,7 @@ def pulled_or_not(start: Fit, path: GyroPath) -> tuple[Fit, float]:
         return plain, 0.0
     own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
     favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - misfits[pull]
-    bad = misfits[BAD] < misfits[pull] and _bias(fits[BAD]) > ACCELERATION.bad_bias
+    bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
     bad = bad and shown < ACCELERATION.overwhelming
     chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
     doubts = [min(_doubt(cost - costs[chosen]), 0.5) for cost in costs]
@@ -173,6 +174,11 @@ def _lean(pulled: Fit) -> float:
 
 def _bias(fit: Fit) -> float:
     return float(np.linalg.norm(_gyro_block(fit).bias))
+
+
+def _bias_about_up(fit: Fit) -> float:
+    block = _gyro_block(fit)
+    return abs(float(block.bias @ unit(block.samples.up.mean(axis=0))))
 
 
 def _own_lean(pulled: Fit) -> FloatArray:
