@@ -1,21 +1,27 @@
-"""What real sensors do to a turn: `python benchmarks/realistic.py [--runs N] [--only X]`.
+"""What real sensors do to a turn: `python benchmarks/realistic.py [--runs N] [--only X] [--turns]`.
 
 One effect at a time, on full turns of a small robot with a reference field, with the gyro and
 without: how many are refused and warned of, the heading's RMS error on the level (degrees), the
 median promised sigma, NEES of the heading, and the share beyond three sigmas. Sensors are judged as
 they are used: an accelerometer that is off is off afterwards, too; motors are off when they are.
 Some effects have a course of their own: a rest before and after the turn, stops on the way, an
-uneven speed. Such turns go through a session, as those of a robot do.
+uneven speed. Such turns go through a session, as those of a robot do. The third line is the RMS
+with the gyro over that without, of the turns that are answered either way: more should never hurt.
+
+With `--turns` each row is a kind of turn instead (`turn_kinds.py`; a fifth without a reference
+field), with perfect, typical and cheap sensors; what was warned of and refused is counted.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from turn_kinds import KINDS, drawn_motion, drawn_robot
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
@@ -57,6 +63,7 @@ class Scene:
     window: Window
     distortion: FloatArray = field(default_factory=lambda: np.eye(3))
     force: FloatArray = field(default_factory=lambda: np.zeros(3))
+    has_course: bool = False
 
 
 Spoil = Callable[[np.random.Generator, Scene], Scene]
@@ -173,11 +180,16 @@ def over_time(shape: Callable[[np.random.Generator, FloatArray], FloatArray], si
     return spoil
 
 
+def scattered(effect: Callable[[float], Spoil], size: float) -> Spoil:
+    """Draw the size of an effect anew for each robot, half as large or twice."""
+    return lambda rng, scene: effect(size * math.exp(0.6 * rng.standard_normal()))(rng, scene)
+
+
 def coloured(size: float, seconds: float) -> Spoil:
     """Add noise of three axes that lasts for seconds; endless seconds: a random walk."""
 
     def spoil(rng: np.random.Generator, scene: Scene) -> Scene:
-        step, count = SECONDS / SAMPLES, len(scene.window)
+        count, step = len(scene.window), float(np.ptp(scene.window.time)) / len(scene.window)
         keeps = math.exp(-step / seconds)
         grows = math.sqrt(step if math.isinf(seconds) else 1.0 - keeps**2)
         noise = np.zeros((count, 3))
@@ -266,6 +278,33 @@ TYPICAL = together(
 )
 """A MEMS set on a robot that turns in the open; what each part does alone stands below."""
 
+SENSORS: dict[str, Spoil] = {
+    "perfect": lambda _, scene: scene,
+    "typical": together(
+        scattered(axes, 0.005),
+        scattered(lambda size: over_time(even, size), 0.2e-6),
+        scattered(lambda size: over_time(switched, size), 0.1e-6),
+        scattered(lambda size: coloured(size, 3.0), 0.15e-6),
+        scattered(late, 0.008),
+        scattered(lever_arm, 0.08),
+        scattered(off, 0.05),
+        scattered(biased, 0.2),
+        scattered(crossed, 0.008),
+    ),
+    "cheap": together(
+        scattered(axes, 0.012),
+        scattered(lambda size: over_time(even, size), 0.4e-6),
+        scattered(lambda size: over_time(switched, size), 0.2e-6),
+        scattered(lambda size: coloured(size, 3.0), 0.2e-6),
+        scattered(late, 0.01),
+        scattered(lever_arm, 0.1),
+        lambda rng, scene: off(float(rng.choice([0.2, 0.5])))(rng, scene),
+        scattered(biased, 2.0),
+        crossed(0.02),
+    ),
+}
+"""For `--turns`; sizes but the offset and the crossed axes are drawn anew for each robot."""
+
 EFFECTS: dict[str, Spoil] = {
     "none": lambda _, scene: scene,
     "all that is typical": TYPICAL,
@@ -325,40 +364,101 @@ def heading_error(scene: Scene, correction: Correction) -> float:
     return math.sqrt(float(np.mean(wrap_angle(gap) ** 2)))
 
 
-def row(name: str, runs: int, *, gyro: bool) -> str:
-    errors, sigmas, refused, warned = [], [], 0, 0
+@dataclass
+class Row:
+    """What became of the turns of one row, with the gyro or without."""
+
+    gyro: bool
+    refused: int = 0
+    warned: int = 0
+    answers: dict[int, tuple[float, float]] = field(default_factory=dict)
+    """Error and promised sigma by number, radians."""
+    reasons: Counter[str] = field(default_factory=Counter)
+
+    def take(self, number: int, scene: Scene, knowledge: Knowledge) -> None:
+        window = scene.window if self.gyro else replace(scene.window, angular_rate=None)
+        window = collected(window) if scene.has_course else window
+        outcome = calibrate(window, knowledge)
+        grade = max(outcome.verdict.quality, outcome.verdict.confidence, key=lambda g: g.rank)
+        if grade.rank >= Grade.WARN.rank:
+            checks = outcome.verdict.checks
+            self.reasons.update({check.key for check in checks if check.grade is grade})
+        if outcome.estimate is None or grade is Grade.REFUSED:
+            self.refused += 1
+            return
+        self.warned += grade is Grade.WARN
+        error = heading_error(scene, outcome.estimate.correction)
+        self.answers[number] = error, predicted_heading_sigma(outcome.estimate, 0.0)
+
+    def text(self, name: str) -> str:
+        text = f"{name:28s}{'gyro' if self.gyro else '-':>5s}{self.refused:8d}{self.warned:8d}"
+        if not self.answers:
+            return text
+        errors, sigmas = np.array(list(self.answers.values())).T
+        ratio = errors / sigmas
+        rms, sigma = (math.degrees(v) for v in (rms_of(errors), np.median(sigmas)))
+        text += f"{rms:8.2f}{sigma:8.2f}{np.mean(ratio**2):8.2f}{np.mean(ratio > 3.0):8.1%}"
+        return text + "".join(f"  {why} {count}" for why, count in self.reasons.most_common())
+
+
+def rms_of(errors: FloatArray) -> float:
+    return math.sqrt(float(np.mean(np.square(errors))))
+
+
+def show(name: str, scenes: Callable[[int], tuple[Scene, Knowledge]], runs: int) -> list[Row]:
+    """Print a row with the gyro, one without, and what the gyro does to turns answered by both."""
+    rows = [Row(gyro=True), Row(gyro=False)]
     for number in range(runs):
+        for row in rows:
+            row.take(number, *scenes(number))
+    print("\n".join(row.text(name) for row in rows), flush=True)
+    both = sorted(set(rows[0].answers) & set(rows[1].answers))
+    if both:
+        by, without = (rms_of(np.array([row.answers[n][0] for n in both])) for row in rows)
+        print(f"{'':28s}gyro over none, {len(both)} turns: {by / max(without, 1e-9):.2f}")
+    return rows
+
+
+def by_effect(name: str) -> Callable[[int], tuple[Scene, Knowledge]]:
+    def scene(number: int) -> tuple[Scene, Knowledge]:
         course, effect = COURSES.get(name) or (None, EFFECTS[name])
         scene, knowledge = drawn(np.random.default_rng([1, number]), course)
-        scene = effect(np.random.default_rng([2, number]), scene)
-        window = scene.window if gyro else replace(scene.window, angular_rate=None)
-        window = window if course is None else collected(window)
-        outcome = calibrate(window, knowledge)
-        if outcome.estimate is None or not outcome.verdict.accepted:
-            refused += 1
-            continue
-        warned += Grade.WARN in (outcome.verdict.quality, outcome.verdict.confidence)
-        errors.append(heading_error(scene, outcome.estimate.correction))
-        sigmas.append(predicted_heading_sigma(outcome.estimate, 0.0))
-    text = f"{name:28s}{'gyro' if gyro else '-':>5s}{refused:8d}{warned:8d}"
-    if not errors:
-        return text
-    ratio = np.array(errors) / np.array(sigmas)
-    rms, sigma = (math.degrees(v) for v in (np.sqrt(np.mean(np.square(errors))), np.median(sigmas)))
-    return text + f"{rms:8.2f}{sigma:8.2f}{np.mean(ratio**2):8.2f}{np.mean(ratio > 3.0):8.0%}"
+        scene = replace(scene, has_course=course is not None)
+        return effect(np.random.default_rng([2, number]), scene), knowledge
+
+    return scene
+
+
+def by_turn(kind: str, sensors: str) -> Callable[[int], tuple[Scene, Knowledge]]:
+    def scene(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([3, KINDS.index(kind), number])
+        robot, motion = drawn_robot(rng, kind), drawn_motion(rng, kind)
+        strength = Belief(robot.strength + rng.normal(0.0, 1.5e-6), 1.5e-6)
+        dip = Belief(robot.inclination + rng.normal(0.0, 1.0) * DEGREE, 1.0 * DEGREE)
+        known = Knowledge(ReferenceField(strength, dip)) if rng.random() > 0.2 else Knowledge()
+        scene = Scene(robot, motion, measure(robot, motion, rng, gyro=True))
+        return SENSORS[sensors](rng, scene), known
+
+    return scene
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--only", default="", help="effects whose name holds this")
+    parser.add_argument("--turns", action="store_true", help="kinds of turns instead of effects")
     arguments = parser.parse_args()
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s")
     print(f"{'effect':28s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
-    for name in (*EFFECTS, *COURSES):
-        if arguments.only in name:
-            for gyro in (True, False):
-                print(row(name, arguments.runs, gyro=gyro), flush=True)
+    if not arguments.turns:
+        for name in (*EFFECTS, *COURSES):
+            if arguments.only in name:
+                show(name, by_effect(name), arguments.runs)
+        return
+    for sensors in SENSORS:
+        for kind in KINDS:
+            if arguments.only in f"{sensors} {kind}":
+                show(f"{sensors} {kind}", by_turn(kind, sensors), arguments.runs)
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     try:
         window = gathered.gathering.window()
-        result = check(window, calibration)
+        result = check(window, calibration, drive=gathered.gathering.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"

@@ -172,6 +172,9 @@ class Systematics:
     ----------
     axes : float
         How far the magnetometer's axes are out of square, and its linearity: relative.
+    crooked : float
+        Axes are seldom further out of square than this; what is seen beyond it is soft iron, which
+        turns no axes.
     field : float
         Tesla per axis of a field that turns with the robot and is taken for hard iron, or stands
         still and is not: currents of motors, the crust over the patch of the turn.
@@ -181,10 +184,11 @@ class Systematics:
         Seconds between gyro, accelerometer and field that nobody took off.
     """
 
-    axes: float = 0.003
-    field: float = 0.06e-6
+    axes: float = 0.004
+    field: float = 0.08e-6
     lever_arm: float = 0.1
     latency: float = 0.005
+    crooked: float = 0.03
 
     def __post_init__(self) -> None:
         if not all(0.0 <= v < math.inf for v in (self.axes, self.field, self.lever_arm)) or not (

@@ -7,6 +7,8 @@ import pytest
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import explained
@@ -165,3 +167,15 @@ def test_who_saw_the_full_circle_is_not_sent_round_it_again():
     asked = [check.words for check in checks if "turn once more" in check.words]
     assert asked
     assert not [check.words for check in checks if "full circle" in check.words]
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_a_robot_that_leans_with_the_ground_draws_no_ellipse_of_iron(gyro):
+    """It rolls by 6 degrees twice a turn: the raw circle is an ellipse, and no iron's."""
+    robot = Robot(noise_field=0.2e-6)
+    angle = np.arange(500) * (math.tau / 500)
+    lean = 6.0 * DEGREE * np.column_stack([np.cos(2 * angle), np.sin(2 * angle), 0.0 * angle])
+    window = measure(robot, turn(wobble=lean), np.random.default_rng(1), gyro=gyro)
+    outcome = calibrate(window, robot.knowledge(1.5e-6, 1.0 * DEGREE))
+    assert outcome.verdict.is_good
+    assert common_figures(outcome.estimate)[Figure.ELLIPSE_EXCESS] < 0.02

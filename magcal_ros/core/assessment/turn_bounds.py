@@ -28,7 +28,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     ),
     Bound(
         Figure.OUTLIER_SHARE,
-        15.0,
+        25.0,
         50.0,
         "samples that were not believed",
         "something magnetic passed by or switched; turn again elsewhere",
@@ -186,7 +186,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         Figure.UP_NOISE,
         1.5,
         6.0,
-        "noise of up (1σ)",
+        "noise of up over 10° of the turn (1σ)",
         "turn more slowly and evenly, or keep the accelerometer from shaking",
         excellent=0.5,
     ),

@@ -52,6 +52,9 @@ class VerdictTuning:
         steel it may be the best there is, and who reads only the first word should know.
     nearly_full : float
         Radians of arc from which a steady sideways pull can be told from a slope.
+    weighed_pull_deg : float
+        Degrees of sideways pull that are no warning where the fit has weighed what it may be, and
+        counts in the heading's sigma what it could not tell.
     one_axis : float
         Share of the gyro's squares about one axis from which a turn has one; a sensor that is
         turned over by hand has none, and what counts is how it usually lies.
@@ -62,6 +65,8 @@ class VerdictTuning:
         was not shown is worth a word.
     earths_field_ut : tuple of float
         Outside of these a strength is no Earth's: a warning that names the likely unit.
+    guessed : float
+        Times by which a strength may be out of them that only the turn tells.
     beyond_iron_ut : tuple of float
         Outside of these it is none that iron on the robot could make of it either: refused.
     gravity_misfits : tuple of float
@@ -80,10 +85,12 @@ class VerdictTuning:
     several: float = 2.0
     rough: float = math.radians(5.0)
     nearly_full: float = math.radians(300.0)
+    weighed_pull_deg: float = 5.0
     one_axis: float = 0.7
     on_its_side: float = math.radians(45.0)
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
+    guessed: float = 1.5
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
     reasons: int = 2
@@ -197,14 +204,14 @@ def judge(
         if axis_share(window) < tuning.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > tuning.nearly_full:
-            figures[Figure.SIDEWAYS_PULL] = sideways_pull(window)
+            figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
     is_drive = Figure.HEADINGS_DRIVEN in figures
     bounds = tuning.drive_bounds if is_drive else tuning.bounds
     checks = [_check(b, figures, knowledge, tuning) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge, tuning.doubt)
     if doubt is not None:
         checks.append(doubt)
-    checks.append(_check_strength(estimate.strength, tuning))
+    checks.append(_check_strength(estimate.strength, knowledge, tuning))
     if Figure.GYRO_CARRIED in figures:
         holds = figures[Figure.GYRO_CARRIED] > 0.0
         checks.append(_check_flag(Figure.GYRO_CARRIED, holds, GYRO_EXPLAINS, GYRO_CONTRADICTS))
@@ -243,6 +250,8 @@ def _check(
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
+    if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:
+        bound = replace(bound, good=tuning.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
         # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
         with_iron = figures.get(Figure.SOFT_IRON)
@@ -275,9 +284,12 @@ def refuse(refusal: Refusal) -> Verdict:
     return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
 
 
-def _check_strength(strength: float, tuning: VerdictTuning) -> Check:
+def _check_strength(strength: float, knowledge: Knowledge, tuning: VerdictTuning) -> Check:
     microtesla = strength * 1e6
     low, high = tuning.earths_field_ut
+    if not knowledge.reference.is_complete:
+        # Where nothing is known, one turn can but guess it.
+        low, high = low / tuning.guessed, high * tuning.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
     words = f"field strength {microtesla:.1f} µT"
     if grade is Grade.WARN:

@@ -144,6 +144,22 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
     """
     across = np.cross(field_body, unit(up))
     gradient = across / np.sum(across**2, axis=-1, keepdims=True)
+    return by_twelve(correction, field_body, gradient)
+
+
+def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Return the derivative by the twelve numbers of what has this gradient by the field.
+
+    Parameters
+    ----------
+    correction : Correction
+    field_body, gradient : ndarray, shape (..., 3)
+        Corrected field, and the gradient there, body axes.
+
+    Returns
+    -------
+    ndarray, shape (..., 12)
+    """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
     by_iron = -gradient @ correction.matrix

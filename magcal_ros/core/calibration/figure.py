@@ -53,7 +53,7 @@ class Figure(str, Enum):
     FIELD_NOISE_RATIO = "field_noise_ratio"
     """Standard deviation of the field's noise over its strength."""
     UP_NOISE = "up_noise"
-    """Standard deviation of up, radians."""
+    """Standard deviation of up, averaged over 10° of the turn, radians."""
     KAPPA = "kappa"
     """Samples per independent sample, one or more."""
     WOBBLE = "wobble"
@@ -87,8 +87,7 @@ class Figure(str, Enum):
     between its usual up and the body's z."""
 
     GYRO_CARRIED = "gyro_carried"
-    """One where the gyro carried the attitude from sample to sample, else zero; absent without a
-    gyro."""
+    """One where the gyro's turning explains the samples, else zero; absent without a gyro."""
     GYRO_GAP = "gyro_gap"
     """Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
     where a linear acceleration sets them apart; absent without a gyro."""

@@ -93,6 +93,12 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
     return yaw_jacobian(correction, poses @ UP, poses @ field_enu)
 
 
+def level_poses() -> FloatArray:
+    """Return attitudes ENU to body on the level at all headings, shape (24, 3, 3)."""
+    yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
+    return np.array([rotation_from_rpy(0.0, 0.0, yaw).T for yaw in yaws])
+
+
 def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
     """Return the root mean square over rows of what a covariance means for them."""
     variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)

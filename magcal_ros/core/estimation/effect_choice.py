@@ -55,7 +55,8 @@ def with_effects_that_show(start: Fit, path: GyroPath) -> Fit:
     field = start.block.samples.field - shared.hard_iron
     effects = effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
     while left:
-        over = {kind: _promised(fit, effects.only(kind)) for kind in left}
+        # On the average of a turn a lever arm is what an accelerometer that is off reads always.
+        over = {kind: _promised(fit, effects.only(kind).without_mean()) for kind in left}
         clearest = max(left, key=lambda kind: over[kind])
         if over[clearest] < 1.0:
             break

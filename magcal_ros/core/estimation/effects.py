@@ -20,7 +20,7 @@ class Effect(Enum):
     """What makes an error; its numbers stand together."""
 
     PULL = "pull"
-    """Linear acceleration in body axes over gravity: always, and in proportion to `swiftness`."""
+    """Linear acceleration in body axes over gravity: its mean, and how it follows `swiftness`."""
     MOTORS = "motors"
     """Field scales in the magnetometer's axes: in proportion to the turn rate and to its square."""
     LATENCY = "latency"
@@ -67,6 +67,10 @@ class Effects:
         rows = self.where(kind)
         return Effects(self.columns[:, :, rows], self.sigma[rows], (kind,) * int(rows.sum()))
 
+    def without_mean(self) -> Effects:
+        """Return what of them varies in the course of the turn."""
+        return Effects(self.columns - self.columns.mean(axis=0), self.sigma, self.kinds)
+
     def plus(self, other: Effects) -> Effects:
         """Return these and others after them."""
         columns = np.concatenate([self.columns, other.columns], axis=2)
@@ -74,11 +78,22 @@ class Effects:
         return Effects(columns, sigma, self.kinds + other.kinds)
 
 
-def pull(pace: Pace, sigma: float) -> Effects:
-    """Return the linear acceleration of a turn; `sigma` is over gravity."""
-    columns = np.zeros((len(pace.swiftness), 6, 6))
-    columns[:, :3, :3] = np.eye(3)
-    columns[:, :3, 3:] = pace.swiftness[:, None, None] * np.eye(3)
+def pull(pace: Pace, sigma: float, follows: float) -> Effects:
+    """Return the linear acceleration of a turn.
+
+    Parameters
+    ----------
+    pace : Pace
+    sigma : float
+        Over gravity.
+    follows : float
+        By how much of its mean it is expected to grow with `swiftness`; the last three numbers are
+        what it grows otherwise.
+    """
+    swift = pace.swiftness[:, None, None]
+    columns = np.zeros((len(swift), 6, 6))
+    columns[:, :3, :3] = (1.0 + follows * swift) * np.eye(3)
+    columns[:, :3, 3:] = swift * np.eye(3)
     return Effects(columns, np.full(6, sigma), (Effect.PULL,) * 6)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from magcal_ros.core.estimation.block import AXES, Reduced, TurnBlock
 from magcal_ros.core.estimation.effects import Effect
-from magcal_ros.core.estimation.gyro_path import GyroPath
+from magcal_ros.core.estimation.gyro_path import BIAS, SCALE, GyroPath
 from magcal_ros.core.estimation.model import (
     Evaluation,
     Samples,
@@ -116,6 +116,18 @@ class GyroBlock:
         """Steady linear acceleration in body axes, over gravity, shape (3,)."""
         found = self.path.found(self.errors, Effect.PULL)
         return found[:3] if len(found) else np.zeros(3)
+
+    @property
+    def bias(self) -> FloatArray:
+        """The gyro's bias, rad/s, shape (3,)."""
+        return self.errors[BIAS]
+
+    @property
+    def unbiased(self) -> FloatArray:
+        """Rotations from the first sample's axes to each, bias and scale taken off, (n, 3, 3)."""
+        known = slice(BIAS.start, SCALE.stop)
+        turned = self.path.basis[:, :, known] @ self.errors[known]
+        return np.asarray(self.path.relative @ exp_rotations(turned))
 
     @property
     def wobble(self) -> float:

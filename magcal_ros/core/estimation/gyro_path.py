@@ -36,6 +36,9 @@ class GyroErrors:
         Sigma of its scale, per axis, relative.
     acceleration : float
         Sigma of the linear acceleration of the turn in body axes, over gravity: a car in a circle.
+    follows : float
+        By how much of its mean it grows with the relative square of the rate: one half where the
+        speed is held, one where the radius is.
     doubtful_bias : float
         Sigma of the bias of a gyro that nobody knows anything good of, rad/s per axis.
     knot_spacing : float
@@ -51,6 +54,7 @@ class GyroErrors:
     rested_bias: float = 0.0005
     scale: float = 0.02
     acceleration: float = 0.1
+    follows: float = 0.75
     doubtful_bias: float = 0.05
     knot_spacing: float = 1.0
     most_knots: int = 12
@@ -116,6 +120,8 @@ class GyroPath:
         What else the samples are wrong by. Their numbers come last among the errors.
     rests : tuple of RestOnPath
         Where the robot stood beside the turn, which shows the gyro's bias.
+    is_doubted : bool
+        Whether the gyro is taken for worse than gyros usually are.
     """
 
     relative: FloatArray
@@ -126,6 +132,7 @@ class GyroPath:
     effects: Effects
     known: GyroErrors = GyroErrors()
     rests: tuple[RestOnPath, ...] = ()
+    is_doubted: bool = False
 
     @property
     def size(self) -> int:
@@ -146,11 +153,22 @@ class GyroPath:
 
     def with_acceleration(self) -> GyroPath:
         """Return the path of a robot that may be pulled while it turns."""
-        return self.with_effects(pull(self.pace, self.known.acceleration))
+        return self.with_effects(pull(self.pace, self.known.acceleration, self.known.follows))
 
     def with_doubtful_gyro(self) -> GyroPath:
         """Return the path of a gyro whose bias may be large."""
-        return replace(self, known=replace(self.known, bias=self.known.doubtful_bias))
+        known = replace(self.known, bias=self.known.doubtful_bias)
+        return replace(self, known=known, is_doubted=True)
+
+    def turned(self, turn: FloatArray) -> GyroPath:
+        """Return the path of a gyro whose axes are turned into others, `turn` shape (3, 3).
+
+        The errors of its start, bias and drift then speak in the new axes, its scale in its own.
+        """
+        basis = turn @ self.basis
+        for first in (0, BIAS.start, *range(FIRST_KNOT, basis.shape[2], 3)):
+            basis[:, :, first : first + 3] = basis[:, :, first : first + 3] @ turn.T
+        return replace(self, relative=turn @ self.relative @ turn.T, basis=basis, is_doubted=True)
 
     def bias_in_sigmas(self, errors: FloatArray) -> float:
         """Return the gyro's bias in sigmas of its prior."""

@@ -1,22 +1,29 @@
 """Whether a turn pulls at its accelerometer, or its gyro has a bias (doc/estimator.md, section 9).
 
 On an even turn the two look alike: the gyro's mean axis and the mean specific force differ. A pull
-follows the turn rate, and a bias does not.
+follows the turn rate, and a bias does not. Where that does not show, what is known of sensors and
+vehicles speaks: a gyro that is far off about two axes is off about the third, an accelerometer is
+off by little, and a vehicle that is pulled for long is jolted, too.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.estimation.effect_choice import propagated, with_effects_that_show
+from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.evidence import propagated_evidence
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
-from magcal_ros.core.estimation.gyro_path import GyroPath
+from magcal_ros.core.estimation.gyro_path import BIAS, GyroPath
 from magcal_ros.core.estimation.heading_gap import heading_gap
+from magcal_ros.core.estimation.model import Samples
 from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import minimal_rotation, skew
 
 
 @dataclass(frozen=True)
@@ -24,8 +31,7 @@ class AccelerationRule:
     """When a linear acceleration of the turn is looked for, and when it is taken.
 
     Held to an accelerometer that always leans, the gyro can only follow with a bias, a drift or a
-    lean that no gyro has; and a gyro with a large bias looks, on an even turn, as if the robot were
-    pulled. What tells them apart is that the pull follows the turn rate.
+    lean that no gyro has. Costs are minus twice a log likelihood per independent sample.
 
     Parameters
     ----------
@@ -35,22 +41,62 @@ class AccelerationRule:
     inefficiency : float
         Samples per independent sample beyond which it is: what is left out correlates residuals.
     needed : float
-        Fall of minus twice the log likelihood per independent sample from which the plain model
-        is given up.
+        Fall of the cost from which the plain model is given up.
     clear : float
-        And by which the acceleration must beat a gyro with a large bias; below it both remain
-        possible.
+        Fall from which nothing but the samples is asked, and one explanation alone remains.
+    own_lean : float
+        Sigma of the lean that accelerometer and gyro have against one another by themselves,
+        offsets and crossed axes together: over gravity, per axis.
+    jolted : float
+        Times the slow jolts of the acceleration that it may be pulled on average.
+    least_pull : float
+        Sigma of the pull of a robot that turns on the spot, over gravity: its lever arm.
+    jolt : float
+        Seconds over which a jolt is averaged; what is shorter is vibration.
+    usual_bias : float
+        rad/s. Of a larger bias every size is as likely as another.
+    bad_bias, overwhelming : float
+        rad/s of bias about up, which the field shows, that a pull must not need at the same time,
+        or the gyro is no witness of it; and the fall from which the samples have no other
+        explanation all the same.
+    spread_of_drift : float
+        Times by which the random walk of gyros usually differs from the usual one.
+    amiss : float
+        Sigma of what a pull grows with the square of the rate otherwise than expected, over its
+        mean.
+    least_doubt : float
+        Probability that what is less likely keeps as long as the samples leave it open.
+    idle : float
+        Probability below which it is not looked at.
     """
 
     bias: float = 2.0
     stray: float = 3.5
     drift: float = 3.0
     inefficiency: float = 8.0
-    needed: float = 20.0
+    needed: float = 10.0
     clear: float = 20.0
+    own_lean: float = 0.025
+    jolted: float = 6.0
+    least_pull: float = 0.01
+    jolt: float = 1.0
+    usual_bias: float = 0.003
+    bad_bias: float = math.radians(0.5)
+    overwhelming: float = 60.0
+    spread_of_drift: float = 2.0
+    amiss: float = 0.35
+    least_doubt: float = 0.12
+    idle: float = 0.002
 
 
 ACCELERATION = AccelerationRule()
+OWN, PULLED, BAD = range(1, 4), range(4, 6), 5
+"""Which of the explanations leave up to the accelerometer, and which to the gyro. That it is a bad
+one besides is counted as a doubt and never followed: then the accelerometer is trusted instead."""
+MEAN, AMISS = slice(0, 3), slice(3, 6)
+"""Among the numbers of a pull."""
+LEVEL_LEAN = 0.1
+"""Lean, over gravity, of one sigma of which a pull is worth neither more nor less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,38 +119,38 @@ class Explanation:
 
 
 def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
-    """Fit without soft iron: plain, with a linear acceleration, or with a large bias of the gyro.
+    """Fit without soft iron: plain, or with what parts gyro and accelerometer.
 
-    A rest beside the turn decides it: it shows the bias, and what pulls a turn is not there.
+    A linear acceleration of the turn is none of the robot's when it stands, and is taken off. A
+    large bias of the gyro, or axes and offsets by which both sensors differ, leave up to the
+    accelerometer, which will read the same when the calibration is used. A rest beside the turn
+    decides it: it shows the bias, and what pulls a turn is not there.
+
     """
     plain = with_effects_that_show(start, path)
-    block = plain.block
-    assert isinstance(block, GyroBlock)
-    path = block.path
+    path = _gyro_block(plain).path
     if not _is_strained(plain):
         return Explanation(plain)
-    pulled = propagated(start, path.with_acceleration(), start.prior)
     if path.rests:
-        factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled))
-        none, pull = (propagated_evidence(fit, factor) for fit in (plain, pulled))
-        if none < pull + ACCELERATION.needed:
-            return Explanation(plain)
-        own = _leans_at_rest(pulled)
-        return Explanation(plain if own else pulled, own_lean=own)
-    biased = propagated(start, path.with_doubtful_gyro(), start.prior)
-    factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled, biased))
-    none, pull, bias = (propagated_evidence(fit, factor) for fit in (plain, pulled, biased))
-    if none < min(pull, bias) + ACCELERATION.needed:
+        return _by_rests(start, plain)
+    return _by_what_is_known(start, plain)
+
+
+def _by_rests(start: Fit, plain: Fit) -> Explanation:
+    """Choose by the rests beside the turn: they show the bias, and nothing pulls there."""
+    path = _gyro_block(plain).path
+    pulled = propagated(start, path.with_acceleration(), start.prior)
+    factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled))
+    none, pull = (propagated_evidence(fit, factor) for fit in (plain, pulled))
+    if none < pull + ACCELERATION.needed:
         return Explanation(plain)
-    if pull < bias - ACCELERATION.clear:
-        return Explanation(pulled)
-    return Explanation(biased, heading_gap(biased, pulled))
+    own = _leans_at_rest(pulled)
+    return Explanation(plain if own else pulled, own_lean=own)
 
 
 def _leans_at_rest(pulled: Fit) -> bool:
     """Return whether most of a pull is there at rest, where nothing pulls."""
-    block = pulled.block
-    assert isinstance(block, GyroBlock)
+    block = _gyro_block(pulled)
     shared, path = block.place.state.shared, block.path
     shares = []
     for rest in path.rests:
@@ -114,6 +160,150 @@ def _leans_at_rest(pulled: Fit) -> bool:
         lean = unit(rest.seen.force) - upright
         shares.append(float(lean @ block.acceleration))
     return float(np.mean(shares)) > 0.5 * float(block.acceleration @ block.acceleration)
+
+
+def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
+    """Weigh what may part gyro and accelerometer by what is known of sensors and vehicles."""
+    path = _gyro_block(plain).path
+    gyros = path, path.with_doubtful_gyro()
+    pulls = [propagated(start, gyro.with_acceleration(), start.prior) for gyro in gyros]
+    leans = [
+        propagated(start, gyro.turned(_own_lean(pulled)), start.prior)
+        for gyro, pulled in zip(gyros, pulls, strict=True)
+    ]
+    biased = propagated(start, gyros[1], start.prior)
+    fits = (plain, biased, *leans, *pulls)
+    factor = min(fit.block.weighting.inefficiency for fit in fits)
+    misfits = [_misfit(fit, factor) for fit in fits]
+    costs = [
+        path.bias_in_sigmas(_gyro_block(plain).errors) ** 2,
+        _cost_of_bias(biased),
+        *(_cost_of_own_lean(*pair) for pair in zip(leans, pulls, strict=True)),
+        *(_cost_of_pull(fit) for fit in pulls),
+    ]
+    costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
+    if costs[0] < min(costs) + ACCELERATION.needed:
+        return Explanation(plain)
+    own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
+    favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - misfits[pull]
+    bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
+    bad = bad and shown < ACCELERATION.overwhelming
+    chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
+    doubts = [min(_doubt(cost - costs[chosen]), 0.5) for cost in costs]
+    if favour * shown <= 0.0 or abs(shown) <= ACCELERATION.clear:
+        doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
+    gaps = [
+        math.sqrt(doubts[k]) * heading_gap(fits[k], fits[chosen])
+        for k in (*OWN, *PULLED)
+        if k != chosen and doubts[k] > ACCELERATION.idle
+    ]
+    return Explanation(fits[chosen], max(gaps, default=0.0))
+
+
+def _doubt(cost: float) -> float:
+    """Return how likely an explanation is beside one that costs so much less."""
+    return 1.0 / (1.0 + math.exp(min(0.5 * cost, 50.0)))
+
+
+def _gyro_block(fit: Fit) -> GyroBlock:
+    assert isinstance(fit.block, GyroBlock)
+    return fit.block
+
+
+def _lean(pulled: Fit) -> float:
+    return float(np.linalg.norm(_gyro_block(pulled).acceleration))
+
+
+def _bias(fit: Fit) -> float:
+    return float(np.linalg.norm(_gyro_block(fit).bias))
+
+
+def _bias_about_up(fit: Fit) -> float:
+    block = _gyro_block(fit)
+    return abs(float(block.bias @ unit(block.samples.up.mean(axis=0))))
+
+
+def _own_lean(pulled: Fit) -> FloatArray:
+    """Return the turn from the gyro's axes to those in which the accelerometer does not lean."""
+    block = _gyro_block(pulled)
+    up = unit(block.place.samples.up.mean(axis=0))
+    return minimal_rotation(up, unit(up + block.acceleration))
+
+
+def _misfit(fit: Fit, factor: float) -> float:
+    """Return the cost of an explanation before what is known of biases, pulls and leans."""
+    block = _gyro_block(fit)
+    known = block.path.known
+    pull = float(np.sum(block.path.found(block.errors, Effect.PULL) ** 2)) / known.acceleration**2
+    bias = block.path.bias_in_sigmas(block.errors) ** 2
+    far = math.log(max(block.drift / DRIFT.usual, 1.0)) / math.log(ACCELERATION.spread_of_drift)
+    return propagated_evidence(fit, factor) - bias - pull + far**2
+
+
+def _cost_of_bias(fit: Fit) -> float:
+    """Return what a bias costs of which every size is as likely, if it is not small."""
+    return 3.0 * math.log1p((_bias(fit) / ACCELERATION.usual_bias) ** 2)
+
+
+def _cost_of_lean(lean: float, sigma: float) -> float:
+    """Return what a lean of two axes costs whose sigma per axis is known."""
+    return (lean / sigma) ** 2 + 4.0 * math.log(sigma / LEVEL_LEAN)
+
+
+def _cost_of_own_lean(leaning: Fit, pulled: Fit) -> float:
+    """Return what it costs that accelerometer and gyro differ by the lean that a pull would be."""
+    return _cost_of_bias(leaning) + _cost_of_lean(_lean(pulled), ACCELERATION.own_lean)
+
+
+def _cost_of_pull(fit: Fit) -> float:
+    """Return what a pull costs: it follows the rate, and who is pulled is jolted, too."""
+    block = _gyro_block(fit)
+    able = max(ACCELERATION.jolted * _jolts(block), ACCELERATION.least_pull)
+    able = min(able, block.path.known.acceleration)
+    pull = block.path.found(block.errors, Effect.PULL)
+    size, amiss = (float(np.linalg.norm(pull[rows])) for rows in (MEAN, AMISS))
+    unlike = amiss / (ACCELERATION.amiss * max(size, 1e-6))
+    return _cost_of_lean(size, able) + unlike**2 + _cost_of_bias(fit)
+
+
+def _jolts(block: GyroBlock) -> float:
+    """Return what is left of up over `ACCELERATION.jolt` seconds: correlation is no vibration."""
+    seconds = block.path.knots * block.path.spacing
+    independent = len(block.samples) / block.weighting.inefficiency
+    return block.weighting.noise.up * math.sqrt(seconds / ACCELERATION.jolt / independent)
+
+
+def apparent_pull(samples: Samples, path: GyroPath) -> float:
+    """Return how far the mean specific force leans from the gyro's up, radians.
+
+    Up that stands still in the world, a lean that turns with the robot, and the gyro's bias are
+    told apart, so that neither a slope nor part of a second turn counts, nor a pause.
+
+    Parameters
+    ----------
+    samples : Samples
+    path : GyroPath
+        Of the same samples.
+    """
+    forth = path.relative
+    still = unit(np.einsum("nji,nj->i", forth, samples.up))
+    rows = np.concatenate(
+        [
+            forth,
+            -forth @ skew(still) @ path.basis[:, :, BIAS],
+            np.broadcast_to(np.eye(3), forth.shape),
+        ],
+        axis=2,
+    ).reshape(-1, 9)
+    # One jolt is one witness, however many samples it is seen in.
+    seconds = path.knots * path.spacing
+    weight = seconds / ACCELERATION.jolt / len(samples) / ACCELERATION.own_lean**2
+    known = np.repeat([0.0, path.known.bias**-2, path.known.acceleration**-2], 3)
+    found = np.linalg.solve(
+        weight * rows.T @ rows + np.diag(known), weight * rows.T @ samples.up.ravel()
+    )
+    lean = found[6:] - still * float(found[6:] @ still)
+    return math.atan(float(np.linalg.norm(lean)))
 
 
 def _is_strained(plain: Fit) -> bool:

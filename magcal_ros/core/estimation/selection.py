@@ -7,6 +7,7 @@ chosen, and doubted, by one rule whatever ties the attitudes and however many tu
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -67,6 +68,9 @@ class PropagationRule:
         Share of the samples that are inliers.
     drift : float
         Share of the largest drift.
+    contradiction, bad_bias : float
+        Radians of heading by which a doubted gyro may part from what is found without it, where
+        its bias is larger than this, rad/s.
     """
 
     field_ratio: float = 2.0
@@ -74,6 +78,13 @@ class PropagationRule:
     settled_lenience: float = 0.01
     fewest: float = 0.6
     drift: float = 0.9
+    contradiction: float = math.radians(0.3)
+    bad_bias: float = math.radians(1.0)
+
+    def contradicts(self, block: GyroBlock, apart: float) -> bool:
+        """Return whether a gyro with a large bias leads `apart` radians from what is without it."""
+        is_bad = block.path.is_doubted and float(np.linalg.norm(block.bias)) > self.bad_bias
+        return is_bad and apart > self.contradiction
 
 
 AXIS, PROPAGATION = AxisRule(), PropagationRule()

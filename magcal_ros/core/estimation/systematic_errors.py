@@ -55,8 +55,8 @@ class Lasting:
     Parameters
     ----------
     stray : float
-        Lasting swing between the gyro's yaw and the compass's, radians of heading, RMS around the
-        turn; zero without a gyro.
+        Lasting swing of the compass's yaw, radians of heading, RMS around the turn: its share of
+        that against the gyro's, or what strays along the radius.
     gap : float
         Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
         where there is but one, or where the two must differ.
@@ -106,5 +106,19 @@ def systematic_covariance(
     if seen.motors is not None:
         covariance[9:, 9:] += np.outer(seen.motors, seen.motors)
     turned = (-skew(axis) @ np.linalg.inv(distortion)).ravel()
-    covariance[:9, :9] = systematics.axes**2 * np.outer(turned, turned)
+    unseen = math.hypot(systematics.axes, _unseen_turn(shared.soft_iron, systematics))
+    covariance[:9, :9] = unseen**2 * np.outer(turned, turned)
     return covariance
+
+
+def _unseen_turn(soft_iron: FloatArray, systematics: Systematics) -> float:
+    """Return the turn about the axis that axes have which are as crooked as a level turn shows.
+
+    Of errors that are alike in all nine numbers of the axes, a level turn shows two, the ellipse,
+    and hides a third of the same size, the turn. Of soft iron it hides nothing of the kind.
+    """
+    if systematics.axes == 0.0:
+        return 0.0
+    xx, yy, _, xy, _, _ = soft_iron
+    seen = math.hypot(0.5 * (xx - yy), xy) / math.sqrt(2.0)
+    return float(seen / (1.0 + (seen / systematics.crooked) ** 4))

@@ -21,10 +21,12 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, yaw_from_up_and_field
 from magcal_ros.core.monitoring.gyro_compass import gyro_compass
 from magcal_ros.core.monitoring.recheck_chance import chances, check_beside_chance, own_swings
+from magcal_ros.core.monitoring.recheck_drive import iron_added
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.up import propagated_up
 
 STATES = {
@@ -72,7 +74,10 @@ class Recheck:
 
 
 def check(
-    window: Window, calibration: Calibration, tuning: RecheckTuning = RecheckTuning()
+    window: Window,
+    calibration: Calibration,
+    tuning: RecheckTuning = RecheckTuning(),
+    drive: DriveLog | None = None,
 ) -> Recheck:
     """Look at a fresh turn through a calibration.
 
@@ -83,6 +88,8 @@ def check(
     calibration : Calibration
         What is to be tried.
     tuning : RecheckTuning
+    drive : DriveLog, optional
+        All that was driven, where the samples are a drive's: it tells iron from streets.
 
     Returns
     -------
@@ -103,6 +110,8 @@ def check(
         for bound in tuning.bounds
         if bound.figure in found
     )
+    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
+    checks += () if added is None else (added,)
     not_shown = (NO_YAW, NO_GYRO) if swing is None else (NO_YAW,)
     verdict = Verdict(checks, not_shown, "")
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
@@ -127,7 +136,8 @@ def _chances(
     visit = ((window.time - window.time[0]) / tuning.visit).astype(np.int64)
     around = _sectors(heading, tuning.bins)
     own = own_swings(calibration, unit(up.mean(axis=0)))
-    return chances(seen, visit, around, swing, own, tuning.bins)
+    most = {b.figure: tuning.own_share * b.warn / b.scale for b in tuning.bounds}
+    return chances(seen, visit, around, swing, own, most, tuning.bins)
 
 
 def _parts(field: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

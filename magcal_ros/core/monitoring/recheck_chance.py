@@ -13,8 +13,9 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import GyroSwing
+from magcal_ros.core.calibration.estimate import GyroSwing, by_twelve
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import HEADINGS, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 
 
@@ -24,6 +25,7 @@ def chances(
     around: IntArray,
     swing: GyroSwing | None,
     own: dict[Figure, float],
+    most: dict[Figure, float],
     bins: int,
 ) -> dict[Figure, float]:
     """Return what chance makes of each figure, in its own unit.
@@ -38,16 +40,19 @@ def chances(
         Compass less gyro: what does not come back with the heading is not the calibration's.
     own : dict of Figure to float
         Of `own_swings`.
+    most : dict of Figure to float
+        As much of it as is forgiven: a calibration that was a rough guess and swings is to be made
+        again, whether or not anything has changed since.
     bins : int
         Sectors of the heading.
     """
     found = {
-        figure: math.hypot(own[figure], scatter_of_means(values, around, visit))
+        figure: math.hypot(min(own[figure], most[figure]), scatter_of_means(values, around, visit))
         for figure, values in seen.items()
     }
     if swing is not None:
         figure = Figure.GYRO_COMPASS_DIFFERENCE
-        found[figure] = math.hypot(own[figure], _unrepeated(swing, bins))
+        found[figure] = math.hypot(min(own[figure], most[figure]), _unrepeated(swing, bins))
     return found
 
 
@@ -60,10 +65,10 @@ def _unrepeated(swing: GyroSwing, bins: int) -> float:
 
 
 def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
-    """Return the swings that the calibration's own uncertainty makes of hard iron, one sigma.
+    """Return the swings that the calibration's own uncertainty makes around a turn, one sigma.
 
-    A hard iron off by A in the plane of the turn makes the level field vary by A/sqrt(2), RMS
-    around the turn, and the heading by as much over the level field.
+    Hard iron and installation are uncertain together: what one shifts along the turn's axis the
+    other turns back, and neither swings by it. What is the same at all headings is no swing.
 
     Parameters
     ----------
@@ -71,16 +76,24 @@ def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
     up : ndarray, shape (3,)
         Unit, body axes: the turn's plane is across it.
     """
-    matrix = calibration.correction.matrix
-    of_iron = matrix @ calibration.covariance[9:, 9:] @ matrix.T
-    across = float(np.trace(of_iron) - up @ of_iron @ up)
-    swing = math.sqrt(max(across, 0.0) / 2.0) / calibration.strength
-    level, steep = math.cos(calibration.inclination), abs(math.sin(calibration.inclination))
+    angles = np.arange(HEADINGS) * (math.tau / HEADINGS)
+    across = np.linalg.svd(up[None])[2][1:]
+    ahead = np.column_stack([np.cos(angles), np.sin(angles)]) @ across
+    level, upright = math.cos(calibration.inclination), -math.sin(calibration.inclination)
+    towards = level * ahead + upright * up
+    around = np.cross(up, ahead)
+    field = calibration.strength * towards
+
+    def swing(gradient: FloatArray) -> float:
+        rows = by_twelve(calibration.correction, field, gradient / calibration.strength)
+        return rms_sigma(rows - rows.mean(axis=0), calibration.covariance)
+
+    steepest = max(level, 1e-3)
     return {
-        Figure.HEADING_SWING: swing / max(level, 1e-3),
-        Figure.GYRO_COMPASS_DIFFERENCE: swing / max(level, 1e-3),
-        Figure.STRENGTH_SPREAD: swing * level,
-        Figure.DIP_SPREAD: swing * steep,
+        Figure.HEADING_SWING: swing(ahead / steepest),
+        Figure.GYRO_COMPASS_DIFFERENCE: swing(around / steepest),
+        Figure.STRENGTH_SPREAD: swing(towards),
+        Figure.DIP_SPREAD: swing(upright * ahead - level * up),
     }
 
 

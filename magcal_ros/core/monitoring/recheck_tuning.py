@@ -82,6 +82,8 @@ class RecheckTuning:
     visit : float
         Seconds within which a robot that drives meets the same disturbance: streets are alike for
         25 to 30 m.
+    own_share : float
+        Of the bound of what is stale: so much of a swing the calibration's own sigma explains.
     steepest_nose : float
         Squared share of up along body x (60°) beyond which yaw is not compared.
     """
@@ -90,4 +92,5 @@ class RecheckTuning:
     bins: int = 36
     longest_piece: float = 60.0
     visit: float = 12.0
+    own_share: float = 0.25
     steepest_nose: float = 0.75

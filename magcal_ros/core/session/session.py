@@ -14,6 +14,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.streams import Pair
@@ -43,6 +44,8 @@ class SessionTuning:
         rad/s. Slower than this the robot stands.
     no_turn : float
         Radians of arc that a robot at rest may seem to have turned.
+    turned_over : float
+        rad/s about other axes than up: more than ground and wheels do to a robot that turns.
     """
 
     largest_buffer: int = 20_000
@@ -51,6 +54,7 @@ class SessionTuning:
     stands_still: float = 3.0
     slowest_turn: float = math.radians(3.0)
     no_turn: float = 0.1
+    turned_over: float = 0.3
 
 
 TUNING = SessionTuning()
@@ -256,7 +260,9 @@ class Session:
     def _kept(self, rows: FloatArray) -> IntArray:
         """Return which rows stay when they are thinned to equal angles."""
         angle = self._angle(rows)
-        return np.arange(len(rows)) if angle is None else thin_to_equal_angles(angle)
+        if angle is None:
+            return np.arange(len(rows))
+        return np.union1d(thin_to_equal_angles(angle), _turned_over(rows))
 
     def _angle(self, rows: FloatArray) -> FloatArray | None:
         rate = _rate_if_any(rows)
@@ -306,6 +312,18 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
     first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
     span = float(stamps[-1] - stamps[first])
     return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
+
+
+def _turned_over(rows: FloatArray) -> IntArray:
+    """Return the rows in which the robot turns about another axis than up.
+
+    Its heading may stand still meanwhile, and the gyro's way through it is wanted whole.
+    """
+    rate = _rate_if_any(rows)
+    if rate is None:
+        return np.zeros(0, dtype=np.intp)
+    across = np.cross(np.where(np.isfinite(rate), rate, 0.0), unit(rows[:, 4:7]))
+    return np.flatnonzero(np.linalg.norm(across, axis=1) > TUNING.turned_over)
 
 
 def _rate_if_any(rows: FloatArray) -> FloatArray | None:

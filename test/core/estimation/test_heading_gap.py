@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from slope_turns import KNOWN, LEVEL, window_on
 
-from magcal_ros.core.estimation.heading_gap import heading_gap
+from magcal_ros.core.estimation.heading_gap import heading_gap, unexplained_gap
 from magcal_ros.core.estimation.model import Evaluation, State
 from magcal_ros.core.methods.maximum_likelihood.fit import solve
 
@@ -24,7 +24,7 @@ def changed(fit, **numbers):
 
 
 def test_a_fit_is_nowhere_from_itself(optimum):
-    assert heading_gap(optimum, optimum) == 0.0
+    assert heading_gap(optimum, optimum) < 1e-12
 
 
 @pytest.mark.parametrize("yaw_deg", [-20.0, 0.1, 5.0])
@@ -39,8 +39,18 @@ def test_a_hard_iron_swings_the_heading_by_its_share_of_the_level_field(optimum)
     shared = optimum.shared
     level = shared.strength * math.cos(shared.inclination)
     iron = shared.hard_iron + np.array([0.02 * level, 0.0, 0.0])
-    # The median of |sin| over a full turn is sin(45 deg).
     expected = 0.02 / math.sqrt(2.0)
     assert heading_gap(optimum, changed(optimum, hard_iron=iron)) == pytest.approx(
         expected, rel=0.1
     )
+
+
+def test_what_the_other_fit_does_not_know_itself_is_no_gap(optimum):
+    shared = optimum.shared
+    iron = shared.hard_iron + np.array([1e-3, 0.0, 0.0])
+    other = changed(optimum, hard_iron=iron)
+    weighting = other.block.weighting
+    noise = replace(weighting.noise, field=10.0 * weighting.noise.field)
+    vague = other.with_blocks([other.block.weighted(replace(weighting, noise=noise))])
+    assert unexplained_gap(optimum, other) == pytest.approx(heading_gap(optimum, other), rel=0.2)
+    assert unexplained_gap(optimum, vague) == 0.0

@@ -9,7 +9,10 @@ from long_form import first_of
 
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.estimation.gyro_path import gyro_path
+from magcal_ros.core.estimation.linear_acceleration import apparent_pull
+from magcal_ros.core.estimation.model import Samples
+from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
@@ -79,3 +82,46 @@ def test_a_clean_turn_is_asked_for_no_pull():
     _, _, estimate = error_and_sigma(*circles())
     assert estimate.figures[Figure.STEADY_PULL] == 0.0
     assert estimate.figures[Figure.GYRO_GAP] < 0.2 * DEGREE
+
+
+@pytest.mark.parametrize("unevenness", first_of([0.8, 0.4]))
+def test_an_accelerometer_that_is_off_is_no_pull(unevenness):
+    """It leans the same at any rate, and will lean when the calibration is used."""
+    robot, window = circles(unevenness=unevenness)
+    force = window.specific_force + np.array([0.3, -0.2, 0.0])
+    found = fit(replace(window, specific_force=force), known(robot))
+    alone = fit(Window(window.time, window.field, force), known(robot))
+    assert found.figures[Figure.STEADY_PULL] == 0.0
+    gap = (
+        found.installation.roll - alone.installation.roll,
+        found.installation.pitch - (alone.installation.pitch),
+    )
+    assert math.hypot(*gap) < 0.1 * DEGREE
+
+
+def lean_of(time, rate, force_of, bias=np.zeros(3)):
+    """Return what `apparent_pull` makes of a robot that turns at a rate on a slope of 8 degrees."""
+    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    attitude = rotation_about(UP, -yaw) @ rotation_from_rpy(8.0 * DEGREE, 0.0).T
+    up = attitude @ UP
+    # On a slope the robot's own z is the axis.
+    window = Window(time, up, force_of(up), np.outer(rate, UP) + bias)
+    first = np.arange(len(time))
+    samples = Samples(window.specific_force, window.field, np.eye(3))
+    return apparent_pull(samples, gyro_path(window, first))
+
+
+TIME = np.arange(0.0, 30.0, 0.1)
+RATES = {
+    "there and back": 0.6 * np.sin(math.tau * TIME / 30.0),
+    "stops": np.where(TIME % 4.0 < 2.0, 0.5, 0.0),
+    "a turn and a third": np.full(len(TIME), 0.28),
+}
+
+
+@pytest.mark.parametrize("rate", list(RATES.values()), ids=list(RATES))
+def test_a_slope_is_no_pull_however_the_robot_turns(rate):
+    bias = np.array([0.002, -0.002, 0.0])
+    assert lean_of(TIME, rate, lambda up: up, bias) < 0.8 * DEGREE
+    pulled = lean_of(TIME, rate, lambda up: up + np.array([0.0, 0.1, 0.0]), bias)
+    assert pulled == pytest.approx(0.1, rel=0.2)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def test_what_strays_for_good_is_a_heading_error_of_its_own_size():
         shared, np.eye(3), 50e-6, Systematics.none(), Turning(0.4, 0.0), Lasting(0.03, 0.04)
     )
     across = math.sqrt(added[9, 9])
-    assert across / 25e-6 == pytest.approx(0.05)
+    assert across / 25e-6 == pytest.approx(math.hypot(0.03, 0.04))
     assert added[11, 11] == pytest.approx(0.0, abs=1e-30)
 
 
@@ -94,3 +95,14 @@ def test_a_turning_rate_comes_from_the_gyro_or_from_the_arc():
     expected = pytest.approx(math.tau / 10.0, rel=0.02)
     assert Turning.of(with_gyro, math.tau).rms == expected
     assert Turning.of(without, math.tau).rms == expected
+
+
+@pytest.mark.parametrize(("ellipse", "turn"), [(0.0, 0.0), (0.02, 0.006), (0.2, 0.002)])
+def test_axes_may_be_turned_as_far_as_they_look_crooked_and_soft_iron_may_not(ellipse, turn):
+    from magcal_ros.core.estimation.parameters import Globals
+
+    iron = np.array([ellipse, -ellipse, 0.0, 0.0, 0.0, 0.0]) / 2.0
+    shared = Globals(np.eye(3), np.eye(3), 0.0, 0.0, np.zeros(3), 1.0, 0.0, iron)
+    only_axes = replace(Systematics.none(), axes=1e-4)
+    added = systematic_covariance(shared, np.eye(3), 50e-6, only_axes, Turning(0.0, 0.0), Lasting())
+    assert math.sqrt(added[1, 1]) == pytest.approx(turn, abs=0.0015)

@@ -9,6 +9,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import TUNING, Limits, Session, Stage
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 
@@ -275,3 +276,17 @@ class TestMemory:
         true_yaw = math.tau * (found.time - 100.0) / 60.0
         counts = np.bincount((true_yaw * 36 / math.tau).astype(int).clip(0, 35), minlength=36)
         assert counts.min() > 0.5 * counts.mean()
+
+
+def test_a_robot_that_is_turned_over_keeps_the_way_it_went():
+    """Its heading stands still while it rolls, and the rows of a pause would be thinned."""
+    rolled = simulated(arc=math.tau, samples=1500, duration=15.0, axis=np.array([1.0, 0.0, 0.0]))
+    turned = simulated(arc=math.tau, samples=300, duration=15.0)
+    end = turned.time[-1] + 0.05
+    both = Window(
+        *(
+            np.concatenate([getattr(turned, name), getattr(rolled, name) + (name == "time") * end])
+            for name in ("time", "field", "specific_force", "angular_rate")
+        )
+    )
+    assert len(session_with(both).window()) > 1490

@@ -10,6 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
 from magcal_ros.core.estimation.free_attitude import FreeBlock
+from magcal_ros.core.estimation.model import Evaluation, predict
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.solver import Fit
@@ -21,6 +22,8 @@ from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 
 LEAST_ELLIPSE_ARC = math.radians(270.0)
+SECTOR = math.radians(10.0)
+"""Radians of the turn over which noise of up is averaged before it is graded."""
 SPLIT_DAMPING = 1e-6
 """Half a turn may leave a direction open."""
 
@@ -52,7 +55,7 @@ def measure_figures(
         Figure.INLIER_FRACTION: float(weighting.inliers.mean()),
         Figure.SPLIT_HALF: _split_half(fit, scale),
         Figure.FIELD_NOISE_RATIO: weighting.noise.field / abs(shared.strength),
-        Figure.UP_NOISE: weighting.noise.up,
+        Figure.UP_NOISE: weighting.noise.up * math.sqrt(min(_share_of_sector(fit, arc), 1.0)),
         Figure.KAPPA: weighting.inefficiency,
         Figure.WOBBLE: block.wobble,
         Figure.SOFT_IRON: float(fit.prior.has_soft_iron),
@@ -62,6 +65,16 @@ def measure_figures(
     figures.update(_unseen_soft_iron(fit, knowledge, scale))
     figures.update(_circle_figures(fit, knowledge, scale, arc))
     return figures
+
+
+def _share_of_sector(fit: Fit, arc: float) -> float:
+    """Return what share of a sector of the turn one independent sample is.
+
+    Noise that averages out over a sector tells the heading's sigma, and is no fault besides.
+    """
+    weighting = fit.block.weighting
+    count = max(float(np.count_nonzero(weighting.inliers)), 1.0)
+    return arc / SECTOR * weighting.inefficiency / count
 
 
 def _unseen_soft_iron(fit: Fit, knowledge: Knowledge, scale: float) -> dict[Figure, float]:
@@ -127,7 +140,8 @@ def _circle_figures(
     fit: Fit, knowledge: Knowledge, scale: float, arc: float
 ) -> dict[Figure, float]:
     samples, shared = fit.block.samples, fit.shared
-    points = samples.field[fit.block.weighting.inliers] @ np.linalg.inv(samples.mounting).T
+    points = _upright_field(fit.block.place)[fit.block.weighting.inliers]
+    points = points @ np.linalg.inv(samples.mounting).T
     circle = fit_circle_robustly(points)
     figures = {}
     if knowledge.reference.is_complete:
@@ -138,6 +152,15 @@ def _circle_figures(
     if arc >= LEAST_ELLIPSE_ARC:
         figures[Figure.ELLIPSE_RATIO] = ellipse_ratio(points, circle.centre, circle.normal)
     return figures
+
+
+def _upright_field(place: Evaluation) -> FloatArray:
+    """Return the raw field (n, 3) as it would be had the axis not leaned from sample to sample.
+
+    A robot that leans with the ground draws an ellipse of its own, which is no iron's.
+    """
+    upright = predict(place.state.upright(), place.samples).field_residual
+    return np.asarray(place.samples.field + place.prediction.field_residual - upright)
 
 
 def ellipse_ratio(points: FloatArray, centre: FloatArray, normal: FloatArray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +17,9 @@ from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
-from magcal_ros.core.estimation.heading_gap import heading_gap
+from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
+from magcal_ros.core.estimation.linear_acceleration import apparent_pull
 from magcal_ros.core.estimation.motor_field import motor_field
 from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.prior import prior_from
@@ -44,6 +46,9 @@ from magcal_ros.core.methods.maximum_likelihood.screening import (
 )
 from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, weakened
 from magcal_ros.core.samples.window import Window
+
+COMPASS_SHARE = 0.5
+"""Of the squared stray between gyro and compass, what is the compass's: the gyro strays, too."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +138,10 @@ class Solved:
         Radians of heading between the fits with gyro-propagated attitudes and without.
     motors : ndarray, shape (3,), or None
         Field of the motors, tesla, in the magnetometer's axes; None where no rest tells.
+    pull : float
+        Radians by which the mean specific force leans from the gyro's up.
+    explained : bool
+        Whether the gyro's turning explains the samples, even where it is not followed.
     """
 
     prepared: Prepared
@@ -142,6 +151,8 @@ class Solved:
     swing: GyroSwing | None = None
     gyro_gap: float = 0.0
     motors: FloatArray | None = None
+    pull: float = 0.0
+    explained: bool = False
 
     def seen(self, systematics: Systematics) -> Lasting:
         """Return what the residuals show of lasting errors; nothing where none are believed."""
@@ -149,7 +160,7 @@ class Solved:
             return Lasting()
         if self.swing is None:
             return Lasting(_radial_stray(self.choice.fit.block), motors=self.motors)
-        return Lasting(self.swing.rms, self.gyro_gap, self.motors)
+        return Lasting(math.sqrt(COMPASS_SHARE) * self.swing.rms, self.gyro_gap, self.motors)
 
     def unseen(self, systematics: Systematics) -> Systematics:
         """Return what stays unseen of lasting errors: what was fitted is in the covariance."""
@@ -181,10 +192,11 @@ class Solved:
             if Effect.LATENCY in block.path.effects:
                 figures[Figure.LATENCY] = float(block.path.found(block.errors, Effect.LATENCY)[0])
         return figures | {
-            Figure.GYRO_CARRIED: float(isinstance(block, GyroBlock) or self.choice.own_lean),
+            Figure.GYRO_CARRIED: float(self.explained),
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
+            Figure.SIDEWAYS_PULL: self.pull,
         }
 
 
@@ -234,7 +246,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         motors = motor_field(free.fit, None, scale)
         return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
-    gap = choice.gap
+    gap, pull = choice.gap, apparent_pull(samples, path)
     block = choice.fit.block
     assert isinstance(block, GyroBlock)
     # What follows the turn rate is off with the gyro and without, or they would differ by it.
@@ -246,13 +258,20 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         choice = free_attitudes(start, with_iron, always=always)
     elif Effect.PULL not in block.path.effects and not knowledge.systematics.are_none:
         free = free_attitudes(freed, with_iron, always=always)
-        gap = max(gap, heading_gap(choice.fit, free.fit))
+        apart = unexplained_gap(choice.fit, free.fit)
         # What soft iron explains only without the gyro, the gyro's own walk had hidden.
         if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
             choice, gap = free, 0.0
+        elif PROPAGATION.contradicts(block, apart):
+            # A gyro that is known to be a bad one is no witness against the accelerometer.
+            path, choice = replace(block.path, relative=block.unbiased), free
+        else:
+            gap = max(gap, apart)
+    carried = isinstance(choice.fit.block, GyroBlock)
+    explained = carried or path.is_doubted or choice.own_lean
     swing = _swing(choice, path, window.time[prepared.first])
     motors = motor_field(choice.fit, path, scale)
-    return Solved(prepared, choice, found.rival_gap, window, swing, gap, motors)
+    return Solved(prepared, choice, found.rival_gap, window, swing, gap, motors, pull, explained)
 
 
 def _radial_stray(block: TurnBlock) -> float:
@@ -272,4 +291,6 @@ def _swing(choice: Choice, path: GyroPath, time: FloatArray) -> GyroSwing:
     shared = place.state.shared
     attitude = attitudes_from_vectors(shared, place.samples)
     body = shared.body_axis @ attitude @ shared.world_axis.T
-    return gyro_compass_swing(path.relative, body, time)
+    block = choice.fit.block
+    relative = block.unbiased if isinstance(block, GyroBlock) else path.relative
+    return gyro_compass_swing(relative, body, time)

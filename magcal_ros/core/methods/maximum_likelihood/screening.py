@@ -37,8 +37,12 @@ class Screening:
         Radians: the ends of an arc are known to no better.
     smallest_radius : float
         Of the circle, over the field's strength: below it the heading drowns in noise.
+    smallest_alone : float
+        The same in field scales where the reference field is not known: of one turn strength and
+        inclination are then a guess, and only the circle is seen.
     steepest : float
-        Radians of inclination at which too little of the field is level.
+        Radians of inclination at which too little of the field is level. Up to there the heading's
+        sigma tells what the steepness costs.
     worst_field_noise : float
         Over the field's strength.
     worst_wobble : float
@@ -58,8 +62,9 @@ class Screening:
     least_arc_alone: float = math.radians(90.0)
     full_arc: float = math.radians(300.0)
     arc_tolerance: float = math.radians(1.5)
-    smallest_radius: float = 0.15
-    steepest: float = math.radians(80.0)
+    smallest_radius: float = 0.1
+    smallest_alone: float = 0.05
+    steepest: float = math.radians(84.0)
     worst_field_noise: float = 0.15
     worst_wobble: float = math.radians(30.0)
     fewest_inliers: float = 0.4
@@ -155,7 +160,7 @@ def check_solution(
         `ARC_TOO_SHORT` or `AMBIGUOUS`.
     """
     _check_agreement(block)
-    _check_circle(block)
+    _check_circle(block, is_known=knowledge.reference.is_complete)
     _check_arc(arc, solved_by_knowledge=knowledge.reference.is_complete or gyro)
     if rival_gap > SCREENING.widest_rival:
         raise Refusal(
@@ -210,12 +215,15 @@ def _check_agreement(block: TurnBlock) -> None:
         )
 
 
-def _check_circle(block: TurnBlock) -> None:
+def _check_circle(block: TurnBlock, *, is_known: bool) -> None:
     shared = block.place.state.shared
+    axis = shared.world_axis[:, 2]
+    radius = float(np.linalg.norm(np.cross(axis, shared.field_enu)))
+    if not is_known and radius >= SCREENING.smallest_alone:
+        return
     if abs(shared.inclination) > SCREENING.steepest:
         raise _too_steep(shared.inclination)
-    axis = shared.world_axis[:, 2]
-    across = float(np.linalg.norm(np.cross(axis, shared.field_enu))) / abs(shared.strength)
+    across = radius / abs(shared.strength)
     if across >= SCREENING.smallest_radius:
         return
     if math.cos(shared.inclination) > 2.0 * SCREENING.smallest_radius:

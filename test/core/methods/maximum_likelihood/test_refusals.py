@@ -5,7 +5,14 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Robot,
+    heading_errors,
+    measure,
+    turn,
+)
 
 
 def window_of(robot=None, seed=1, **motion):
@@ -46,11 +53,20 @@ def test_field_of_noise():
 
 
 def test_a_field_too_steep():
-    robot = Robot(inclination=84 * DEGREE)
+    robot = Robot(inclination=88 * DEGREE)
     assert refusal(window_of(robot), robot.knowledge()) is Reason.FIELD_TOO_STEEP
     reference = ReferenceField(Belief(robot.strength), Belief.unknown())
     reasons = {Reason.FIELD_TOO_STEEP, Reason.CIRCLE_TOO_SMALL, Reason.AMBIGUOUS}
     assert refusal(window_of(robot), Knowledge(reference)) in reasons
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_steep_field_that_a_compass_can_use_is_used(known):
+    robot = Robot(inclination=78 * DEGREE, noise_field=0.2e-6)
+    knowledge = robot.knowledge(1.5e-6, 1.0 * DEGREE) if known else Knowledge()
+    estimate = fit(window_of(robot, start_rpy=(3.0 * DEGREE, 0.0, 1.0)), knowledge)
+    gap = heading_errors(estimate.correction, robot)[:, LEVEL_TILT]
+    assert np.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
 
 
 def test_an_axis_along_the_field():

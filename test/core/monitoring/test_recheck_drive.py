@@ -1,0 +1,52 @@
+"""A drive tells iron that was added from the bends of its streets."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.monitoring.recheck import check
+from magcal_ros.core.monitoring.recheck_drive import iron_added
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.drive import random_vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.simulator import measure, turn
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.smoothing.log import log_of
+
+
+@pytest.fixture(scope="module")
+def driven():
+    rng = np.random.default_rng(5)
+    vehicle = random_vehicle(rng)
+    drive = simulated_drive(travel(city(rng, 240.0), rng), rng, vehicle, wheels=None, receiver=None)
+    made = calibrate(measure(vehicle.robot, turn(), rng, gyro=True), vehicle.robot.knowledge())
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    return window, made.calibration
+
+
+def with_iron(window, *microtesla):
+    return replace(window, field=window.field + 1e-6 * np.array(microtesla))
+
+
+def test_streets_are_no_iron_and_iron_is_no_street(driven):
+    window, calibration = driven
+    assert iron_added(log_of(window), calibration).grade is Grade.GOOD
+    for added in ((6.0, 0.0, 0.0), (0.0, -6.0, 0.0)):
+        found = iron_added(log_of(with_iron(window, *added)), calibration)
+        assert found.grade is Grade.REFUSED
+
+
+def test_a_check_counts_what_the_drive_shows(driven):
+    window, calibration = driven
+    changed = with_iron(window, 6.0, 0.0, 0.0)
+    seldom = changed.take(np.arange(0, len(changed), 20))
+    assert check(seldom, calibration, drive=log_of(changed)).state == "stale"
+
+
+def test_a_short_drive_shows_nothing(driven):
+    window, calibration = driven
+    start = float(window.time[0])
+    assert iron_added(log_of(window).between(start, start + 20.0), calibration) is None
