@@ -11,11 +11,12 @@ from long_form import first_of
 
 from magcal_ros.core.doctor.explanations import explain
 from magcal_ros.core.doctor.latency import force_latency
-from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.signed_axes import signed_permutations
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 
 MOST_SEEN = "half minute"
 
@@ -230,3 +231,11 @@ def test_the_reference_of_another_place_is_named():
     (line,) = [f for f in page_of(elsewhere).findings if f.key == "reference"]
     assert line.is_wrong
     assert f"an inclination of {math.degrees(dip.value):.0f}°" in line.remedy
+
+
+def test_what_a_piece_of_a_turn_cannot_show_is_asked_for():
+    robot = Robot()
+    window = measure(robot, turn(arc=0.44), np.random.default_rng(1), gyro=True)
+    lines = {f.key: f for f in examine_window(window, robot.knowledge()).findings}
+    for key in ("gyro_bias", "rate_scale"):
+        assert "then turn a full" in f"{lines[key].evidence} {lines[key].remedy}"
