@@ -10,7 +10,7 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from other_rclpy import CALLS
-from support import PATIENCE, ROBOT
+from support import IMU_RATE, PATIENCE, ROBOT
 
 from magcal_ros.ros.rehearsal import Rehearsal
 
@@ -22,7 +22,7 @@ INSIDE = ("_tasks", "_guard", "_sigint_gc", "can_execute", "_spin_once_impl")
 ONE_BY_ONE = [pytest.param((name,), marks=pytest.mark.nightly) for name in INSIDE]
 """Together they show as much."""
 
-IN_MID_TURN = 600
+IN_MID_TURN = 400
 SPEED = 3.0
 """Slower than elsewhere: a machine that cannot keep up loses messages too."""
 
@@ -51,7 +51,7 @@ class Run:
         )
         self.published = {"imu/data_raw": 0, "imu/mag": 0}
         self.counted = {}
-        self.actor = Rehearsal(rclpy.create_node("actor"), ROBOT, speed=SPEED)
+        self.actor = Rehearsal(rclpy.create_node("actor"), ROBOT, speed=SPEED, imu_rate=IMU_RATE)
         self.actor.mangle = self.count
         self.actor.node.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 10)
 

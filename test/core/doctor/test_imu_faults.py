@@ -1,5 +1,6 @@
 """Each fault put on good sensors is named, and nothing else is."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -10,10 +11,12 @@ from long_form import first_of
 
 from magcal_ros.core.doctor.explanations import explain
 from magcal_ros.core.doctor.latency import force_latency
-from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 
 MOST_SEEN = "half minute"
 
@@ -218,3 +221,21 @@ def test_the_mounting_that_mends_is_offered_alone():
     assert page_of(case, ned).parameters == "mount_rpy_deg: [180.0, 0.0, 0.0]"
     mirrored = replace(case.log, rate=case.log.rate * np.array([1.0, 1.0, -1.0]))
     assert page_of(case, mirrored).parameters == ""
+
+
+def test_the_reference_of_another_place_is_named():
+    case = good_case(np.random.default_rng([5, 12]), MOST_SEEN)
+    believed = case.knowledge.reference
+    dip = replace(believed.inclination, value=believed.inclination.value - math.radians(25.0))
+    elsewhere = replace(case, knowledge=Knowledge(replace(believed, inclination=dip)))
+    (line,) = [f for f in page_of(elsewhere).findings if f.key == "reference"]
+    assert line.is_wrong
+    assert f"an inclination of {math.degrees(dip.value):.0f}°" in line.remedy
+
+
+def test_what_a_piece_of_a_turn_cannot_show_is_asked_for():
+    robot = Robot()
+    window = measure(robot, turn(arc=0.44), np.random.default_rng(1), gyro=True)
+    lines = {f.key: f for f in examine_window(window, robot.knowledge()).findings}
+    for key in ("gyro_bias", "rate_scale"):
+        assert "then turn a full" in f"{lines[key].evidence} {lines[key].remedy}"
