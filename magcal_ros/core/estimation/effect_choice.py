@@ -37,6 +37,12 @@ EFFECTS = EffectRule()
 OF_RATE = (Effect.LATENCY, Effect.LEVER_ARM, Effect.MOTORS)
 
 
+def gyro_block(fit: Fit) -> GyroBlock:
+    """Return the block of a fit of one turn with gyro-propagated attitudes."""
+    assert isinstance(fit.block, GyroBlock)
+    return fit.block
+
+
 def propagated(start: Fit, path: GyroPath, prior: Prior) -> Fit:
     """Fit one turn with gyro-propagated attitudes from the attitudes of any fit."""
     weighting = replace(start.block.weighting, noise=FIRST_NOISE, inefficiency=1.0)
@@ -73,8 +79,7 @@ def _promised(fit: Fit, effects: Effects) -> float:
 
     What is left out correlates the residuals, so samples count as they are.
     """
-    block = fit.block
-    assert isinstance(block, GyroBlock)
+    block = gyro_block(fit)
     size = len(effects)
     errors = np.concatenate([block.errors, np.zeros(size)])
     freed = replace(block, path=block.path.with_effects(effects), errors=errors)
@@ -85,8 +90,7 @@ def _promised(fit: Fit, effects: Effects) -> float:
 
 def _stands_out(fit: Fit, kind: Effect) -> bool:
     """Return whether the newest effect is more than chance (Wald's test), and possible."""
-    block = fit.block
-    assert isinstance(block, GyroBlock)
+    block = gyro_block(fit)
     found = block.path.found(block.errors, kind)
     left, _ = _alone(block, fit, len(found))
     fall = float(found @ left @ found) / block.weighting.inefficiency

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.estimation.effect_choice import propagated, with_effects_that_show
+from magcal_ros.core.estimation.effect_choice import gyro_block, propagated, with_effects_that_show
 from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.evidence import propagated_evidence
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
@@ -128,7 +128,7 @@ def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
 
     """
     plain = with_effects_that_show(start, path)
-    path = _gyro_block(plain).path
+    path = gyro_block(plain).path
     if not _is_strained(plain):
         return Explanation(plain)
     if path.rests:
@@ -138,7 +138,7 @@ def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
 
 def _by_rests(start: Fit, plain: Fit) -> Explanation:
     """Choose by the rests beside the turn: they show the bias, and nothing pulls there."""
-    path = _gyro_block(plain).path
+    path = gyro_block(plain).path
     pulled = propagated(start, path.with_acceleration(), start.prior)
     factor = min(fit.block.weighting.inefficiency for fit in (plain, pulled))
     none, pull = (propagated_evidence(fit, factor) for fit in (plain, pulled))
@@ -150,7 +150,7 @@ def _by_rests(start: Fit, plain: Fit) -> Explanation:
 
 def _leans_at_rest(pulled: Fit) -> bool:
     """Return whether most of a pull is there at rest, where nothing pulls."""
-    block = _gyro_block(pulled)
+    block = gyro_block(pulled)
     shared, path = block.place.state.shared, block.path
     shares = []
     for rest in path.rests:
@@ -164,7 +164,7 @@ def _leans_at_rest(pulled: Fit) -> bool:
 
 def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     """Weigh what may part gyro and accelerometer by what is known of sensors and vehicles."""
-    path = _gyro_block(plain).path
+    path = gyro_block(plain).path
     gyros = path, path.with_doubtful_gyro()
     pulls = [propagated(start, gyro.with_acceleration(), start.prior) for gyro in gyros]
     leans = [
@@ -176,7 +176,7 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     factor = min(fit.block.weighting.inefficiency for fit in fits)
     misfits = [_misfit(fit, factor) for fit in fits]
     costs = [
-        path.bias_in_sigmas(_gyro_block(plain).errors) ** 2,
+        path.bias_in_sigmas(gyro_block(plain).errors) ** 2,
         _cost_of_bias(biased),
         *(_cost_of_own_lean(*pair) for pair in zip(leans, pulls, strict=True)),
         *(_cost_of_pull(fit) for fit in pulls),
@@ -185,7 +185,7 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     if costs[0] < min(costs) + ACCELERATION.needed:
         return Explanation(plain)
     own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
-    favour, shown = costs[own] - costs[pull], min(misfits[1:4]) - misfits[pull]
+    favour, shown = costs[own] - costs[pull], min(misfits[k] for k in OWN) - misfits[pull]
     bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
     bad = bad and shown < ACCELERATION.overwhelming
     chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
@@ -205,34 +205,29 @@ def _doubt(cost: float) -> float:
     return 1.0 / (1.0 + math.exp(min(0.5 * cost, 50.0)))
 
 
-def _gyro_block(fit: Fit) -> GyroBlock:
-    assert isinstance(fit.block, GyroBlock)
-    return fit.block
-
-
 def _lean(pulled: Fit) -> float:
-    return float(np.linalg.norm(_gyro_block(pulled).acceleration))
+    return float(np.linalg.norm(gyro_block(pulled).acceleration))
 
 
 def _bias(fit: Fit) -> float:
-    return float(np.linalg.norm(_gyro_block(fit).bias))
+    return float(np.linalg.norm(gyro_block(fit).bias))
 
 
 def _bias_about_up(fit: Fit) -> float:
-    block = _gyro_block(fit)
+    block = gyro_block(fit)
     return abs(float(block.bias @ unit(block.samples.up.mean(axis=0))))
 
 
 def _own_lean(pulled: Fit) -> FloatArray:
     """Return the turn from the gyro's axes to those in which the accelerometer does not lean."""
-    block = _gyro_block(pulled)
+    block = gyro_block(pulled)
     up = unit(block.place.samples.up.mean(axis=0))
     return minimal_rotation(up, unit(up + block.acceleration))
 
 
 def _misfit(fit: Fit, factor: float) -> float:
     """Return the cost of an explanation before what is known of biases, pulls and leans."""
-    block = _gyro_block(fit)
+    block = gyro_block(fit)
     known = block.path.known
     pull = float(np.sum(block.path.found(block.errors, Effect.PULL) ** 2)) / known.acceleration**2
     bias = block.path.bias_in_sigmas(block.errors) ** 2
@@ -257,7 +252,7 @@ def _cost_of_own_lean(leaning: Fit, pulled: Fit) -> float:
 
 def _cost_of_pull(fit: Fit) -> float:
     """Return what a pull costs: it follows the rate, and who is pulled is jolted, too."""
-    block = _gyro_block(fit)
+    block = gyro_block(fit)
     able = max(ACCELERATION.jolted * _jolts(block), ACCELERATION.least_pull)
     able = min(able, block.path.known.acceleration)
     pull = block.path.found(block.errors, Effect.PULL)
@@ -308,8 +303,7 @@ def apparent_pull(samples: Samples, path: GyroPath) -> float:
 
 def _is_strained(plain: Fit) -> bool:
     """Return whether the gyro needs a large bias or drift, or up strays to one side."""
-    block = plain.block
-    assert isinstance(block, GyroBlock)
+    block = gyro_block(plain)
     counted = block.weighting.weights.sample
     count = max(float(counted.sum()), 1.0)
     mean = float(np.linalg.norm(counted @ block.place.prediction.up_residual)) / count

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.estimation.effect_choice import propagated
+from magcal_ros.core.estimation.effect_choice import gyro_block, propagated
 from magcal_ros.core.estimation.evidence import evidence
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
@@ -180,8 +180,7 @@ def propagated_attitudes(start: Fit, path: GyroPath, with_iron: Prior, *, always
     """
     explained = pulled_or_not(start, path)
     plain, gap = explained.fit, explained.gap
-    block = plain.block
-    assert isinstance(block, GyroBlock)
+    block = gyro_block(plain)
     if explained.own_lean or not with_iron.has_soft_iron:
         return Choice(plain, gap=gap, own_lean=explained.own_lean)
     path = block.path

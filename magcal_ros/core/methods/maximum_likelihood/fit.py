@@ -13,6 +13,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.averaging import Prepared, prepare
 from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.estimation.consistency import gyro_compass_swing, lasting_stray
+from magcal_ros.core.estimation.effect_choice import gyro_block
 from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.gyro_attitude import GyroBlock
@@ -247,8 +248,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
     gap, pull = choice.gap, apparent_pull(samples, path)
-    block = choice.fit.block
-    assert isinstance(block, GyroBlock)
+    block = gyro_block(choice.fit)
     # What follows the turn rate is off with the gyro and without, or they would differ by it.
     seated = FreeBlock.seated_at(found.best.shared, block.place.samples, weighting)
     freed = start.with_blocks([seated])
