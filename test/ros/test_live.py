@@ -38,8 +38,8 @@ def run_beside():
 
 
 def test_through_a_pipe_it_looks_first_and_then_writes_lines(stage, run_beside):
-    actor = stage(speed=8.0)
-    process = run_beside(actor)
+    actor = stage(speed=2.0)
+    process = run_beside(actor, yaw_rate=1.5)
     output, errors = process.communicate()
     assert process.returncode == 0, output + errors
     lines = output.splitlines()

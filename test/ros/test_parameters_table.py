@@ -63,10 +63,10 @@ class TestNumbers:
     def test_both_ends_belong_to_the_range(self, spec):
         assert (spec.parse(spec.low), spec.parse(spec.high)) == (spec.low, spec.high)
 
-    @pytest.mark.parametrize("outside", [math.inf, -math.inf])
-    def test_the_infinite_is_out_of_range(self, spec, outside):
-        with pytest.raises(ValueError, match="must lie between"):
-            spec.parse(outside)
+    def test_the_infinite_is_out_of_range(self, spec):
+        for outside in (math.inf, -math.inf):
+            with pytest.raises(ValueError, match="must lie between"):
+                spec.parse(outside)
 
     def test_what_lies_outside_is_refused_with_the_range_and_its_unit(self, spec):
         for value in (just_below(spec.low), just_above(spec.high)):
@@ -83,10 +83,10 @@ class TestNumbers:
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse(math.nan)
 
-    @pytest.mark.parametrize("wrong", ["one", "", True, None, [1.0], (1.0,), b"1"])
-    def test_another_type_is_refused(self, spec, wrong):
-        with pytest.raises(ValueError, match=f"{spec.name} must be a number"):
-            spec.parse(wrong)
+    def test_another_type_is_refused(self, spec):
+        for wrong in ("one", "", True, None, [1.0], (1.0,), b"1"):
+            with pytest.raises(ValueError, match=f"{spec.name} must be a number"):
+                spec.parse(wrong)
 
     def test_a_number_that_came_as_text_is_one(self, spec):
         """YAML 1.1 leaves 1e-05 a text, and `ros2 param load` sends NaN as one."""
@@ -110,10 +110,10 @@ class TestWholeNumbers:
         for end in (spec.low, spec.high):
             assert (spec.parse(end), type(spec.parse(float(end)))) == (end, int)
 
-    @pytest.mark.parametrize("wrong", [1.5, "x", True, None, math.nan, math.inf, [1]])
-    def test_what_is_not_whole_is_refused(self, spec, wrong):
-        with pytest.raises(ValueError, match=f"{spec.name} must be a whole number"):
-            spec.parse(wrong)
+    def test_what_is_not_whole_is_refused(self, spec):
+        for wrong in (1.5, "x", True, None, math.nan, math.inf, [1]):
+            with pytest.raises(ValueError, match=f"{spec.name} must be a whole number"):
+                spec.parse(wrong)
 
     def test_what_lies_outside_is_refused(self, spec):
         for value in (spec.low - 1, spec.high + 1):
@@ -148,18 +148,18 @@ class TestLists:
     def test_an_array_of_doubles_is_a_list(self, spec):
         assert spec.parse(array.array("d", spec.default)) == spec.default
 
-    @pytest.mark.parametrize("wrong", [[], [1.0] * 2, [1.0] * 4, "111", 1.0, None, {}])
-    def test_another_length_or_type_is_refused(self, spec, wrong):
-        with pytest.raises(ValueError, match=f"{spec.name} must be 3 numbers"):
-            spec.parse(wrong)
+    def test_another_length_or_type_is_refused(self, spec):
+        for wrong in ([], [1.0] * 2, [1.0] * 4, "111", 1.0, None, {}):
+            with pytest.raises(ValueError, match=f"{spec.name} must be 3 numbers"):
+                spec.parse(wrong)
 
     @pytest.mark.parametrize("bad", ["x", True, None, math.nan, math.inf])
-    @pytest.mark.parametrize("place", range(3))
-    def test_one_bad_number_is_enough_to_refuse_it(self, spec, bad, place):
-        values = [1.0] * len(spec.default)
-        values[place] = bad
-        with pytest.raises(ValueError, match=spec.name):
-            spec.parse(values)
+    def test_one_bad_number_is_enough_to_refuse_it(self, spec, bad):
+        for place in range(3):
+            values = [1.0] * len(spec.default)
+            values[place] = bad
+            with pytest.raises(ValueError, match=spec.name):
+                spec.parse(values)
 
     def test_each_number_must_lie_in_the_range(self, spec):
         for bad in (just_below(spec.low), just_above(spec.high)):
@@ -169,10 +169,10 @@ class TestLists:
 
 @rows(TEXTS)
 class TestTexts:
-    @pytest.mark.parametrize("wrong", [1, 1.0, True, None, ["a"], b"a"])
-    def test_another_type_is_refused(self, spec, wrong):
-        with pytest.raises(ValueError, match=f"{spec.name} must be a text"):
-            spec.parse(wrong)
+    def test_another_type_is_refused(self, spec):
+        for wrong in (1, 1.0, True, None, ["a"], b"a"):
+            with pytest.raises(ValueError, match=f"{spec.name} must be a text"):
+                spec.parse(wrong)
 
     def test_only_choices_are_accepted_where_there_are_any(self, spec):
         for choice in spec.choices:

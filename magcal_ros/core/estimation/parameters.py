@@ -72,7 +72,8 @@ class Globals:
     @property
     def soft_iron_matrix(self) -> FloatArray:
         """I + E, shape (3, 3)."""
-        return np.asarray(np.eye(3) + np.tensordot(self.soft_iron, SOFT_IRON_BASIS, axes=1))
+        xx, yy, zz, xy, xz, yz = self.soft_iron.tolist()
+        return np.array([[1.0 + xx, xy, xz], [xy, 1.0 + yy, yz], [xz, yz, 1.0 + zz]])
 
     @property
     def field_enu(self) -> FloatArray:

@@ -21,12 +21,21 @@ def skew(v: FloatArray) -> FloatArray:
 
 def exp_rotation(vector: FloatArray) -> FloatArray:
     """Turn by |vector| radians about `vector` (Rodrigues' formula), shape (3, 3)."""
-    angle = float(np.linalg.norm(vector))
-    k = skew(vector)
-    if angle < 1e-8:
-        return np.eye(3) + k + 0.5 * k @ k
-    s, c = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
-    return np.asarray(np.eye(3) + s * k + c * k @ k)
+    x, y, z = vector.tolist()
+    xx, yy, zz = x * x, y * y, z * z
+    angle = math.sqrt(xx + yy + zz)
+    s, c = 1.0, 0.5
+    if angle >= 1e-8:
+        # 1 - cos by the half angle: no cancellation for small steps.
+        s, c = math.sin(angle) / angle, 2.0 * (math.sin(0.5 * angle) / angle) ** 2
+    xy, yz, zx = c * x * y, c * y * z, c * z * x
+    return np.array(
+        [
+            [1.0 - c * (yy + zz), xy - s * z, zx + s * y],
+            [xy + s * z, 1.0 - c * (xx + zz), yz - s * x],
+            [zx - s * y, yz + s * x, 1.0 - c * (xx + yy)],
+        ]
+    )
 
 
 def skews(vectors: FloatArray) -> FloatArray:

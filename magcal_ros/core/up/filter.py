@@ -13,6 +13,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation, skew
+from magcal_ros.core.geometry.vec3 import length
 from magcal_ros.core.up.up_tuning import FilterTuning
 
 IDENTITY: FloatArray = np.eye(3)
@@ -98,7 +99,7 @@ class UpFilter:
         sigma : float
             How large a linear acceleration may be, g.
         """
-        angle = float(np.linalg.norm(turned))
+        angle = length(turned.tolist())
         keeps = math.exp(-seconds / self.tuning.acceleration_lasts)
         transition = np.zeros((9, 9))
         transition[:3, :3] = exp_rotation(-turned)
@@ -111,7 +112,7 @@ class UpFilter:
         grown[:3] = self.tuning.angle_walk**2 * seconds + self.tuning.turn_error**2 * angle
         grown[3:6] = self.tuning.bias_walk**2 * seconds
         grown[6:] = sigma**2 * (1.0 - keeps**2)
-        acceleration = float(np.linalg.norm(self.state[6:]))
+        acceleration = length(self.state[6:].tolist())
         if acceleration > self.tuning.implausible * sigma:
             grown[:3] += acceleration**2 * seconds / self.tuning.regain
         self.covariance = transition @ self.covariance @ transition.T
@@ -127,12 +128,12 @@ class UpFilter:
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
         up = self.state[:3]
-        length = float(np.linalg.norm(up))
-        if length > 0.0:
-            gain_rows = self.covariance[:, :3] @ (up / length)
-            spread = float(gain_rows[:3] @ up) / length + variance
-            self.state += gain_rows * ((size - length) / spread)
-            self.covariance -= np.outer(gain_rows, gain_rows / spread)
+        own = length(up.tolist())
+        if own > 0.0:
+            gain_rows = self.covariance[:, :3] @ (up / own)
+            spread = float(gain_rows[:3] @ up) / own + variance
+            self.state += gain_rows * ((size - own) / spread)
+            self.covariance -= gain_rows[:, None] * (gain_rows / spread)
 
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Take the mean rate of a block of a robot that does not turn.
@@ -154,7 +155,7 @@ class UpFilter:
 
     def bound_bias(self) -> None:
         """Keep the bias within what a gyro can have."""
-        size = float(np.linalg.norm(self.state[3:6]))
+        size = length(self.state[3:6].tolist())
         if size > self.tuning.largest_bias:
             self.state[3:6] *= self.tuning.largest_bias / size
 
