@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from long_form import first_of
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.correction import Correction
@@ -49,7 +50,7 @@ def exact_but_tied(covariance):
     covariance[9, 9] = 0.0
 
 
-@pytest.mark.parametrize("strength", [25e-6, 48e-6, 65e-6])
+@pytest.mark.parametrize("strength", first_of([25e-6, 48e-6, 65e-6]))
 @pytest.mark.parametrize("known", [True, False])
 def test_what_a_turn_finds_is_possible(strength, known):
     robot = replace(ROBOT, strength=strength)
