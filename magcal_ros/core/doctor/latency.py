@@ -153,8 +153,8 @@ def _fitted(
         state = fit.descend(state, noise, tuning.steps)
     attitude, moved = fit.propagate(state)
     residual = fit.residuals(state)[0][0]
-    walked = fit.turned_by(state, attitude, _walk(attitude, part.time, log, tuning))
-    parts = [fit.jacobian(state, attitude, moved)[0, :, :3], walked[0, :, :3]]
+    walked = fit.field_turned(state, attitude, _walk(attitude, part.time, log, tuning))
+    parts = [fit.field_jacobian(state, attitude, moved)[0], walked[0]]
     if lever is not None:
         parts.append(lever)
     design = np.concatenate(parts, axis=2)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, skews
 from magcal_ros.core.samples.stretch import Stretch
 
@@ -79,7 +79,12 @@ SOFT, FIELD, IRON, UP, BIAS = (
     slice(15, 18),
     slice(18, 21),
 )
-GYRO, SCALE, LAG = slice(18, 22), 21, 22
+SCALE, LAG = 21, 22
+OF_FIELD = np.r_[9:12, 18:23]
+"""What acts on the field before the soft iron does."""
+OF_UP = np.r_[15:22]
+OF_AXIS = np.array([[3 * axis, 3 * axis + 1, 3 * axis + 2, 12 + axis] for axis in range(3)])
+"""Soft and hard iron of each axis of the magnetometer."""
 
 
 class AlignmentFit:
@@ -233,51 +238,100 @@ class AlignmentFit:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return information (k, 23, 23), gradient (k, 23) and cost (k,) with robust weights."""
         attitude, moved = self.propagate(state)
-        field, up = self._residuals(state, attitude)
-        jacobian = self.jacobian(state, attitude, moved)
-        nu, (count, n) = self.tuning.freedom, field.shape[:2]
-        weights = []
-        for values, sigma, share in zip((field, up), noise, self.share, strict=True):
-            chi2 = np.sum(values**2, axis=2) / sigma**2
-            weights.append(share * (nu + 3.0) / (nu + chi2) / sigma**2)
-        weights[1] = weights[1] * self.with_up
-        weight = np.repeat(np.stack(weights, axis=2), 3, axis=2).reshape(count, -1, 1)
-        rows = jacobian.reshape(count, n * 6, PARAMETERS)
-        values = np.concatenate([field, up], axis=2).reshape(count, -1, 1)
-        transposed = (rows * weight).swapaxes(1, 2)
-        information = transposed @ rows + self.prior
-        gradient = (transposed @ values)[..., 0] - state @ self.prior
-        return information, gradient, self._cost(state, (field, up), noise)
+        residuals = self._residuals(state, attitude)
+        field, up = (
+            self._weights(*each) for each in zip(residuals, noise, self.share, strict=True)
+        )
+        information, gradient = self._of_field(state, attitude, moved, field, residuals[0])
+        if self.with_up:
+            columns = np.concatenate([attitude, turned(state[:, UP], attitude, moved)], axis=3)
+            self._add(information, gradient, OF_UP, columns, up, residuals[1])
+        return (
+            information + self.prior,
+            gradient - state @ self.prior,
+            self._cost(state, residuals, noise),
+        )
 
-    def jacobian(self, state: FloatArray, attitude: FloatArray, moved: FloatArray) -> FloatArray:
-        """Return how the expectations change with the parameters, shape (k, n, 6, 23)."""
-        count, n = attitude.shape[:2]
+    def _weights(self, values: FloatArray, sigma: float, share: float) -> FloatArray:
+        nu, chi2 = self.tuning.freedom, np.sum(values**2, axis=2) / sigma**2
+        return np.asarray(share * (nu + 3.0) / (nu + chi2) / sigma**2)
+
+    def _of_field(
+        self,
+        state: FloatArray,
+        attitude: FloatArray,
+        moved: FloatArray,
+        weight: FloatArray,
+        residual: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return information and gradient of the field's residuals.
+
+        Soft and hard iron act on each axis alone and on all three alike: their columns, most of the
+        Jacobian, are never written out.
+        """
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
-        soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
-        out = np.zeros((count, n, 6, PARAMETERS))
+        columns = self._soft(state) @ self._through_soft_iron(state, body, attitude, moved)
+        count, n = body.shape[:2]
+        information, gradient = np.zeros((count, PARAMETERS, PARAMETERS)), state * 0.0
+        self._add(information, gradient, OF_FIELD, columns, weight, residual)
+        alone = np.concatenate([body, np.ones((count, n, 1))], axis=2)
+        weighted = (alone * weight[:, :, None]).swapaxes(1, 2)
+        among, seen = weighted @ alone, weighted @ residual
+        across = (weighted @ columns.reshape(count, n, -1)).reshape(count, 4, 3, -1)
+        for axis, own in enumerate(OF_AXIS):
+            information[:, own[:, None], own] = among
+            information[:, own[:, None], OF_FIELD] = across[:, :, axis]
+            information[:, OF_FIELD[:, None], own] = across[:, :, axis].swapaxes(1, 2)
+            gradient[:, own] = seen[:, :, axis]
+        return information, gradient
+
+    @staticmethod
+    def _add(
+        information: FloatArray,
+        gradient: FloatArray,
+        where: IntArray,
+        columns: FloatArray,
+        weight: FloatArray,
+        residual: FloatArray,
+    ) -> None:
+        """Add what residuals (k, n, 3) with columns (k, n, 3, m) say of the parameters `where`."""
+        count, size = len(columns), columns.shape[3]
+        rows = columns.reshape(count, -1, size)
+        weighted = (columns * weight[:, :, None, None]).reshape(count, -1, size).swapaxes(1, 2)
+        information[:, where[:, None], where] += weighted @ rows
+        gradient[:, where] += (weighted @ residual.reshape(count, -1, 1))[..., 0]
+
+    def field_jacobian(
+        self, state: FloatArray, attitude: FloatArray, moved: FloatArray
+    ) -> FloatArray:
+        """Return how the expected field changes with the parameters, shape (k, n, 3, 23)."""
+        body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
+        out = np.zeros((*body.shape, PARAMETERS))
         for axis in range(3):
             out[:, :, axis, 3 * axis : 3 * axis + 3] = body
-        out[:, :, :3, FIELD] = soft @ attitude
-        out[:, :, :3, IRON] = np.eye(3)
-        out[:, :, 3:, UP] = attitude
-        out[:, :, :, GYRO] = self.turned_by(state, attitude, moved)
-        late = self._against_the_turn(state, body)
-        out[:, :, :3, LAG] = np.einsum("kij,knj->kni", soft[:, 0], late)
+        out[..., IRON] = np.eye(3)
+        columns = self._through_soft_iron(state, body, attitude, moved)
+        out[..., OF_FIELD] = self._soft(state) @ columns
         return out
 
-    def turned_by(self, state: FloatArray, attitude: FloatArray, turns: FloatArray) -> FloatArray:
-        """Return how turns (k, n, 3, m) on the left of the attitudes move field and up.
+    def field_turned(
+        self, state: FloatArray, attitude: FloatArray, turns: FloatArray
+    ) -> FloatArray:
+        """Return how turns (k, n, 3, m) on the left of the attitudes move the field, same shape."""
+        return np.asarray(self._soft(state) @ turned(state[:, FIELD], attitude, turns))
 
-        Shape (k, n, 6, m).
-        """
-        count, n = attitude.shape[:2]
-        out = np.empty((count, n, 6, turns.shape[3]))
-        soft = np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
-        for part, of, matrix in ((slice(0, 3), FIELD, soft), (slice(3, 6), UP, np.eye(3))):
-            vectors = np.einsum("knij,kj->kni", attitude, state[:, of])
-            cross = skews(vectors.reshape(-1, 3)).reshape(count, n, 3, 3)
-            out[:, :, part] = -matrix @ (cross @ turns)
-        return out
+    def _soft(self, state: FloatArray) -> FloatArray:
+        return np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
+
+    def _through_soft_iron(
+        self, state: FloatArray, body: FloatArray, attitude: FloatArray, moved: FloatArray
+    ) -> FloatArray:
+        """Return how the field before the soft iron changes with `OF_FIELD`, (k, n, 3, 8)."""
+        late = self._against_the_turn(state, body)[..., None]
+        return np.concatenate(
+            [attitude, turned(state[:, FIELD], attitude, moved), late],
+            axis=3,
+        )
 
     def descend(self, state: FloatArray, noise: tuple[float, float], steps: int) -> FloatArray:
         """Take Levenberg-Marquardt steps, each candidate with its own damping."""
@@ -300,3 +354,22 @@ class AlignmentFit:
             if settled:
                 break
         return state
+
+
+def turned(vectors: FloatArray, attitude: FloatArray, turns: FloatArray) -> FloatArray:
+    """Return how turns on the left of the attitudes move vectors that stand still in the world.
+
+    Parameters
+    ----------
+    vectors : ndarray, shape (k, 3)
+        In the axes of the first sample.
+    attitude : ndarray, shape (k, n, 3, 3)
+    turns : ndarray, shape (k, n, 3, m)
+
+    Returns
+    -------
+    ndarray, shape (k, n, 3, m)
+    """
+    there = np.einsum("knij,kj->kni", attitude, vectors)
+    cross = skews(there.reshape(-1, 3)).reshape(attitude.shape)
+    return np.asarray(-cross @ turns)
