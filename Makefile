@@ -9,6 +9,8 @@ ifeq ($(ROS_DISTRO),humble)
 export ROS_LOCALHOST_ONLY := 1
 endif
 export OMP_NUM_THREADS := 1
+# The tests start many processes; without compiled files each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 AFTER_OTHERS := nice -n 5
 BY_TWO := --numprocesses 2 --dist worksteal
