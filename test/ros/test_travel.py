@@ -179,6 +179,7 @@ def test_bad_messages_do_no_harm_and_are_named(car):
     assert car.status["vehicle_yaw_offset"] is None
 
 
+@pytest.mark.nightly
 def test_a_window_that_was_a_drive_is_fitted_as_one(start_node, tmp_path):
     """The services of a turn, called in a car in a city: the smoother answers as offline."""
     rng = np.random.default_rng(1)
