@@ -27,6 +27,10 @@ def stop_and_go(time):
     return evenly(time) * np.clip(4.0 * np.sin(math.tau * time / 5.0) + 2.0, 0.0, 1.0)
 
 
+def there_and_back(time):
+    return np.where((time > 0.0) & (time < SECONDS), np.sin(math.tau * time / SECONDS), 0.0)
+
+
 def driven(course, robot=ROBOT, rest=REST, seed=1):
     """The motion of a full turn and a bit, swaying where it moves, and what sensors say of it."""
     rng = np.random.default_rng(seed)

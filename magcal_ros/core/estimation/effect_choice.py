@@ -51,10 +51,18 @@ def propagated(start: Fit, path: GyroPath, prior: Prior) -> Fit:
     return settled(refined(Fit((begun,), prior), PROPAGATING))
 
 
-def with_effects_that_show(start: Fit, path: GyroPath) -> Fit:
+def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
     """Fit without soft iron, with those effects of the turn rate that stand out of chance.
 
     The clearest first: what is not yet taken off may pass for another.
+
+    Parameters
+    ----------
+    start : Fit
+    path : GyroPath
+    beside : Prior
+        Of soft iron, where it may be: where the rate follows the heading, as on a turn there and
+        back, it looks like motors.
     """
     fit, left = propagated(start, path, start.prior), list(OF_RATE)
     shared = fit.shared
@@ -62,19 +70,19 @@ def with_effects_that_show(start: Fit, path: GyroPath) -> Fit:
     effects = effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
     while left:
         # On the average of a turn a lever arm is what an accelerometer that is off reads always.
-        over = {kind: _promised(fit, effects.only(kind).without_mean()) for kind in left}
+        over = {kind: _promised(fit, effects.only(kind).without_mean(), beside) for kind in left}
         clearest = max(left, key=lambda kind: over[kind])
         if over[clearest] < 1.0:
             break
         left.remove(clearest)
         wider = path.with_effects(effects.only(clearest))
         richer = propagated(start, wider, start.prior)
-        if _stands_out(richer, clearest):
+        if _stands_out(richer, clearest, beside):
             fit, path = richer, wider
     return fit
 
 
-def _promised(fit: Fit, effects: Effects) -> float:
+def _promised(fit: Fit, effects: Effects, beside: Prior) -> float:
     """Return by what an effect's first step would lower chi-square, over what chance would.
 
     What is left out correlates the residuals, so samples count as they are.
@@ -83,27 +91,33 @@ def _promised(fit: Fit, effects: Effects) -> float:
     size = len(effects)
     errors = np.concatenate([block.errors, np.zeros(size)])
     freed = replace(block, path=block.path.with_effects(effects), errors=errors)
-    left, slope = _alone(freed, fit, size)
+    left, slope = _alone(freed, beside, size)
     fall = float(slope @ np.linalg.solve(left, slope))
     return fall / float(chdtri(size, EFFECTS.chance))
 
 
-def _stands_out(fit: Fit, kind: Effect) -> bool:
+def _stands_out(fit: Fit, kind: Effect, beside: Prior) -> bool:
     """Return whether the newest effect is more than chance (Wald's test), and possible."""
     block = gyro_block(fit)
     found = block.path.found(block.errors, kind)
-    left, _ = _alone(block, fit, len(found))
-    fall = float(found @ left @ found) / block.weighting.inefficiency
+    left, slope = _alone(block, beside, len(found))
+    lasting = found + np.linalg.solve(left, slope)
+    fall = float(lasting @ left @ lasting) / block.weighting.inefficiency
     sigma = block.path.effects.only(kind).sigma
     possible = float(np.abs(found / sigma).max()) < EFFECTS.largest
     return possible and fall > float(chdtri(len(found), EFFECTS.chance))
 
 
-def _alone(block: GyroBlock, fit: Fit, size: int) -> tuple[FloatArray, FloatArray]:
-    """Return information on the last errors, all else eliminated, and their gradient."""
-    equations = block.equations(fit.free)
-    information, count = equations.information.copy(), equations.free
-    information[:count, :count] += block.weighting.inefficiency * fit.prior_information
+def _alone(block: GyroBlock, prior: Prior, size: int) -> tuple[FloatArray, FloatArray]:
+    """Return information and gradient on the last errors, all else eliminated."""
+    equations, factor = block.equations(prior.free), block.weighting.inefficiency
+    information, gradient = equations.information.copy(), equations.gradient.copy()
+    known, count = prior.information[prior.free], equations.free
+    information[np.arange(count), np.arange(count)] += factor * known
+    gradient[:count] += factor * known * prior.deviation(block.place.state.shared)[prior.free]
     across = information[:-size, -size:]
     among = np.linalg.lstsq(information[:-size, :-size], across, rcond=None)[0]
-    return information[-size:, -size:] - across.T @ among, equations.gradient[-size:]
+    return (
+        information[-size:, -size:] - across.T @ among,
+        gradient[-size:] - among.T @ gradient[:-size],
+    )

@@ -20,6 +20,7 @@ from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
 from magcal_ros.core.estimation.gyro_path import BIAS, GyroPath
 from magcal_ros.core.estimation.heading_gap import heading_gap
 from magcal_ros.core.estimation.model import Samples
+from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
@@ -118,7 +119,7 @@ class Explanation:
     own_lean: bool = False
 
 
-def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
+def pulled_or_not(start: Fit, path: GyroPath, beside: Prior) -> Explanation:
     """Fit without soft iron: plain, or with what parts gyro and accelerometer.
 
     A linear acceleration of the turn is none of the robot's when it stands, and is taken off. A
@@ -126,8 +127,14 @@ def pulled_or_not(start: Fit, path: GyroPath) -> Explanation:
     accelerometer, which will read the same when the calibration is used. A rest beside the turn
     decides it: it shows the bias, and what pulls a turn is not there.
 
+    Parameters
+    ----------
+    start : Fit
+    path : GyroPath
+    beside : Prior
+        Of soft iron, where it may be.
     """
-    plain = with_effects_that_show(start, path)
+    plain = with_effects_that_show(start, path, beside)
     path = gyro_block(plain).path
     if not _is_strained(plain):
         return Explanation(plain)

@@ -178,7 +178,7 @@ def propagated_attitudes(start: Fit, path: GyroPath, with_iron: Prior, *, always
     with_iron, always
         As for `free_attitudes`.
     """
-    explained = pulled_or_not(start, path)
+    explained = pulled_or_not(start, path, with_iron)
     plain, gap = explained.fit, explained.gap
     block = gyro_block(plain)
     if explained.own_lean or not with_iron.has_soft_iron:

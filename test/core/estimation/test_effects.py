@@ -5,7 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from long_form import first_of
-from uneven_turns import REST, ROBOT, collected, driven, evenly, stop_and_go, unevenly
+from uneven_turns import (
+    REST,
+    ROBOT,
+    collected,
+    driven,
+    evenly,
+    stop_and_go,
+    there_and_back,
+    unevenly,
+)
 
 from magcal_ros.core.estimation.effects import Effect, effects_of_rate
 from magcal_ros.core.estimation.gyro_attitude import GyroBlock
@@ -77,6 +86,14 @@ def test_motors_that_follow_the_speed_are_seen():
     solved = solve(collected(replace(window, field=window.field + current)), KNOWN)
     assert set(solved.choice.fit.block.path.effects.kinds) == {Effect.MOTORS}
     assert np.linalg.norm(solved.motors) == pytest.approx(np.abs(current).max() / 2.0, rel=0.5)
+
+
+@pytest.mark.parametrize("seed", first_of([1, 2, 3, 4]))
+def test_axes_out_of_square_are_no_motors_where_the_rate_follows_the_heading(seed):
+    _, window = driven(there_and_back, seed=seed)
+    axes = 0.015 * np.random.default_rng(seed).standard_normal((3, 3))
+    raw = window.field + (window.field - ROBOT.hard_iron) @ axes.T
+    assert Effect.MOTORS not in found(replace(window, field=raw))
 
 
 @pytest.mark.parametrize("course", first_of([stop_and_go, evenly, unevenly]))
