@@ -27,10 +27,15 @@ class EffectRule:
         what came of it (Wald's test, samples counted by the inefficiency factor that is left).
     largest : float
         Sigmas of its prior beyond which it is something else: a car's circle is no lever arm.
+    fewest, lost : float
+        Share of the samples that must be believed without it, and share of the largest drift that
+        the gyro may need; else it is not asked for.
     """
 
     chance: float = 1e-4
     largest: float = 4.0
+    fewest: float = 0.5
+    lost: float = 0.9
 
 
 EFFECTS = EffectRule()
@@ -68,7 +73,7 @@ def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
     shared = fit.shared
     field = start.block.samples.field - shared.hard_iron
     effects = effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
-    while left:
+    while left and not _is_lost(fit):
         # On the average of a turn a lever arm is what an accelerometer that is off reads always.
         over = {kind: _promised(fit, effects.only(kind).without_mean(), beside) for kind in left}
         clearest = max(left, key=lambda kind: over[kind])
@@ -80,6 +85,13 @@ def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
         if _stands_out(richer, clearest, beside):
             fit, path = richer, wider
     return fit
+
+
+def _is_lost(fit: Fit) -> bool:
+    """Return whether gyro and field go ways of their own: whatever bends the one helps a little."""
+    block = gyro_block(fit)
+    believed = float(block.weighting.inliers.mean())
+    return believed < EFFECTS.fewest or block.drift > EFFECTS.lost * DRIFT.largest
 
 
 def _promised(fit: Fit, effects: Effects, beside: Prior) -> float:
