@@ -19,7 +19,9 @@ from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, RestOnPath
 from magcal_ros.core.estimation.model import local_jacobian
 from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.estimation.step_by_field import step_by_field
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.samples.rest import RestBeside
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,9 @@ class MotorRule:
 MOTORS = MotorRule()
 
 
-def motor_field(fit: Fit, path: GyroPath | None, scale: float) -> FloatArray | None:
+def motor_field(
+    fit: Fit, path: GyroPath | None, scale: float, rests: tuple[RestBeside, ...] = ()
+) -> FloatArray | None:
     """Return the field that is there in one state of the robot and not in another.
 
     Parameters
@@ -75,19 +79,23 @@ def motor_field(fit: Fit, path: GyroPath | None, scale: float) -> FloatArray | N
         Of the same samples, where there is a gyro.
     scale : float
         Tesla of one field scale.
+    rests : tuple of RestBeside
+        Beside a turn without a gyro; a path has its own.
 
     Returns
     -------
-    ndarray, shape (3,), or None
-        Tesla, in the magnetometer's axes; zero where chance explains it, None where nothing tells.
+    ndarray, shape (m, 3), or None
+        Tesla, in the magnetometer's axes: what is seen, and one sigma of what cannot be seen of it.
+        Zero where chance explains it, None where nothing tells.
     """
-    found = [_step_from_rest(fit, path, scale), _switched(fit, scale), _by_rate(fit, scale)]
-    seen = [field for field in found if field is not None]
+    step = _step_from_rest(fit, path, scale) if path else step_by_field(fit, rests, scale)
+    found = [step, _switched(fit, scale), _by_rate(fit, scale)]
+    seen = [np.atleast_2d(field) for field in found if field is not None]
     return max(seen, key=np.linalg.norm, default=None)
 
 
-def _step_from_rest(fit: Fit, path: GyroPath | None, scale: float) -> FloatArray | None:
-    steps = [] if path is None else [_step(fit, path, rest, scale) for rest in path.rests]
+def _step_from_rest(fit: Fit, path: GyroPath, scale: float) -> FloatArray | None:
+    steps = [_step(fit, path, rest, scale) for rest in path.rests]
     seen = [step for step in steps if step is not None]
     if not seen:
         return None

@@ -60,9 +60,10 @@ class Lasting:
     gap : float
         Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
         where there is but one, or where the two must differ.
-    motors : ndarray, shape (3,), or None
+    motors : ndarray, shape (m, 3), or None
         Field that is there while the robot turns and not while it rests, tesla, in the
-        magnetometer's axes: a hard iron that is there or not.
+        magnetometer's axes: a hard iron that is there or not. First what is seen of it, then one
+        sigma along each direction in which none of it can be seen.
     """
 
     stray: float = 0.0
@@ -104,7 +105,7 @@ def systematic_covariance(
     of_iron = systematics.field**2 * np.eye(3) + lasting * across
     covariance[9:, 9:] = distortion @ of_iron @ distortion.T
     if seen.motors is not None:
-        covariance[9:, 9:] += np.outer(seen.motors, seen.motors)
+        covariance[9:, 9:] += seen.motors.T @ seen.motors
     turned = (-skew(axis) @ np.linalg.inv(distortion)).ravel()
     unseen = math.hypot(systematics.axes, _unseen_turn(shared.soft_iron, systematics))
     covariance[:9, :9] = unseen**2 * np.outer(turned, turned)

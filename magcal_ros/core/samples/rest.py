@@ -67,9 +67,9 @@ class RestBeside:
     force : array_like, shape (3,)
         Mean specific force in body axes, m/s².
     rate : array_like, shape (3,)
-        What the gyro read, rad/s: its bias.
+        What the gyro read, rad/s: its bias; zero without a gyro.
     rate_sigma : float
-        Of that mean, per axis.
+        Of that mean, per axis; infinite without a gyro.
     beside : float
         Stamp of the turn's sample that is nearest, seconds.
     turned : array_like, shape (3, 3)
@@ -91,41 +91,56 @@ class RestBeside:
 
 
 def rests_around(
-    time: FloatArray, field: FloatArray, rate: FloatArray
+    time: FloatArray, field: FloatArray, rate: FloatArray | None
 ) -> tuple[slice | None, slice | None]:
     """Return the rows at which a robot stands before its turn, and after it; None for no rest.
 
-    It stood if the field did, and turned later, far faster than the gyro then read.
+    It stood if the field did, and turned later, far faster than the gyro then read, if there is
+    one.
 
     Parameters
     ----------
     time : ndarray, shape (n,)
         Seconds, increasing.
-    field, rate : ndarray, shape (n, 3)
-        Raw field in any unit, and rad/s.
+    field : ndarray, shape (n, 3)
+        Raw field in any unit.
+    rate : ndarray, shape (n, 3), or None
+        rad/s; None without a gyro.
     """
     blocks = _split(time)
     if len(blocks[0]) <= 2 * TUNING.at_least:
         return None, None
-    fields, rates = _still(field, rate, blocks)
-    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
-    swing = float(np.ptp(field, axis=0).max())
     found: list[slice | None] = [None, None]
     ends = [*blocks[0], len(time)]
-    for start, end in _runs(fields.stays & rates.stays):
-        inside = rates.mean[start:end]
-        creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
-        if creeps and not (
-            _stood(inside, fields.mean[start:end], 0.5 * swing)
-            and _would_show(inside, 0.5 * swing, float(fields.limit[start:end].max()))
-        ):
-            continue
+    for start, end in _stands(field, rate, blocks):
         # The block in which the robot sets off, or comes to stand, counts on neither side.
         if start == 0 and end < len(blocks[0]):
             found[0] = slice(0, ends[end - 1])
         elif start > 0 and end == len(blocks[0]):
             found[1] = slice(ends[start + 1], len(time))
     return found[0], found[1]
+
+
+def _stands(
+    field: FloatArray, rate: FloatArray | None, blocks: tuple[IntArray, IntArray]
+) -> list[tuple[int, int]]:
+    """Return first block and end of every stretch in which the robot stood."""
+    swing = float(np.ptp(field, axis=0).max())
+    if rate is None:
+        alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
+        return [run for run in _runs(alone.stays) if alone.is_one(slice(*run))]
+    fields, rates = _still(field, rate, blocks)
+    fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
+    found = []
+    for start, end in _runs(fields.stays & rates.stays):
+        inside = rates.mean[start:end]
+        creeps = float(np.linalg.norm(inside.mean(axis=0))) > TUNING.next_to_nothing * fastest
+        if not creeps or (
+            _stood(inside, fields.mean[start:end], 0.5 * swing)
+            and _would_show(inside, 0.5 * swing, float(fields.limit[start:end].max()))
+        ):
+            found.append((start, end))
+    return found
 
 
 def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
@@ -200,6 +215,10 @@ class _Blocks:
             apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
             stays[: len(apart)] &= ~apart.any(axis=1)
         return cls(mean, limit, stays)
+
+    def is_one(self, rows: slice) -> bool:
+        """Return whether nothing moved over all of these; who creeps passes from one to another."""
+        return bool((np.ptp(self.mean[rows], axis=0) <= self.limit[rows].max(axis=0)).all())
 
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:

@@ -6,6 +6,8 @@ while the motors are off.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -24,7 +26,8 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     Parameters
     ----------
     rows : ndarray, shape (n, 10)
-        Stamp, field, specific force and angular rate of pairs, all finite.
+        Stamp, field, specific force and angular rate of pairs; the rates are all finite, or none
+        is.
 
     Returns
     -------
@@ -33,20 +36,21 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     tuple of RestBeside
     """
     time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
-    before, after = rests_around(time, field, rate)
+    has_gyro = bool(np.isfinite(rate).all())
+    before, after = rests_around(time, field, rate if has_gyro else None)
     first = 0 if before is None else before.stop
     end = len(rows) if after is None else after.start
-    bias = bias_at_rest(time, field, rate)
+    bias = bias_at_rest(time, field, rate) if has_gyro else None
     if end - first < FEWEST:
         before, after, first, end = None, None, 0, len(rows)
     rests = []
     if before is not None:
         near = rows[before][time[before] > time[first] - LONGEST]
-        rests.append(_rest(near, near[-1], rows[first]))
+        rests.append(_rest(near, near[-1], rows[first], has_gyro))
     if after is not None:
         near = rows[after][time[after] < time[end - 1] + LONGEST]
-        rests.append(_rest(near, near[0], rows[end - 1]))
-    if bias is None and rests:
+        rests.append(_rest(near, near[0], rows[end - 1], has_gyro))
+    if has_gyro and bias is None and rests:
         weights = [rest.rate_sigma**-2 for rest in rests]
         bias = np.average([rest.rate for rest in rests], axis=0, weights=weights)
     turn = rows[first:end].copy()
@@ -55,15 +59,17 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     return turn, tuple(rests)
 
 
-def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray) -> RestBeside:
+def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
     """Return what rows at rest say; `last` is the one of them next to the turn's row `beside`."""
     time = rows[:, 0]
-    (field, field_sigma), (force, _), (rate, rate_sigma) = (
-        mean_and_sigma(time, rows[:, columns])
-        for columns in (slice(1, 4), slice(4, 7), slice(7, 10))
+    (field, field_sigma), (force, _) = (
+        mean_and_sigma(time, rows[:, columns]) for columns in (slice(1, 4), slice(4, 7))
     )
-    # Turned back by what the gyro read over the one step between them, which may run either way.
-    step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
+    rate, rate_sigma, step = np.zeros(3), math.inf, np.zeros(3)
+    if has_gyro:
+        rate, rate_sigma = mean_and_sigma(time, rows[:, 7:10])
+        # Turned back by what the gyro read over the step between them, which may run either way.
+        step = (0.5 * (last[7:10] + beside[7:10]) - rate) * (last[0] - beside[0])
     turned = relative_attitudes(np.array([0.0, 1.0]), np.array([step, step]))[1]
     seconds = float(time[-1] - time[0])
     return RestBeside(

@@ -250,8 +250,9 @@ class Session:
             )
         rows = np.array(self._buffer[: self._size])
         if _rate_if_any(rows) is None:
+            rows, rests = apart_from_rests(rows)
             rows = rows[self._kept(rows)]
-            return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7])
+            return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rests=rests)
         rows, rests = apart_from_rests(rows[np.isfinite(rows[:, 7:10]).all(axis=1)])
         turned, kept = relative_attitudes(rows[:, 0], rows[:, 7:10]), self._kept(rows)
         time, field, force, rate = np.split(rows[kept], [1, 4, 7], axis=1)

@@ -36,9 +36,24 @@ def test_what_comes_with_the_movement_is_measured_and_said(course):
     assert (np.abs(iron) < 2.0 * sigma).all()
 
 
-def test_quiet_motors_add_nothing():
-    solved = solve(collected(driven(evenly)[1]), KNOWN)
-    np.testing.assert_array_equal(solved.motors, 0.0)
+@pytest.mark.parametrize("seed", first_of([1, 2, 3, 4, 5]))
+def test_without_a_gyro_a_rest_off_the_turns_path_shows_them(seed):
+    motion, window = driven(evenly, seed=seed)
+    way = np.random.default_rng(seed).standard_normal(3)
+    field = 2e-6 * way / np.linalg.norm(way)
+    spoilt = with_field(window, np.abs(motion.angular_rate[:, 2]) > 0.02, field)
+    outcome = calibrate(collected(replace(spoilt, angular_rate=None)), KNOWN)
+    assert outcome.estimate.figures[Figure.MOTOR_FIELD] == pytest.approx(2e-6, rel=0.5)
+    iron = outcome.estimate.correction.hard_iron - ROBOT.hard_iron
+    covariance = outcome.estimate.covariance[9:, 9:]
+    assert iron @ np.linalg.solve(covariance, iron) < 12.0
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_quiet_motors_add_nothing(gyro):
+    window = driven(evenly)[1]
+    window = window if gyro else replace(window, angular_rate=None)
+    np.testing.assert_array_equal(solve(collected(window), KNOWN).motors, 0.0)
 
 
 @pytest.mark.parametrize("gyro", [True, False])

@@ -1,5 +1,6 @@
 """What is seen at rest is kept apart from the turn, and says the gyro's bias."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -50,5 +51,11 @@ def test_a_robot_that_only_stands_is_left_as_it_is():
     assert len(window) > 70
 
 
-def test_without_a_gyro_no_rest_is_told():
-    assert collected(replace(driven(evenly)[1], angular_rate=None)).rests == ()
+def test_without_a_gyro_the_field_tells_a_rest():
+    window = collected(replace(driven(evenly)[1], angular_rate=None))
+    before, after = window.rests
+    assert -0.6 < window.time[0] <= 0.0
+    assert SECONDS <= window.time[-1] < SECONDS + 0.6
+    assert (before.beside, after.beside) == (window.time[0], window.time[-1])
+    assert before.rate_sigma == after.rate_sigma == math.inf
+    assert collected(replace(driven(lambda t: 1.0 + 0.0 * t)[1], angular_rate=None)).rests == ()

@@ -137,8 +137,8 @@ class Solved:
         Of gyro and compass; None without a gyro.
     gyro_gap : float
         Radians of heading between the fits with gyro-propagated attitudes and without.
-    motors : ndarray, shape (3,), or None
-        Field of the motors, tesla, in the magnetometer's axes; None where no rest tells.
+    motors : ndarray, shape (m, 3), or None
+        Field of the motors (`motor_field`), tesla; None where no rest tells.
     pull : float
         Radians by which the mean specific force leans from the gyro's up.
     explained : bool
@@ -244,7 +244,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     start, always = found.best.with_blocks([begun]), knowledge.soft_iron.always
     if path is None:
         free = free_attitudes(start, with_iron, always=always)
-        motors = motor_field(free.fit, None, scale)
+        motors = motor_field(free.fit, None, scale, window.rests)
         return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
     gap, pull = choice.gap, apparent_pull(samples, path)
