@@ -93,7 +93,8 @@ class AccelerationRule:
 ACCELERATION = AccelerationRule()
 OWN, PULLED, BAD = range(1, 4), range(4, 6), 5
 """Which of the explanations leave up to the accelerometer, and which to the gyro. That it is a bad
-one besides is counted as a doubt and never followed: then the accelerometer is trusted instead."""
+one besides is counted as a doubt; what it then says of the pull is taken only where a usual gyro
+says that there is one."""
 MEAN, AMISS = slice(0, 3), slice(3, 6)
 """Among the numbers of a pull."""
 LEVEL_LEAN = 0.1
@@ -204,6 +205,9 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
         for k in (*OWN, *PULLED)
         if k != chosen and doubts[k] > ACCELERATION.idle
     ]
+    # Held to the bias of a usual gyro, a large one comes out small, and the rest bends up.
+    if chosen == pull and path.bias_in_sigmas(gyro_block(fits[pull]).errors) > ACCELERATION.bias:
+        chosen = BAD
     return Explanation(fits[chosen], max(gaps, default=0.0))
 
 
