@@ -10,26 +10,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from pathlib import Path
-from struct import Struct
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.wire import CDR_START, is_plain_cdr
+from magcal_ros.files.travel_wire import fix_from, odometry_from, twist_from
+from magcal_ros.files.wire import is_plain_cdr
 
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 
-HEADER = Struct("<iII")
-"""Stamp and length of the frame, from where CDR counts its alignment."""
-
-PLACE = Struct("<3d")
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
 SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
-TWIST, NUMBER, COVARIANCE = Struct("<3d"), Struct("<d"), Struct("<36d")
-POSE_SIZE = 8 * (7 + 36)
-"""Bytes of an Odometry's pose with its covariance; of the twist the covariance follows six."""
 
 
 class Channel(NamedTuple):
@@ -95,15 +87,15 @@ class RosReader:
             For anything else, and for a foreign byte order.
         """
         if msgtype == ODOM_TYPE and is_plain_cdr(data):
-            return _odometry(data)
+            return odometry_from(data)
         if msgtype in (TWIST_TYPE, SURE_TWIST_TYPE) and is_plain_cdr(data):
-            return _twist(data, has_covariance=msgtype == SURE_TWIST_TYPE)
+            return twist_from(data, has_covariance=msgtype == SURE_TWIST_TYPE)
         if msgtype != FIX_TYPE or not is_plain_cdr(data):
             raise FileTrouble(
                 f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
                 "Python library rosbags is installed and ROS is not"
             )
-        return _fix(data)
+        return fix_from(data)
 
     def _everything(self, channels: Iterable[Channel]) -> Iterator[tuple[str, bytes, int]]:
         library = self._library
@@ -133,55 +125,3 @@ def _nanoseconds(duration: Any) -> int:
     if isinstance(duration, timedelta):
         return round(duration.total_seconds() * 1e9)
     return int(duration.nanoseconds)
-
-
-def _fix(data: bytes) -> SimpleNamespace:
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    end = CDR_START + HEADER.size + length
-    status = int.from_bytes(data[end : end + 1], "little", signed=True)
-    # The service after the status is aligned to two bytes, the doubles after it to eight.
-    after = end + 1 + (CDR_START - end - 1) % 2 + 2
-    latitude, longitude, altitude = PLACE.unpack_from(data, after + (CDR_START - after) % 8)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
-        status=SimpleNamespace(status=status),
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
-    )
-
-
-def _twist(data: bytes, *, has_covariance: bool) -> SimpleNamespace:
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    at = CDR_START + HEADER.size + length
-    at += (CDR_START - at) % 8
-    x, y, z = TWIST.unpack_from(data, at)
-    twist = SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
-    if has_covariance:
-        covariance = COVARIANCE.unpack_from(data, at + 6 * 8)
-        twist = SimpleNamespace(covariance=covariance, twist=twist)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)), twist=twist
-    )
-
-
-def _odometry(data: bytes) -> SimpleNamespace:
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    at = CDR_START + HEADER.size
-    frame = data[at : at + length - 1].decode("utf-8", "replace")
-    at += length
-    # Lengths are aligned to four bytes, numbers to eight.
-    at += (CDR_START - at) % 4
-    size = int.from_bytes(data[at : at + 4], "little")
-    child = data[at + 4 : at + 4 + size - 1].decode("utf-8", "replace")
-    at += 4 + size
-    at += (CDR_START - at) % 8 + POSE_SIZE
-    x, y, z = TWIST.unpack_from(data, at)
-    (first,) = NUMBER.unpack_from(data, at + 6 * 8)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame),
-        child_frame_id=child,
-        twist=SimpleNamespace(
-            covariance=[first], twist=SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
-        ),
-    )

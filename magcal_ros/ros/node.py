@@ -95,7 +95,9 @@ class Calibrator(Node):
         self._outputs = Outputs(self, self._seat)
         self._fused = FusedOutput(self, self._up, self._seat)
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
-        self._travel = Travel(self, self._fits)
+        self._sensor_group = StraightGroup()
+        fixes = self._whereabouts.on_fix
+        self._travel = Travel(self, self._fits, self._sensor_group, fixes)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
@@ -115,7 +117,6 @@ class Calibrator(Node):
         self._drawn: Window | None = None
         slow = {"accept": self._accept, "save": self._shelf.save, "load": self._shelf.load}
         Services(self, self._control, self._start, {"reset": self._reset}, slow)
-        self._sensor_group = StraightGroup()
         self._sensor_subscriptions = [
             self.create_subscription(
                 kind, topic, callback, SENSOR_DATA, raw=True, callback_group=self._sensor_group
@@ -147,7 +148,8 @@ class Calibrator(Node):
 
     def spinner(self) -> Spinner:
         """Return what serves this node, its sensors with the least effort; one at a time."""
-        return Spinner(self, self._sensor_subscriptions, self._sensor_group, self._on_mishap)
+        subscriptions = [*self._sensor_subscriptions, *self._travel.subscriptions]
+        return Spinner(self, subscriptions, self._sensor_group, self._on_mishap)
 
     def _on_mishap(self, error: Exception) -> None:
         self._mishaps.note(error)

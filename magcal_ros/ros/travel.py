@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import NavSatFix
@@ -18,6 +19,7 @@ from magcal_ros.core.driving.front import Declination, Front, VehicleYaw, where_
 from magcal_ros.core.driving.local_plane import LocalPlane
 from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
@@ -29,11 +31,15 @@ from magcal_ros.core.monitoring.course_check import (
     check_by_course,
 )
 from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_odometry, read_velocity
+
+Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
 BETTER = 0.7
 """Share of the sigma that is kept, below which a newly found yaw is kept instead."""
@@ -48,10 +54,21 @@ class Travel:
         Where the subscriptions live.
     errands : Errands
         Does the fits beside the messages.
+    group : CallbackGroup
+        Of the subscriptions.
+    on_fix : callable
+        Told each fix.
+
+    Attributes
+    ----------
+    subscriptions : list of Subscription
+        Whose callbacks take bytes.
     """
 
-    def __init__(self, node: Node, errands: Errands) -> None:
-        self._node, self._errands = node, errands
+    def __init__(
+        self, node: Node, errands: Errands, group: CallbackGroup, on_fix: Callable[[Fix], None]
+    ) -> None:
+        self._node, self._errands, self._tell_fix = node, errands, on_fix
         self._plane = LocalPlane()
         self._odd: dict[str, str] = {}
         self._topics = {
@@ -65,12 +82,16 @@ class Travel:
         """Of the vehicle at the newest IMU sample, m/s², body axes; None where nobody knows."""
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
-        for kind, topic, callback in (
-            (Odometry, "odom", self._on_odometry),
-            (TwistStamped, "gps/vel", self._on_velocity),
-            (NavSatFix, "gps/fix", self._on_fix),
-        ):
-            node.create_subscription(kind, topic, callback, qos_profile_sensor_data)
+        self.subscriptions = [
+            node.create_subscription(
+                kind, topic, callback, qos_profile_sensor_data, raw=True, callback_group=group
+            )
+            for kind, topic, callback in (
+                (Odometry, "odom", self._on_odometry),
+                (TwistStamped, "gps/vel", self._on_velocity),
+                (NavSatFix, "gps/fix", self._on_fix),
+            )
+        ]
 
     @property
     def yaw(self) -> VehicleYaw | None:
@@ -210,14 +231,14 @@ class Travel:
 
         self._errands.run(work, then, fail)
 
-    def _on_odometry(self, message: Odometry) -> None:
-        sample = speed_of(message)
+    def _on_odometry(self, data: bytes) -> None:
+        sample = _read(read_odometry, speed_of, data)
         self._note(SpeedSource.ODOMETRY, sample)
         if not isinstance(sample, str):
             self._travelling.add_speed(sample)
 
-    def _on_velocity(self, message: TwistStamped) -> None:
-        sample = velocity_of(message)
+    def _on_velocity(self, data: bytes) -> None:
+        sample = _read(read_velocity, velocity_of, data)
         self._note(SpeedSource.VELOCITY, sample)
         if not isinstance(sample, str):
             self._travelling.add_velocity(sample)
@@ -229,11 +250,26 @@ class Travel:
         else:
             self._odd.pop(self._topics[source], None)
 
-    def _on_fix(self, message: NavSatFix) -> None:
+    def _on_fix(self, data: bytes) -> None:
+        fix = _read(read_fix, fix_of, data)
+        self._note(SpeedSource.FIXES, fix)
+        if isinstance(fix, str):
+            return
         # What is wrong with fixes is said where the place is looked up.
-        position = self._plane.position(fix_of(message))
+        self._tell_fix(fix)
+        position = self._plane.position(fix)
         if position is not None:
             self._travelling.add_position(position)
+
+
+def _read(
+    read: Callable[[bytes], Any], take: Callable[[Any], Sample | str], data: bytes
+) -> Sample | str:
+    """Return the sample that bytes hold, or why they hold none."""
+    try:
+        return take(read(data))
+    except Unreadable as error:
+        return str(error)
 
 
 def _agree(one: VehicleYaw, other: VehicleYaw) -> bool:

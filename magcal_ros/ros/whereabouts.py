@@ -6,15 +6,12 @@ import time
 from dataclasses import replace
 
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.position import Fixes
+from magcal_ros.core.earth_field.position import Fix, Fixes
 from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.messages import fix_of
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.settings import Settings
@@ -48,7 +45,6 @@ class Whereabouts:
         self._looked = -FIX_PAUSE
         self._reference = Reference(ReferenceField(), "unknown")
         self.refresh()
-        node.create_subscription(NavSatFix, "gps/fix", self._on_fix, qos_profile_sensor_data)
 
     @property
     def reference(self) -> Reference:
@@ -102,8 +98,9 @@ class Whereabouts:
         clock = self._node.get_clock().now().nanoseconds * 1e-9
         return round(year_of((self._fixes.stamp, clock), time.time()), 1)
 
-    def _on_fix(self, message: NavSatFix) -> None:
-        news = self._fixes.add(fix_of(message))
+    def on_fix(self, fix: Fix) -> None:
+        """Take what a receiver says of the place."""
+        news = self._fixes.add(fix)
         # The heartbeat looks again: a receiver gone mad costs no model a message.
         if news and time.monotonic() - self._looked >= FIX_PAUSE:
             self.refresh()

@@ -9,8 +9,8 @@ from ros_bags import rosbag2_py
 from magcal_ros.core.earth_field.position import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.ros_reader import _fix
 from magcal_ros.files.sources import open_recording
+from magcal_ros.files.travel_wire import fix_from
 
 FIX = "sensor_msgs/msg/NavSatFix"
 
@@ -73,7 +73,7 @@ def fix(frame):
 @pytest.mark.parametrize("length", range(12))
 def test_a_fix_is_read_whatever_the_length_of_its_frame(length):
     whole = fix("x" * length)
-    found = _fix(bytes(STORE2.serialize_cdr(whole, FIX)))
+    found = fix_from(bytes(STORE2.serialize_cdr(whole, FIX)))
     assert (found.latitude, found.longitude, found.altitude) == (48.1, 11.6, 520.0)
     assert found.status.status == 2
     assert found.header.stamp.sec == whole.header.stamp.sec

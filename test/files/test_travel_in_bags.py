@@ -8,8 +8,8 @@ from drives import STORE2, drive, write_bag
 
 from magcal_ros.core.messages import speed_of, velocity_of
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.files.ros_reader import _odometry, _twist
 from magcal_ros.files.sources import open_recording
+from magcal_ros.files.travel_wire import odometry_from, twist_from
 
 TYPES = STORE2.types
 
@@ -79,7 +79,7 @@ def test_a_receivers_velocity_is_heard_and_a_command_is_not(tmp_path, topic, sur
 def test_a_velocity_is_read_from_its_bytes(frame, sure):
     message = velocity(12.25, 3.5, -0.1, sure, frame)
     data = bytes(STORE2.serialize_cdr(message, message.__msgtype__))
-    assert velocity_of(_twist(data, has_covariance=sure)) == velocity_of(message)
+    assert velocity_of(twist_from(data, has_covariance=sure)) == velocity_of(message)
 
 
 def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
@@ -91,7 +91,7 @@ def test_a_bag_of_the_sensors_alone_tells_no_travel(tmp_path):
 @pytest.mark.parametrize("child", ["", "b", "base", "base_link"])
 def test_an_odometry_is_read_from_its_bytes(frame, child):
     message = odometry(12.25, 3.5, frame, child)
-    found = _odometry(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
+    found = odometry_from(bytes(STORE2.serialize_cdr(message, "nav_msgs/msg/Odometry")))
     assert (found.header.frame_id, found.child_frame_id) == (frame, child)
     linear = found.twist.twist.linear
     assert (linear.x, linear.y, linear.z) == (3.5, 0.1, 0.2)

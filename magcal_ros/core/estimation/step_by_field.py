@@ -112,7 +112,7 @@ def _off_the_path(fit: Fit, rest: RestBeside, scale: float) -> _Off | None:
     if near.sum() < RULE.fewest:
         return None
     noise, factor = block.weighting.noise.field, block.weighting.inefficiency
-    count = near.sum() / min(factor, near.sum())
+    count = float(near.sum()) / min(factor, float(near.sum()))
     sigma = math.hypot(noise / math.sqrt(count), rest.field_sigma / scale)
     sigma = math.hypot(sigma, RULE.tilt * abs(shared.strength))
     shows = np.eye(3) - np.outer(along, along) / (along @ along)

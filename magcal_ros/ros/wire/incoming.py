@@ -1,19 +1,23 @@
-"""The numbers of the two sensor messages, from serialized bytes."""
+"""The numbers of the sensors' messages and of speeds, from serialized bytes."""
 
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TwistStamped
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Imu, MagneticField
+from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
+from magcal_ros.files.travel_wire import fix_from, odometry_from, twist_from
 
 STAMP = struct.Struct("<iI")
 _STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
@@ -106,6 +110,48 @@ def read_field(data: bytes) -> FieldArrival:
         _packed(message.header.stamp),
         _COVARIANCE.pack(*message.magnetic_field_covariance),
     )
+
+
+def read_odometry(data: bytes) -> Any:
+    """Return what a serialized nav_msgs/Odometry says of the speed.
+
+    Raises
+    ------
+    Unreadable
+        If it is none.
+    """
+    if wire.is_plain_cdr(data):
+        with suppress(struct.error):
+            return odometry_from(data)
+    return _by_rclpy(data, Odometry)
+
+
+def read_velocity(data: bytes) -> Any:
+    """Return what a serialized geometry_msgs/TwistStamped says.
+
+    Raises
+    ------
+    Unreadable
+        If it is none.
+    """
+    if wire.is_plain_cdr(data):
+        with suppress(struct.error):
+            return twist_from(data, has_covariance=False)
+    return _by_rclpy(data, TwistStamped)
+
+
+def read_fix(data: bytes) -> Any:
+    """Return what a serialized sensor_msgs/NavSatFix says of the place.
+
+    Raises
+    ------
+    Unreadable
+        If it is none.
+    """
+    if wire.is_plain_cdr(data):
+        with suppress(struct.error):
+            return fix_from(data)
+    return _by_rclpy(data, NavSatFix)
 
 
 @lru_cache(maxsize=8)

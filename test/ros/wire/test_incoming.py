@@ -1,18 +1,29 @@
 """What is read from bytes is what rclpy reads, to the last bit."""
 
+import contextlib
 import math
 import struct
 
 import numpy as np
 import pytest
 from examples import examples
+from geometry_msgs.msg import TwistStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Imu, MagneticField
+from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
-from magcal_ros.core.messages import field_sample, imu_sample
-from magcal_ros.ros.wire.incoming import STAMP, Unreadable, read_field, read_imu
+from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
+from magcal_ros.ros.wire.incoming import (
+    STAMP,
+    Unreadable,
+    read_field,
+    read_fix,
+    read_imu,
+    read_odometry,
+    read_velocity,
+)
 
 DOUBLES = st.floats(width=64)
 NINE = st.lists(DOUBLES, min_size=9, max_size=9)
@@ -131,6 +142,24 @@ def test_random_bytes_are_a_message_or_unreadable(data, start):
         except Unreadable:
             continue
         assert isinstance(found.frame, str)
+    for read, take in ((read_odometry, speed_of), (read_velocity, velocity_of), (read_fix, fix_of)):
+        with contextlib.suppress(Unreadable):
+            take(read(start + data))
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_speeds_and_fixes_are_those_of_the_message(length):
+    odometry = stamped(Odometry(child_frame_id="base"[: length % 5]), "odom"[:length], 3, 4)
+    odometry.twist.twist.linear.x, odometry.twist.twist.linear.y = -2.5, 0.5
+    twist = stamped(TwistStamped(), "g" * length, 3, 4)
+    twist.twist.linear.x, twist.twist.linear.y = 1.25, -7.0
+    fix = stamped(NavSatFix(latitude=48.1, longitude=11.6, altitude=520.0), "g" * length, 3, 4)
+    for message, read, take in (
+        (odometry, read_odometry, speed_of),
+        (twist, read_velocity, velocity_of),
+        (fix, read_fix, fix_of),
+    ):
+        assert take(read(serialize_message(message))) == take(message)
 
 
 def test_a_frame_that_claims_to_be_enormous_is_unreadable():
