@@ -32,6 +32,9 @@ FOUND = sorted(str(folder) for folder in PYENV.glob("versions/3.*/bin"))
 os.environ["PATH"] = os.pathsep.join([*FOUND, os.environ["PATH"]])
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# The wheels of ROS start Python anew with their libraries' path: this one's are not the sessions'.
+if os.environ.pop("_ROS_WHEELS_BOOTSTRAP_COMPLETE", None):
+    os.environ.pop("LD_LIBRARY_PATH", None)
 
 
 def run_without_ros(session: nox.Session) -> None:
