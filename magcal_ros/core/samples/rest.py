@@ -37,6 +37,8 @@ class BiasAtRestTuning:
         rad/s by which an engine or a person may rock a robot at rest.
     next_to_nothing : float
         Share of a turn's own rate at which nobody turns steadily for seconds beforehand.
+    turned : float
+        Times what a rest may move by that the field must move in all to tell a rest by itself.
     """
 
     block: float = 0.5
@@ -47,6 +49,7 @@ class BiasAtRestTuning:
     most_moved: float = 0.4
     loose_rate: float = 0.01
     next_to_nothing: float = 0.05
+    turned: float = 5.0
 
 
 TUNING = BiasAtRestTuning()
@@ -128,6 +131,8 @@ def _stands(
     swing = float(np.ptp(field, axis=0).max())
     if rate is None:
         alone = _Blocks.of(field, *blocks, TUNING.smallest_turn * swing)
+        if not alone.moves_by(TUNING.turned):
+            return []
         return [run for run in _runs(alone.stays) if alone.is_one(slice(*run))]
     fields, rates = _still(field, rate, blocks)
     fastest = np.sort(np.linalg.norm(rates.mean, axis=1))[-TUNING.at_least]
@@ -215,6 +220,10 @@ class _Blocks:
             apart = np.abs(mean[k:] - mean[:-k]) > limit[k:]
             stays[: len(apart)] &= ~apart.any(axis=1)
         return cls(mean, limit, stays)
+
+    def moves_by(self, times: float) -> bool:
+        """Return whether all of them together move by so many times what a rest may move by."""
+        return bool((np.ptp(self.mean, axis=0) > times * np.median(self.limit, axis=0)).any())
 
     def is_one(self, rows: slice) -> bool:
         """Return whether nothing moved over all of these; who creeps passes from one to another."""

@@ -45,8 +45,10 @@ def test_a_turn_that_never_rests_has_none():
     assert collected(driven(lambda time: 1.0 + 0.0 * time)[1]).rests == ()
 
 
-def test_a_robot_that_only_stands_is_left_as_it_is():
-    window = collected(driven(evenly)[1].take(np.arange(80)))
+@pytest.mark.parametrize("gyro", [True, False])
+def test_a_robot_that_only_stands_is_left_as_it_is(gyro):
+    standing = driven(evenly)[1].take(np.arange(80))
+    window = collected(standing if gyro else replace(standing, angular_rate=None))
     assert window.rests == ()
     assert len(window) > 70
 
