@@ -37,7 +37,7 @@ from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.seat import Seat
-from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_odometry, read_velocity
+from magcal_ros.ros.wire.incoming import Unreadable, read_travel
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -232,13 +232,13 @@ class Travel:
         self._errands.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
-        sample = _read(read_odometry, speed_of, data)
+        sample = _read(data, Odometry, speed_of)
         self._note(SpeedSource.ODOMETRY, sample)
         if not isinstance(sample, str):
             self._travelling.add_speed(sample)
 
     def _on_velocity(self, data: bytes) -> None:
-        sample = _read(read_velocity, velocity_of, data)
+        sample = _read(data, TwistStamped, velocity_of)
         self._note(SpeedSource.VELOCITY, sample)
         if not isinstance(sample, str):
             self._travelling.add_velocity(sample)
@@ -251,7 +251,7 @@ class Travel:
             self._odd.pop(self._topics[source], None)
 
     def _on_fix(self, data: bytes) -> None:
-        fix = _read(read_fix, fix_of, data)
+        fix = _read(data, NavSatFix, fix_of)
         self._note(SpeedSource.FIXES, fix)
         if isinstance(fix, str):
             return
@@ -262,12 +262,10 @@ class Travel:
             self._travelling.add_position(position)
 
 
-def _read(
-    read: Callable[[bytes], Any], take: Callable[[Any], Sample | str], data: bytes
-) -> Sample | str:
+def _read(data: bytes, kind: type, take: Callable[[Any], Sample | str]) -> Sample | str:
     """Return the sample that bytes hold, or why they hold none."""
     try:
-        return take(read(data))
+        return take(read_travel(data, kind))
     except Unreadable as error:
         return str(error)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from contextlib import suppress
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
@@ -24,6 +25,11 @@ _STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
 _COVARIANCE = struct.Struct("<9d")
 _parse_imu = wire.imu_parser(wire.CDR)
 _parse_field = wire.field_parser(wire.CDR)
+_TRAVEL: dict[type, Callable[[bytes], Any]] = {
+    Odometry: odometry_from,
+    TwistStamped: partial(twist_from, has_covariance=False),
+    NavSatFix: fix_from,
+}
 
 
 class Unreadable(MagcalError):
@@ -112,8 +118,10 @@ def read_field(data: bytes) -> FieldArrival:
     )
 
 
-def read_odometry(data: bytes) -> Any:
-    """Return what a serialized nav_msgs/Odometry says of the speed.
+def read_travel(data: bytes, kind: type) -> Any:
+    """Return what a serialized nav_msgs/Odometry, TwistStamped or NavSatFix says of the way.
+
+    It has the attributes of the message that `core.messages` reads.
 
     Raises
     ------
@@ -122,36 +130,8 @@ def read_odometry(data: bytes) -> Any:
     """
     if wire.is_plain_cdr(data):
         with suppress(struct.error):
-            return odometry_from(data)
-    return _by_rclpy(data, Odometry)
-
-
-def read_velocity(data: bytes) -> Any:
-    """Return what a serialized geometry_msgs/TwistStamped says.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
-    if wire.is_plain_cdr(data):
-        with suppress(struct.error):
-            return twist_from(data, has_covariance=False)
-    return _by_rclpy(data, TwistStamped)
-
-
-def read_fix(data: bytes) -> Any:
-    """Return what a serialized sensor_msgs/NavSatFix says of the place.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
-    if wire.is_plain_cdr(data):
-        with suppress(struct.error):
-            return fix_from(data)
-    return _by_rclpy(data, NavSatFix)
+            return _TRAVEL[kind](data)
+    return _by_rclpy(data, kind)
 
 
 @lru_cache(maxsize=8)
