@@ -16,7 +16,7 @@ from magcal_ros.files.samples import read_samples
 pytestmark = pytest.mark.faults
 
 
-@pytest.mark.parametrize("attempt", range(rounds(2, 300)))
+@pytest.mark.parametrize("attempt", range(rounds(1, 300)))
 def test_killed_at_any_moment(tmp_path, attempt):
     subject, chance = good(), random.Random(attempt)
     with tempfile.TemporaryFile() as handover:

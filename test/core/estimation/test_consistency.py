@@ -22,7 +22,7 @@ def test_a_clean_turn_reads_next_to_nothing(arc, samples):
 
 
 @pytest.mark.parametrize("phase", first_of([0.0, 1.0, 2.0]))
-@pytest.mark.parametrize("swing_deg", [19.0, 27.0])
+@pytest.mark.parametrize("swing_deg", first_of([27.0, 19.0]))
 def test_a_room_that_turns_the_field_shows_in_its_true_size(phase, swing_deg):
     robot, motion, rng = Robot(), turn(), np.random.default_rng(2)
     window = measure(robot, motion, rng, gyro=True)
