@@ -20,13 +20,12 @@ from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import NavSatFix
 
-from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.simulation.drive import Drive, random_vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.travel import travel
-from magcal_ros.ros.sensor_source import SensorSource
+from magcal_ros.ros.sensor_source import SensorSource, set_stamp
 
 WARM_UP = 30.0
 RENAMED = ("__node:=without", *(f"{t}:=nobody/{t}" for t in ("odom", "gps/fix", "gps/vel")))
@@ -60,21 +59,15 @@ class Car:
 
     def _tell_speed(self, sample: SpeedSample, stamp: float) -> None:
         message = Odometry(child_frame_id="base_link")
-        _stamp(message, stamp)
+        set_stamp(message, stamp)
         message.twist.twist.linear.x = sample.speed
         self._odom.publish(message)
 
     def _tell_position(self, sample: PositionSample, stamp: float) -> None:
         message = NavSatFix(latitude=48.0 + math.degrees(sample.north / 6.371e6))
-        _stamp(message, stamp)
+        set_stamp(message, stamp)
         message.longitude = math.degrees(sample.east / 6.371e6 / math.cos(math.radians(48.0)))
         self._fix.publish(message)
-
-
-def _stamp(message: Odometry | NavSatFix, stamp: float) -> None:
-    message.header.stamp.sec = int(stamp)
-    message.header.stamp.nanosec = int(1e9 * (stamp % 1.0))
-    assert abs(seconds(message.header.stamp) - stamp) < 1e-6
 
 
 def children_seconds(pid: int) -> float:

@@ -27,14 +27,12 @@ def fix_from(data: bytes) -> SimpleNamespace:
     struct.error
         Where the bytes are not laid out like that.
     """
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    end = CDR_START + HEADER.size + length
-    status = int.from_bytes(data[end : end + 1], "little", signed=True)
-    # The service after the status is aligned to two bytes, the doubles after it to eight.
-    after = end + 1 + (CDR_START - end - 1) % 2 + 2
-    latitude, longitude, altitude = PLACE.unpack_from(data, after + (CDR_START - after) % 8)
+    header, at = _header(data)
+    status = int.from_bytes(data[at : at + 1], "little", signed=True)
+    service = _aligned(at + 1, 2)
+    latitude, longitude, altitude = PLACE.unpack_from(data, _aligned(service + 2, 8))
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
+        header=header,
         status=SimpleNamespace(status=status),
         latitude=latitude,
         longitude=longitude,
@@ -50,17 +48,14 @@ def twist_from(data: bytes, *, has_covariance: bool) -> SimpleNamespace:
     struct.error
         Where the bytes are not laid out like that.
     """
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    at = CDR_START + HEADER.size + length
-    at += (CDR_START - at) % 8
+    header, at = _header(data)
+    at = _aligned(at, 8)
     x, y, z = TWIST.unpack_from(data, at)
     twist = SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
     if has_covariance:
         covariance = COVARIANCE.unpack_from(data, at + 6 * 8)
         twist = SimpleNamespace(covariance=covariance, twist=twist)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)), twist=twist
-    )
+    return SimpleNamespace(header=header, twist=twist)
 
 
 def odometry_from(data: bytes) -> SimpleNamespace:
@@ -71,22 +66,31 @@ def odometry_from(data: bytes) -> SimpleNamespace:
     struct.error
         Where the bytes are not laid out like that.
     """
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    at = CDR_START + HEADER.size
-    frame = data[at : at + length - 1].decode("utf-8", "replace")
-    at += length
-    # Lengths are aligned to four bytes, numbers to eight.
-    at += (CDR_START - at) % 4
+    header, at = _header(data)
+    at = _aligned(at, 4)
     size = int.from_bytes(data[at : at + 4], "little")
     child = data[at + 4 : at + 4 + size - 1].decode("utf-8", "replace")
-    at += 4 + size
-    at += (CDR_START - at) % 8 + POSE_SIZE
+    at = _aligned(at + 4 + size, 8) + POSE_SIZE
     x, y, z = TWIST.unpack_from(data, at)
     (first,) = NUMBER.unpack_from(data, at + 6 * 8)
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame),
+        header=header,
         child_frame_id=child,
         twist=SimpleNamespace(
             covariance=[first], twist=SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
         ),
     )
+
+
+def _header(data: bytes) -> tuple[SimpleNamespace, int]:
+    """Return stamp and frame of a message, and the place after them."""
+    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
+    at = CDR_START + HEADER.size
+    frame = data[at : at + length - 1].decode("utf-8", "replace")
+    stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
+    return SimpleNamespace(stamp=stamp, frame_id=frame), at + length
+
+
+def _aligned(at: int, size: int) -> int:
+    """Return the next place at which CDR puts a number of so many bytes."""
+    return at + (CDR_START - at) % size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
@@ -47,7 +48,7 @@ class SensorSource:
 
     def _publish_imu(self, sample: ImuSample) -> None:
         message = self._imu
-        _stamp(message, sample.stamp)
+        set_stamp(message, sample.stamp)
         force, rate = message.linear_acceleration, message.angular_velocity
         force.x, force.y, force.z = sample.force
         has_rate = all(math.isfinite(value) for value in sample.rate)
@@ -57,13 +58,14 @@ class SensorSource:
 
     def _publish_field(self, sample: FieldSample) -> None:
         message = self._field
-        _stamp(message, sample.stamp)
+        set_stamp(message, sample.stamp)
         field = message.magnetic_field
         field.x, field.y, field.z = sample.field
         self._field_out.publish(message)
 
 
-def _stamp(message: Imu | MagneticField, stamp: float) -> None:
+def set_stamp(message: Any, stamp: float) -> None:
+    """Put a stamp in seconds into a message's header."""
     nanoseconds = round(stamp * 1e9)
     message.header.stamp.sec = nanoseconds // 1_000_000_000
     message.header.stamp.nanosec = nanoseconds % 1_000_000_000

@@ -160,7 +160,7 @@ def _step(
     earth = left @ right @ shared.field_enu
     turned = (path.relative[near] - rest.relative) @ earth @ shared.distortion(fit.mounting).T
     steps = block.place.samples.field[near] - rest.seen.field / scale - turned
-    count = float(near.sum()) / min(block.weighting.inefficiency, float(near.sum()))
+    count = max(float(near.sum()) / block.weighting.inefficiency, 1.0)
     variance = block.weighting.noise.field**2 / count + (rest.seen.field_sigma / scale) ** 2
     stretch = MOTORS.scale * float(angle[near].mean()) * abs(shared.strength)
     return scale * steps.mean(axis=0), scale * math.hypot(math.sqrt(variance), stretch)

@@ -111,9 +111,11 @@ def _off_the_path(fit: Fit, rest: RestBeside, scale: float) -> _Off | None:
     near = (np.abs(heading) < RULE.near) & block.weighting.inliers
     if near.sum() < RULE.fewest:
         return None
-    noise, factor = block.weighting.noise.field, block.weighting.inefficiency
-    count = float(near.sum()) / min(factor, float(near.sum()))
-    sigma = math.hypot(noise / math.sqrt(count), rest.field_sigma / scale)
-    sigma = math.hypot(sigma, RULE.tilt * abs(shared.strength))
+    count = max(float(near.sum()) / block.weighting.inefficiency, 1.0)
+    sigma = math.hypot(
+        block.weighting.noise.field / math.sqrt(count),
+        rest.field_sigma / scale,
+        RULE.tilt * abs(shared.strength),
+    )
     shows = np.eye(3) - np.outer(along, along) / (along @ along)
     return _Off(shows @ (prediction.field_residual[near].mean(axis=0) - off), shows, sigma)

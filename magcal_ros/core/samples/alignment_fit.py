@@ -244,7 +244,8 @@ class AlignmentFit:
         )
         information, gradient = self._of_field(state, attitude, moved, field, residuals[0])
         if self.with_up:
-            columns = np.concatenate([attitude, turned(state[:, UP], attitude, moved)], axis=3)
+            there = np.einsum("knij,kj->kni", attitude, state[:, UP])
+            columns = np.concatenate([attitude, _turned(there, moved)], axis=3)
             self._add(information, gradient, OF_UP, columns, up, residuals[1])
         return (
             information + self.prior,
@@ -270,9 +271,9 @@ class AlignmentFit:
         Jacobian, are never written out.
         """
         body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
-        columns = self._soft(state) @ self._through_soft_iron(state, body, attitude, moved)
+        columns = self._field_columns(state, body, attitude, moved)
         count, n = body.shape[:2]
-        information, gradient = np.zeros((count, PARAMETERS, PARAMETERS)), state * 0.0
+        information, gradient = np.zeros((count, PARAMETERS, PARAMETERS)), np.zeros_like(state)
         self._add(information, gradient, OF_FIELD, columns, weight, residual)
         alone = np.concatenate([body, np.ones((count, n, 1))], axis=2)
         weighted = (alone * weight[:, :, None]).swapaxes(1, 2)
@@ -310,28 +311,26 @@ class AlignmentFit:
         for axis in range(3):
             out[:, :, axis, 3 * axis : 3 * axis + 3] = body
         out[..., IRON] = np.eye(3)
-        columns = self._through_soft_iron(state, body, attitude, moved)
-        out[..., OF_FIELD] = self._soft(state) @ columns
+        out[..., OF_FIELD] = self._field_columns(state, body, attitude, moved)
         return out
 
     def field_turned(
         self, state: FloatArray, attitude: FloatArray, turns: FloatArray
     ) -> FloatArray:
         """Return how turns (k, n, 3, m) on the left of the attitudes move the field, same shape."""
-        return np.asarray(self._soft(state) @ turned(state[:, FIELD], attitude, turns))
+        body = np.einsum("knij,kj->kni", attitude, state[:, FIELD])
+        return np.asarray(self._soft(state) @ _turned(body, turns))
 
     def _soft(self, state: FloatArray) -> FloatArray:
         return np.eye(3) + state[:, SOFT].reshape(-1, 1, 3, 3)
 
-    def _through_soft_iron(
+    def _field_columns(
         self, state: FloatArray, body: FloatArray, attitude: FloatArray, moved: FloatArray
     ) -> FloatArray:
-        """Return how the field before the soft iron changes with `OF_FIELD`, (k, n, 3, 8)."""
+        """Return how the field changes with `OF_FIELD`, (k, n, 3, 8)."""
         late = self._against_the_turn(state, body)[..., None]
-        return np.concatenate(
-            [attitude, turned(state[:, FIELD], attitude, moved), late],
-            axis=3,
-        )
+        before = np.concatenate([attitude, _turned(body, moved), late], axis=3)
+        return np.asarray(self._soft(state) @ before)
 
     def descend(self, state: FloatArray, noise: tuple[float, float], steps: int) -> FloatArray:
         """Take Levenberg-Marquardt steps, each candidate with its own damping."""
@@ -356,20 +355,10 @@ class AlignmentFit:
         return state
 
 
-def turned(vectors: FloatArray, attitude: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return how turns on the left of the attitudes move vectors that stand still in the world.
+def _turned(vectors: FloatArray, turns: FloatArray) -> FloatArray:
+    """Return how turns (k, n, 3, m) of the body move vectors (k, n, 3) of the world.
 
-    Parameters
-    ----------
-    vectors : ndarray, shape (k, 3)
-        In the axes of the first sample.
-    attitude : ndarray, shape (k, n, 3, 3)
-    turns : ndarray, shape (k, n, 3, m)
-
-    Returns
-    -------
-    ndarray, shape (k, n, 3, m)
+    Shape (k, n, 3, m).
     """
-    there = np.einsum("knij,kj->kni", attitude, vectors)
-    cross = skews(there.reshape(-1, 3)).reshape(attitude.shape)
+    cross = skews(vectors.reshape(-1, 3)).reshape(*vectors.shape, 3)
     return np.asarray(-cross @ turns)

@@ -60,13 +60,27 @@ def test_a_cars_circle_is_told_from_a_leaning_sensor(radius):
     assert estimate.figures[Figure.STEADY_PULL] == pytest.approx(mean, rel=0.3)
 
 
-@pytest.mark.parametrize("direction", first_of([(1.0, 1.0, 1.5), (2.0, 0.0, 0.0), (0.0, -2, 0)]))
+KNOWN_FAULT = pytest.mark.xfail(
+    strict=True, reason="a bias of 2 °/s about y alone leaves a pull of .001 g"
+)
+BIASES = [(1.0, 1.0, 1.5), (2.0, 0.0, 0.0), (0.0, -2, 0)]
+
+
+@pytest.mark.parametrize(
+    "direction",
+    [*first_of(BIASES[:2]), pytest.param(BIASES[2], marks=[pytest.mark.nightly, KNOWN_FAULT])],
+)
 def test_a_gyros_bias_is_no_pull(direction):
+    robot, window = circles(bias=direction)
+    assert error_and_sigma(robot, window)[2].figures[Figure.STEADY_PULL] == 0.0
+
+
+@pytest.mark.parametrize("direction", first_of(BIASES))
+def test_a_gyros_bias_does_no_harm(direction):
     """More knowledge never hurts: with this gyro as without it."""
     robot, window = circles(bias=direction)
-    error, sigma, estimate = error_and_sigma(robot, window)
+    error, sigma, _ = error_and_sigma(robot, window)
     without = error_and_sigma(robot, Window(window.time, window.field, window.specific_force))[0]
-    assert estimate.figures[Figure.STEADY_PULL] < 0.0015
     assert error < 1.1 * without + 0.1 * DEGREE
     assert error < 3.0 * sigma
 
