@@ -185,7 +185,7 @@ def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: 
 
     nodes = log.nodes(known.mounting.to_body)
     corrections = turn.estimate.correction, drive.estimate.correction
-    return favour(nodes, *corrections, known) > CLEARLY
+    return favour(nodes, *corrections, known).gain > CLEARLY
 
 
 def calibrate_turns(

@@ -60,6 +60,8 @@ class Bound:
         Whether more is better; usually less is.
     after_full : str
         What to do instead where the full circle was seen already; empty where that is the same.
+    when_refused : str
+        What to do instead beyond `warn`; empty where that is the same.
     """
 
     figure: Figure
@@ -72,6 +74,7 @@ class Bound:
     aspect: Aspect = Aspect.QUALITY
     at_least: bool = False
     after_full: str = ""
+    when_refused: str = ""
 
     @property
     def scale(self) -> float:
@@ -105,7 +108,8 @@ class Bound:
         if grade.rank >= Grade.WARN.rank:
             limit = self.good if grade is Grade.WARN else self.warn
             side = "more" if self.at_least else "less"
-            words += f" (want {limit:g}{self.unit} or {side}): {self.remedy}"
+            refused = self.when_refused if grade is Grade.REFUSED else ""
+            words += f" (want {limit:g}{self.unit} or {side}): {refused or self.remedy}"
         raw = None if before is None else before * self.scale
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
 

@@ -95,8 +95,10 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         2.0,
         10.0,
         "gyro against compass around the turn",
-        "the field is distorted here, or the sensors' axes do not belong together; turn elsewhere",
+        "the field is distorted here; turn elsewhere",
         excellent=1.0,
+        when_refused="the field is distorted here, or the sensors' axes do not belong together;"
+        " turn elsewhere",
     ),
     Bound(
         Figure.STRENGTH_PULL,

@@ -53,6 +53,8 @@ class KeepingTuning:
     elsewhere_proof : float
         Units of it that must be left without the quarter of headings that speaks most, where all
         twelve numbers are new.
+    most_against : float
+        Units that the headings which speak against a changed hard iron may have together.
     shortest_proof : float
         Seconds of road before which no likelihood is believed.
     agree : float
@@ -94,6 +96,7 @@ class KeepingTuning:
     likelihood_proof: float = 12.0
     iron_proof: float = 8.0
     elsewhere_proof: float = 2.0
+    most_against: float = 1.5
     shortest_proof: float = 15.0
     agree: float = 2.0
     course_proof: float = 20.0

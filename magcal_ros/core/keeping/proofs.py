@@ -28,6 +28,9 @@ class Proof:
     elsewhere : float
         What of it is left without the quarter of headings that speaks most for the new one: steel
         on one side of the way speaks in one alone.
+    against : float
+        What the headings that speak against the new one say together: iron that came is seen at
+        nearly all, steel on one side of the way at a few.
     """
 
     seconds: float = 0.0
@@ -37,6 +40,7 @@ class Proof:
     likelihood: float = 0.0
     halves: tuple[float, float] = (0.0, 0.0)
     elsewhere: float = 0.0
+    against: float = 0.0
 
     def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind | None = None) -> str:
         """Return in words by what the new one is proved better; empty if it is not.
@@ -48,6 +52,8 @@ class Proof:
             Of the new one; None where it was in force before.
         """
         enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
+        if kind is Kind.IRON and self.against > tuning.most_against:
+            return ""
         if (
             self.turns >= tuning.fewest_turns
             and self.turn_score > tuning.turn_proof

@@ -7,23 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.jobs import Step
+from magcal_ros.core.keeping.jobs import Contest, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.drive_model import turned_into
-from magcal_ros.core.smoothing.fit import corrected, favour_of
+from magcal_ros.core.smoothing.fit import Favour, corrected, favour_of
 from magcal_ros.core.smoothing.nodes import Nodes
 
 
 def prove(
-    nodes: Nodes,
-    old: Correction,
-    new: tuple[Step, ...],
-    knowledge: Knowledge,
-    tuning: KeepingTuning = KEEPING,
+    nodes: Nodes, contest: Contest, knowledge: Knowledge, tuning: KeepingTuning = KEEPING
 ) -> Proof:
     """Compare two calibrations on road that neither was fitted to.
 
@@ -34,18 +29,17 @@ def prove(
     ----------
     nodes : Nodes
         That road, and more.
-    old : Correction
-    new : tuple of Step
+    contest : Contest
     knowledge : Knowledge
     tuning : KeepingTuning
     """
-    rows = np.flatnonzero(nodes.time > new[0].since)
+    rows = np.flatnonzero(nodes.time > contest.new[0].since)
     if len(rows) < 4:
         return Proof()
-    nodes = nodes.take(rows)
-    seconds = float(nodes.time[-1] - nodes.time[0])
-    before = _read(nodes, (Step(-math.inf, old),), knowledge)
-    after = _read(nodes, new, knowledge)
+    road = nodes.take(rows)
+    seconds = float(road.time[-1] - road.time[0])
+    before = _read(road, (Step(-math.inf, contest.old),), knowledge)
+    after = _read(road, contest.new, knowledge)
     ratios = turn_ratios(before, after, tuning)
     turns = len(ratios)
     score = gain = 0.0
@@ -55,17 +49,18 @@ def prove(
         squares += tuning.pseudo_turns * tuning.turn_spread**2
         spread = math.sqrt(squares / (turns - 1 + tuning.pseudo_turns))
         score = gain / (spread / math.sqrt(turns))
-    likelihood, elsewhere, halves = 0.0, 0.0, (0.0, 0.0)
+    speaks, halves = Favour(), (0.0, 0.0)
     if seconds >= tuning.shortest_proof:
-        likelihood, elsewhere = favour_of(before, after, knowledge)
-        middle = len(nodes) // 2
-        parts = np.arange(middle), np.arange(middle, len(nodes))
-        if likelihood > min(tuning.iron_proof, tuning.likelihood_proof):
+        speaks = favour_of(before, after, knowledge)
+        if speaks.gain > min(tuning.iron_proof, tuning.likelihood_proof):
+            middle = len(road) // 2
+            parts = np.arange(middle), np.arange(middle, len(road))
             first, second = (
-                favour_of(before.take(part), after.take(part), knowledge)[0] for part in parts
+                favour_of(before.take(part), after.take(part), knowledge).gain for part in parts
             )
             halves = first, second
-    return Proof(seconds, turns, score, gain, likelihood, halves, elsewhere)
+    likelihood = speaks.gain, halves, speaks.elsewhere, speaks.against
+    return Proof(seconds, turns, score, gain, *likelihood)
 
 
 def _read(nodes: Nodes, steps: tuple[Step, ...], knowledge: Knowledge) -> Nodes:

@@ -36,10 +36,7 @@ def answer(job: DriveJob) -> Findings:
         part = _newest(nodes, clock, seconds, not_before)
         if part is not None:
             found.append(_all_twelve(part, job, clock - seconds, clock))
-    proofs = {
-        contest.name: prove(nodes, contest.old, contest.new, job.knowledge)
-        for contest in job.contests
-    }
+    proofs = {contest.name: prove(nodes, contest, job.knowledge) for contest in job.contests}
     whole = tuple(each for each in found if each is not None)
     return Findings(clock, whole, since_change, finer, proofs)
 

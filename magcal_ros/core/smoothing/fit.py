@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -220,13 +220,40 @@ def _held(
     return descend(problem, _followed(start, inside))
 
 
+@dataclass(frozen=True, eq=False)
+class Favour:
+    """By how much likelier nodes are under a new calibration than under an old one.
+
+    Parameters
+    ----------
+    gain : float
+        Fall of minus twice the log likelihood, over `counts`: neighbours are alike.
+    by_sector : ndarray, shape (12,)
+        What of it each of twelve headings has.
+    """
+
+    gain: float = 0.0
+    by_sector: FloatArray = field(default_factory=lambda: np.zeros(SECTORS))
+
+    @property
+    def elsewhere(self) -> float:
+        """What is left without the quarter of headings that speaks most for the new one."""
+        quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
+        return float(self.gain - np.max(quarters))
+
+    @property
+    def against(self) -> float:
+        """What the headings that speak for the old one say together, as a positive number."""
+        return float(-np.sum(np.minimum(self.by_sector, 0.0)))
+
+
 def favour(
     nodes: Nodes,
     old: Correction,
     new: Correction,
     knowledge: Knowledge,
     tuning: SmootherTuning = TUNING,
-) -> float:
+) -> Favour:
     """Return by how much likelier the nodes are under a new calibration than under an old one.
 
     Parameters
@@ -239,29 +266,24 @@ def favour(
 
     Returns
     -------
-    float
-        Fall of minus twice the log likelihood, over `counts`: neighbours are alike. Zero where one
-        of them cannot be followed.
+    Favour
+        Nothing where one of them cannot be followed.
     """
     before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
-    return favour_of(before, after, knowledge, tuning)[0]
+    return favour_of(before, after, knowledge, tuning)
 
 
 def favour_of(
     old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> tuple[float, float]:
-    """Return the same as `favour` of nodes that are corrected already, and what is left elsewhere.
-
-    Elsewhere is where the robot did not look into the quarter that speaks most for the new one.
-    """
+) -> Favour:
+    """Return the same as `favour` of nodes that are corrected already."""
     fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
-        return 0.0, 0.0
+        return Favour()
     gain = fits[0].here.cost - fits[1].here.cost
     by_node = fits[0].here.node_costs - fits[1].here.node_costs
     by_sector = np.bincount(_sector(fits[1].unknowns.yaw), by_node, SECTORS)
-    quarters = sum(np.roll(by_sector, shift) for shift in range(SECTORS // 4))
-    return gain / tuning.counts, float(gain - np.max(quarters)) / tuning.counts
+    return Favour(gain / tuning.counts, by_sector / tuning.counts)
 
 
 def onset(

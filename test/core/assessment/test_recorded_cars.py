@@ -59,7 +59,6 @@ def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recor
 
 
 @pytest.mark.nightly
-@pytest.mark.xfail(strict=True, reason="its compass swings, and the words for that name the axes")
 def test_a_car_that_sways_is_not_told_that_its_axes_are_wrong(recording):
     drive = read_drive(recording("car_neu2022_rahul"), None)
     for _, window in windows(drive):

@@ -81,7 +81,8 @@ class TestBound:
         side = "more" if threshold.at_least else "less"
         assert f"(want {threshold.good:g}{threshold.unit} or {side}): {threshold.remedy}" in warned
         refused = at(threshold, refused_value(threshold)).words
-        assert f"(want {threshold.warn:g}{threshold.unit} or {side}): {threshold.remedy}" in refused
+        advice = threshold.when_refused or threshold.remedy
+        assert f"(want {threshold.warn:g}{threshold.unit} or {side}): {advice}" in refused
 
     @every_threshold
     def test_what_is_good_needs_no_advice(self, threshold):
@@ -139,7 +140,7 @@ class TestJudge:
         assert verdict.confidence is expected.get(Aspect.CONFIDENCE, Grade.EXCELLENT)
         assert verdict.summary.startswith("Refused (quality")
         # The flawless estimate saw the full circle.
-        assert (row.after_full or row.remedy) in verdict.summary
+        assert (row.when_refused or row.after_full or row.remedy) in verdict.summary
 
     @pytest.mark.parametrize("field", ["strength", "inclination"])
     def test_a_reference_field_that_is_no_number_is_refused(self, field):
