@@ -55,15 +55,12 @@ class Eliminated:
         Schur complement: what is known of the shared numbers.
     follow : ndarray, shape (n, 4, g)
         How the nodes follow the shared numbers, with the sign reversed.
-    log_determinant : float
-        Of the whole information.
     """
 
     shared_step: FloatArray
     local_step: FloatArray
     information: FloatArray
     follow: FloatArray
-    log_determinant: float
 
 
 def eliminate(chain: Chain) -> Eliminated | None:
@@ -85,15 +82,15 @@ def eliminate(chain: Chain) -> Eliminated | None:
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         cross = right[:, :g].T @ solved
         information = np.asarray(chain.shared - cross[:, :g], dtype=np.float64)
-        root = np.linalg.cholesky(0.5 * (information + information.T))
+        # Only to find out whether it is positive definite.
+        np.linalg.cholesky(0.5 * (information + information.T))
     except np.linalg.LinAlgError:
         return None
     left = chain.shared_gradient - cross[:, g]
     shared = np.asarray(np.linalg.solve(information, left), dtype=np.float64)
     local = solved[:, g] - solved[:, :g] @ shared
-    determinant = 2.0 * float(np.log(factor[0]).sum() + np.log(np.diag(root)).sum())
     follow = solved[:, :g].reshape(n, LOCAL, g)
-    return Eliminated(shared, local.reshape(n, LOCAL), information, follow, determinant)
+    return Eliminated(shared, local.reshape(n, LOCAL), information, follow)
 
 
 def own_covariances(chain: Chain) -> tuple[FloatArray, FloatArray]:
