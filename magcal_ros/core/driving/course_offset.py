@@ -4,7 +4,8 @@
 
 psi is the course, g what the street at the place p_i bends: cov = s² exp(-|p_i - p_j|/30 m), but
 for a quarter of it that is alike over two metres only.
-Generalised least squares with Student's weights; the sigma is the largest of three.
+Generalised least squares with Student's weights; the sigma is the largest of three, and a share of
+a plain swing.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | 
     for _ in range(ROUNDS):
         found.improve()
     variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
+    variance += tuning.swing_share**2 * found.plain_swing()
     covariance = found.covariance.copy()
     covariance[0, 0] = variance
     sectors = np.round(cells.course / math.tau * tuning.sectors) % tuning.sectors
@@ -166,6 +168,15 @@ class _Fit:
         seen = min(places, len(own))
         total = tuning.street_weight * tuning.street**2 + seen * squares / len(own)
         self.street = math.sqrt(total / (tuning.street_weight + seen))
+
+    def plain_swing(self) -> float:
+        """Return the harmonics' square, radians², beyond what is uncertain of them.
+
+        Iron that is there for a part of the way swings the compass, and puts the offset off in a
+        way that no scatter of streets tells.
+        """
+        uncertain = np.trace(self.covariance[1:, 1:])
+        return max(0.0, float(np.sum(self.values[1:] ** 2) - uncertain))
 
     def by_clusters(self) -> float:
         """Return the offset's variance by the scatter of clusters of 150 m (sandwich)."""

@@ -294,6 +294,9 @@ class CourseTuning:
         Metres of a cluster of the sandwich.
     few_clusters : int
         Clusters that are taken off their number: a small sample's correction.
+    swing_share : float
+        Share of a swing of compass against course that is in the offset's sigma: what swings it may
+        have come or gone on the way.
     fewest : int
         Cells before anything is said.
     new_chords : int
@@ -319,6 +322,7 @@ class CourseTuning:
     freedom: float = 5.0
     cluster: float = 150.0
     few_clusters: int = 1
+    swing_share: float = 0.5
     fewest: int = 5
     new_chords: int = 5
     drifting: float = math.radians(10.0)
