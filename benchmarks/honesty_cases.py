@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, Systematics
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -122,7 +122,7 @@ def draw_turn(rng: np.random.Generator, wild: bool) -> Draw:
 def draw_knowledge(rng: np.random.Generator, robot: Robot, reference: str) -> Knowledge:
     """Tell the estimator of the reference field, as wrong as it says."""
     if reference == "exact":
-        return robot.knowledge()
+        return replace(robot.knowledge(), systematics=Systematics())
     if reference == "unknown":
         return Knowledge(ReferenceField())
     share, angle = (0.03, 1.0 * DEGREE) if reference == "model" else (0.15, 5.0 * DEGREE)

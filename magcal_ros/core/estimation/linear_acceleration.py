@@ -23,7 +23,7 @@ from magcal_ros.core.estimation.model import Samples
 from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import minimal_rotation, skew
 
 
@@ -69,6 +69,10 @@ class AccelerationRule:
         Probability that what is less likely keeps as long as the samples leave it open.
     idle : float
         Probability below which it is not looked at.
+    largest_circle : float
+        Metres. A robot without jolts drives no wider circle.
+    arms : float
+        Sigmas of the lever arm that explain a lean without a circle.
     """
 
     bias: float = 2.0
@@ -88,6 +92,8 @@ class AccelerationRule:
     amiss: float = 0.35
     least_doubt: float = 0.12
     idle: float = 0.002
+    largest_circle: float = 4.0
+    arms: float = 2.0
 
 
 ACCELERATION = AccelerationRule()
@@ -113,11 +119,15 @@ class Explanation:
     own_lean : bool
         Whether up leans from the gyro's axis at rest as well, so that the lean is the
         accelerometer's own: the compass has it, too, and the gyro's axis helps nothing.
+    may_be_pulled : bool
+        Whether a pull of the turn can be neither seen nor excluded: what is usual of gyro and
+        accelerometer explains the lean as well.
     """
 
     fit: Fit
     gap: float = 0.0
     own_lean: bool = False
+    may_be_pulled: bool = False
 
 
 def pulled_or_not(start: Fit, path: GyroPath, beside: Prior) -> Explanation:
@@ -138,7 +148,7 @@ def pulled_or_not(start: Fit, path: GyroPath, beside: Prior) -> Explanation:
     plain = with_effects_that_show(start, path, beside)
     path = gyro_block(plain).path
     if not _is_strained(plain):
-        return Explanation(plain)
+        return Explanation(plain, may_be_pulled=not path.rests)
     if path.rests:
         return _by_rests(start, plain)
     return _by_what_is_known(start, plain)
@@ -191,7 +201,7 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     ]
     costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
     if costs[0] < min(costs) + ACCELERATION.needed:
-        return Explanation(plain)
+        return Explanation(plain, may_be_pulled=True)
     own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
     favour, shown = costs[own] - costs[pull], min(misfits[k] for k in OWN) - misfits[pull]
     bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
@@ -310,6 +320,48 @@ def apparent_pull(samples: Samples, path: GyroPath) -> float:
     )
     lean = found[6:] - still * float(found[6:] @ still)
     return math.atan(float(np.linalg.norm(lean)))
+
+
+def doubtful_pull(lean: float, rate: float, lever_arm: float) -> float:
+    """Return how far up may be pulled without a trace, radians per axis, one sigma.
+
+    A robot that drives a small circle instead of turning on the spot is pulled all the way, and
+    gyros have biases that look the same; part of the pull is taken for one and not seen.
+
+    Parameters
+    ----------
+    lean : float
+        Radians, as of `apparent_pull`.
+    rate : float
+        Of the turn, rad/s, RMS.
+    lever_arm : float
+        Metres, one sigma: what it explains is counted elsewhere.
+    """
+    metre = rate**2 / STANDARD_GRAVITY
+    pull = min(lean, ACCELERATION.largest_circle * metre)
+    beyond = max(0.0, pull - ACCELERATION.arms * lever_arm * metre)
+    return math.sqrt(ACCELERATION.least_doubt) * beyond
+
+
+def lever_arm_left(lean: float, rate: float, lever_arm: float, bias: float) -> float:
+    """Return how large a lever arm the gyro's axis leaves possible, metres, one sigma.
+
+    The lean from the gyro's axis is the sum of what the lever arm pulls, what a bias of the gyro
+    feigns, and what the accelerometer leans by itself; of a fast turn it is the first alone.
+
+    Parameters
+    ----------
+    lean : float
+        Radians, as of `apparent_pull`.
+    rate : float
+        Of the turn, rad/s, RMS.
+    lever_arm, bias : float
+        Metres and rad/s, one sigma: what is believed before.
+    """
+    metre = rate**2 / STANDARD_GRAVITY
+    pulled, other = lever_arm * metre, math.hypot(ACCELERATION.own_lean, bias / max(rate, 1e-3))
+    share = pulled**2 / (pulled**2 + other**2)
+    return min(lever_arm, math.hypot(share * lean, math.sqrt(share) * other) / max(metre, 1e-9))
 
 
 def _is_strained(plain: Fit) -> bool:

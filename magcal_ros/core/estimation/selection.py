@@ -115,6 +115,8 @@ class Choice:
         Radians of heading to another explanation of the gyro that cannot be excluded.
     own_lean : bool
         Whether the accelerometer leans from the gyro's axis at rest as well.
+    may_be_pulled : bool
+        Whether a pull of the turn can be neither seen nor excluded.
     """
 
     fit: Fit
@@ -122,6 +124,7 @@ class Choice:
     doubt: Doubt | None = None
     gap: float = 0.0
     own_lean: bool = False
+    may_be_pulled: bool = False
 
 
 def free_attitudes(start: Fit, with_iron: Prior, *, always: bool) -> Choice:
@@ -182,7 +185,9 @@ def propagated_attitudes(start: Fit, path: GyroPath, with_iron: Prior, *, always
     plain, gap = explained.fit, explained.gap
     block = gyro_block(plain)
     if explained.own_lean or not with_iron.has_soft_iron:
-        return Choice(plain, gap=gap, own_lean=explained.own_lean)
+        return Choice(
+            plain, gap=gap, own_lean=explained.own_lean, may_be_pulled=explained.may_be_pulled
+        )
     path = block.path
 
     def rich() -> Fit:
@@ -191,7 +196,7 @@ def propagated_attitudes(start: Fit, path: GyroPath, with_iron: Prior, *, always
     # Where soft iron was taken for drift, the fit without it no longer shows its slope.
     look, honest = look_at(plain, with_iron), block.drift < DRIFT.usual
     choice = with_soft_iron_or_without(plain, look, rich, honest=honest, always=always)
-    return replace(choice, gap=gap)
+    return replace(choice, gap=gap, may_be_pulled=explained.may_be_pulled)
 
 
 def with_iron_as_large_as_seen(under: Callable[[Prior], Fit], prior: Prior) -> Fit:

@@ -69,6 +69,7 @@ class Lasting:
     stray: float = 0.0
     gap: float = 0.0
     motors: FloatArray | None = None
+    pull: float = 0.0
 
 
 def systematic_covariance(
@@ -99,7 +100,9 @@ def systematic_covariance(
     upright = strength * abs(math.sin(shared.inclination))
     lean = systematics.lever_arm * turning.rms**2 / STANDARD_GRAVITY
     late = systematics.latency * turning.spread
-    lasting = (upright * lean) ** 2 + level**2 * (late**2 + seen.stray**2 + seen.gap**2)
+    # A lean to one side is half a hard iron across along each axis.
+    leans = 0.5 * lean**2 + seen.pull**2
+    lasting = upright**2 * leans + level**2 * (late**2 + seen.stray**2 + seen.gap**2)
     across = np.eye(3) - np.outer(axis, axis)
     covariance = np.zeros((12, 12))
     of_iron = systematics.field**2 * np.eye(3) + lasting * across

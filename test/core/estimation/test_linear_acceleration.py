@@ -10,7 +10,11 @@ from long_form import first_of
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.estimation.gyro_path import gyro_path
-from magcal_ros.core.estimation.linear_acceleration import apparent_pull
+from magcal_ros.core.estimation.linear_acceleration import (
+    apparent_pull,
+    doubtful_pull,
+    lever_arm_left,
+)
 from magcal_ros.core.estimation.model import Samples
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Systematics
@@ -139,3 +143,30 @@ def test_a_slope_is_no_pull_however_the_robot_turns(rate):
     assert lean_of(TIME, rate, lambda up: up, bias) < 0.8 * DEGREE
     pulled = lean_of(TIME, rate, lambda up: up + np.array([0.0, 0.1, 0.0]), bias)
     assert pulled == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.parametrize("angle", first_of([0.5, 2.5, 4.5]))
+def test_a_small_circle_driven_smoothly_is_no_turn_on_the_spot_that_is_sure_of_itself(angle):
+    robot, window = circles(bias=(0.1, -0.1, 0.1), unevenness=0.0)
+    pull = 0.25 * np.array([math.cos(angle), math.sin(angle), 0.0])
+    force = window.specific_force + pull
+    pulled = Window(window.time, window.field, force, window.angular_rate)
+    error, sigma, _ = error_and_sigma(robot, pulled)
+    assert error > 0.5 * DEGREE
+    assert error < 3.0 * sigma
+
+
+def test_what_a_lever_arm_explains_and_what_no_small_robot_drives_is_no_doubt():
+    rate = 0.4
+    metre = rate**2 / 9.80665
+    assert doubtful_pull(0.2 * metre, rate, 0.1) == 0.0
+    circle = doubtful_pull(1.0 * metre, rate, 0.1)
+    assert 0.0 < circle < 1.0 * metre
+    assert doubtful_pull(20.0 * metre, rate, 0.1) == doubtful_pull(10.0 * metre, rate, 0.1)
+
+
+def test_on_a_fast_turn_the_gyro_knows_the_lever_arm_and_on_a_slow_one_it_does_not():
+    assert lever_arm_left(0.0, 0.3, 0.1, 0.005) == pytest.approx(0.1, rel=0.01)
+    fast = lever_arm_left(0.0, 4.0, 0.1, 0.005)
+    assert fast < 0.02
+    assert fast < lever_arm_left(0.1, 4.0, 0.1, 0.005) < 0.1

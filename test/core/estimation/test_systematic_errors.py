@@ -10,9 +10,19 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, heading_errors, measure, turn
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Robot,
+    heading_errors,
+    measure,
+    turn,
+)
 
 QUIET = Robot(noise_field=0.1e-6, noise_force=0.01, gyro_bias=np.zeros(3))
+
+
+RATE = math.tau / 15.0
 
 
 def known(systematics):
@@ -52,15 +62,24 @@ def test_the_typical_set_makes_a_clean_turn_a_third_of_a_degree(window):
         ({"axes": 0.01}, 0.01),
         # Two axes of hard iron, of which the one across the field turns the heading.
         ({"field": 0.25e-6}, 0.25e-6 / (50e-6 * math.cos(60 * DEGREE))),
+        # A lean to one side turns the heading by a sine around the turn.
         (
             {"lever_arm": 0.5},
-            0.5 * (math.tau / 15.0) ** 2 / STANDARD_GRAVITY * math.tan(60 * DEGREE),
+            math.sqrt(0.5) * 0.5 * RATE**2 / STANDARD_GRAVITY * math.tan(60 * DEGREE),
         ),
     ],
 )
 def test_each_error_is_worth_what_it_does_to_the_heading(window, one, radians):
     none = {"axes": 0.0, "field": 0.0, "lever_arm": 0.0, "latency": 0.0}
     assert sigma_with(Systematics(**none | one), window) == pytest.approx(radians, rel=0.1)
+
+
+def test_a_lever_arm_puts_the_heading_off_by_what_is_promised_for_it(window):
+    pulled = window.specific_force + 0.5 * RATE**2 * np.array([0.6, 0.8, 0.0])
+    estimate = fit(Window(window.time, window.field, pulled), known(Systematics.none()))
+    gap = heading_errors(estimate.correction, QUIET)[:, LEVEL_TILT]
+    alone = Systematics(axes=0.0, field=0.0, lever_arm=0.5, latency=0.0)
+    assert math.sqrt(np.mean(gap**2)) == pytest.approx(sigma_with(alone, window), rel=0.15)
 
 
 def test_what_strays_for_good_is_a_heading_error_of_its_own_size():

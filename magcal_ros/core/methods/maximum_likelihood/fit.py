@@ -20,7 +20,11 @@ from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
 from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
-from magcal_ros.core.estimation.linear_acceleration import apparent_pull
+from magcal_ros.core.estimation.linear_acceleration import (
+    apparent_pull,
+    doubtful_pull,
+    lever_arm_left,
+)
 from magcal_ros.core.estimation.motor_field import motor_field
 from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.prior import prior_from
@@ -141,6 +145,10 @@ class Solved:
         Field of the motors (`motor_field`), tesla; None where no rest tells.
     pull : float
         Radians by which the mean specific force leans from the gyro's up.
+    doubtful_pull : float
+        Radians of it that may be there in the turn and not at rest, one sigma.
+    lever_arm : float
+        Metres of it that the gyro leaves possible, one sigma.
     explained : bool
         Whether the gyro's turning explains the samples, even where it is not followed.
     """
@@ -153,6 +161,8 @@ class Solved:
     gyro_gap: float = 0.0
     motors: FloatArray | None = None
     pull: float = 0.0
+    doubtful_pull: float = 0.0
+    lever_arm: float = math.inf
     explained: bool = False
 
     def seen(self, systematics: Systematics) -> Lasting:
@@ -161,17 +171,17 @@ class Solved:
             return Lasting()
         if self.swing is None:
             return Lasting(_radial_stray(self.choice.fit.block), motors=self.motors)
-        return Lasting(math.sqrt(COMPASS_SHARE) * self.swing.rms, self.gyro_gap, self.motors)
+        stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
+        return Lasting(stray, self.gyro_gap, self.motors, self.doubtful_pull)
 
     def unseen(self, systematics: Systematics) -> Systematics:
         """Return what stays unseen of lasting errors: what was fitted is in the covariance."""
         block = self.choice.fit.block
-        if not isinstance(block, GyroBlock):
-            return systematics
-        fitted = block.path.effects
+        fitted = block.path.effects if isinstance(block, GyroBlock) else ()
+        known = Effect.LEVER_ARM in fitted or Effect.PULL in fitted
         return replace(
             systematics,
-            lever_arm=0.0 if Effect.LEVER_ARM in fitted else systematics.lever_arm,
+            lever_arm=0.0 if known else min(systematics.lever_arm, self.lever_arm),
             latency=0.0 if Effect.LATENCY in fitted else systematics.latency,
         )
 
@@ -248,6 +258,8 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
     gap, pull = choice.gap, apparent_pull(samples, path)
+    turning, lever_arm = Turning.of(window, 0.0).rms, knowledge.systematics.lever_arm
+    doubtful = doubtful_pull(pull, turning, lever_arm) if choice.may_be_pulled else 0.0
     block = gyro_block(choice.fit)
     # What follows the turn rate is off with the gyro and without, or they would differ by it.
     seated = FreeBlock.seated_at(found.best.shared, block.place.samples, weighting)
@@ -271,7 +283,9 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     explained = carried or path.is_doubted or choice.own_lean
     swing = _swing(choice, path, window.time[prepared.first])
     motors = motor_field(choice.fit, path, scale)
-    return Solved(prepared, choice, found.rival_gap, window, swing, gap, motors, pull, explained)
+    left = lever_arm_left(pull, turning, lever_arm, path.known.bias)
+    seen = swing, gap, motors, pull, doubtful, left, explained
+    return Solved(prepared, choice, found.rival_gap, window, *seen)
 
 
 def _radial_stray(block: TurnBlock) -> float:
