@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.driving.driving_tuning import TickTuning
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated, unit_triple
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, ImuSample
 
 Axes = tuple[Triple, Triple, Triple]
 SMALLEST_FORWARD = 0.05
@@ -74,7 +74,7 @@ class GyroFrame:
         if not is_usable or length(sample.force) <= 0.0:
             self._last = last
             return None
-        if last is None or self.axes is None or not 0.0 < seconds <= LONGEST_GYRO_STEP:
+        if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
         (a, b, c), (p, q, r), (x, y, z) = last.rate, sample.rate, bias

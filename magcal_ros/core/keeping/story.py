@@ -22,7 +22,7 @@ from magcal_ros.core.keeping.jobs import run
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import (
     PositionSample,
     TravelSample,
@@ -116,7 +116,7 @@ class DriveTeller:
         machine: SelfCalibration | None = None,
     ) -> None:
         self._knowledge, self._begun, self._now = knowledge, calibration, calibration
-        self.streams = Streams(MAX_GAP)
+        self.streams = Streams(STREAMS.max_gap)
         self._up = UpFollower()
         self._travelling = Travelling()
         self._machine = machine or SelfCalibration(Mode.APPLY)

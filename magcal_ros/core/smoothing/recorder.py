@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
@@ -94,7 +94,9 @@ class DriveRecorder:
             self._rows.clear()
             self._recent.clear()
             self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
-            self._pause = stamp - self.clock - 2.0 * LONGEST_GYRO_STEP if self._chunks else 0.0
+            self._pause = (
+                stamp - self.clock - 2.0 * STREAMS.longest_gyro_step if self._chunks else 0.0
+            )
         self._newest = stamp
         grown = False
         if stamp >= self._row + self._tuning.row:
@@ -134,7 +136,7 @@ class DriveRecorder:
             last = float(self._chunks[-1][-1, 0])
             # What was cut out left no hole, and what was not heard leaves one.
             early = last + self._tuning.row - float(stamps[0])
-            if early > 0.0 or (self._pause > 0.0 and -early < LONGEST_GYRO_STEP):
+            if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
                 stamps = stamps + early
                 self._pause -= early
         chunk[:, 0] = stamps
