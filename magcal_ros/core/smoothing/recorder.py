@@ -14,8 +14,6 @@ from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
-CHUNK = 10
-"""Rows after which it is asked whether the robot stands."""
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
 
@@ -39,7 +37,9 @@ class DriveRecorder:
 
     def __init__(self, seconds: float = 600.0, tuning: SmootherTuning = TUNING) -> None:
         self._tuning = tuning
-        self._chunks: deque[FloatArray] = deque(maxlen=int(seconds / (tuning.row * CHUNK)) + 1)
+        self._chunks: deque[FloatArray] = deque(
+            maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
+        )
         self._recent: deque[FloatArray] = deque(maxlen=5)
         self.begin_anew()
 
@@ -122,7 +122,7 @@ class DriveRecorder:
         if self._count:
             self._rows.append(tuple(value / self._count for value in self._sums))
             self._sums, self._count = [0.0] * COLUMNS, 0
-        if len(self._rows) < CHUNK:
+        if len(self._rows) < self._tuning.chunk:
             return False
         chunk = np.array(self._rows)
         self._rows.clear()
@@ -150,7 +150,7 @@ class DriveRecorder:
         if len(self._recent) < 5:
             return False
         rows, tuning = np.concatenate(list(self._recent)), self._tuning
-        speed = np.abs(rows[-CHUNK:, SPEED])
+        speed = np.abs(rows[-tuning.chunk :, SPEED])
         if (speed > tuning.rest_speed).any():
             return False
         half = len(rows) // 2
