@@ -19,9 +19,6 @@ from magcal_ros.core.driving.driving_tuning import CourseTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
-ROUNDS = 5
-"""Reweighted rounds: weights and the street's size have settled."""
-
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
@@ -79,7 +76,7 @@ def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | 
         return None
     start = _cluster(cells)
     found = _Fit(cells, wrap_angle(cells.gap - start), tuning)
-    for _ in range(ROUNDS):
+    for _ in range(tuning.rounds):
         found.improve()
     variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
     covariance = found.covariance.copy()

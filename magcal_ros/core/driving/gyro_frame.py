@@ -11,8 +11,6 @@ from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
 
 Axes = tuple[Triple, Triple, Triple]
-SMALLEST_FORWARD = 0.05
-"""A body whose x is closer to upright than this (sine) has no heading."""
 
 
 class Tick(NamedTuple):
@@ -122,7 +120,7 @@ class GyroFrame:
         seconds, turned = self._seconds, self._turned
         self._anew()
         self._level((x, y, z), seconds)
-        if abs(forward) < SMALLEST_FORWARD:
+        if abs(forward) < self._tuning.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
