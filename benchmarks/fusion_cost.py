@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.samples.streams import MAX_GAP, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, ImuSample
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.up import UpFollower
@@ -58,7 +58,7 @@ def run(samples: list, calibration: Calibration) -> list[float]:
         counts[1] += 1
         follower.add_field(sample.stamp, sample.field)
         spent[0] += clock() - begun
-        up = follower.at(sample.stamp, MAX_GAP)
+        up = follower.at(sample.stamp, STREAMS.max_gap)
         field = compass.correct(sample.field)
         heading = compass.heading(field, up.direction, up.variance)
         begun = clock()

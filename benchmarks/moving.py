@@ -22,7 +22,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
@@ -62,7 +62,7 @@ class Walk:
         self.fused: Rows = []
         self._compass = Compass(calibration)
         self._noise_up = calibration.noise_up
-        self._streams = Streams(MAX_GAP)
+        self._streams = Streams(STREAMS.max_gap)
         self._follower = UpFollower()
         self._fusion = FusedYaw(calibration, PATIENCE)
 
@@ -100,7 +100,7 @@ class Walk:
 
     def _up(self, stamp: float) -> Up | None:
         if self.way != "accelerometer":
-            return self._follower.at(stamp, MAX_GAP)
+            return self._follower.at(stamp, STREAMS.max_gap)
         imu = self._streams.imu_at(stamp)
         return None if imu is None else Up(imu.force, self._noise_up**2)
 

@@ -23,7 +23,7 @@ from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.samples.streams import MAX_GAP, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
 from magcal_ros.core.up import propagated_up
@@ -72,7 +72,7 @@ class Drive:
     @cached_property
     def pairs(self) -> list[Pair]:
         """Field samples with the IMU at their stamps, cleaned as in the node."""
-        streams = Streams(MAX_GAP)
+        streams = Streams(STREAMS.max_gap)
         pairer = Pairer(streams)
         found: list[Pair] = []
         for sample in self.recording.samples():

@@ -34,14 +34,30 @@ JOINS = METHODS[0]
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
 
-ROUGH = VerdictTuning().rough
-"""Radians of heading sigma from which a turn gives way to a drive that is more certain."""
-CLEARLY = 12.0
-"""Independent units of minus log likelihood by which a drive contradicts a turn's calibration."""
-SHORTEST_DRIVE = 25.0
-"""Seconds of movement below which a window is a turn or nothing."""
-PAUSE = 1.0
-"""Seconds between turns whose samples are pooled."""
+
+@dataclass(frozen=True)
+class CalibrateTuning:
+    """When a window is told better as a drive, and how turns are pooled.
+
+    Parameters
+    ----------
+    rough : float
+        Radians of heading sigma from which a turn gives way to a drive that is more certain.
+    clearly : float
+        Independent units of minus log likelihood by which a drive contradicts a turn's calibration.
+    shortest_drive : float
+        Seconds of movement below which a window is a turn or nothing.
+    pause : float
+        Seconds between turns whose samples are pooled.
+    """
+
+    rough: float = VerdictTuning().rough
+    clearly: float = 12.0
+    shortest_drive: float = 25.0
+    pause: float = 1.0
+
+
+TUNING = CalibrateTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +167,7 @@ def drive_instead(
     method : str
         The one that was asked for.
     """
-    if method != METHODS[0] or log.seconds < SHORTEST_DRIVE or turn.verdict.is_good:
+    if method != METHODS[0] or log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
         return None
     drive = calibrate_drive(log, knowledge)
     return drive if drive_rather_than_turn(turn, drive, log, knowledge) else None
@@ -179,13 +195,13 @@ def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: 
     if turn.verdict.is_good:
         return False
     sigmas = [predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)]
-    if sigmas[0] > ROUGH and sigmas[1] < sigmas[0]:
+    if sigmas[0] > TUNING.rough and sigmas[1] < sigmas[0]:
         return True
     from magcal_ros.core.smoothing.fit import favour
 
     nodes = log.nodes(known.mounting.to_body)
     corrections = turn.estimate.correction, drive.estimate.correction
-    return favour(nodes, *corrections, known).gain > CLEARLY
+    return favour(nodes, *corrections, known).gain > TUNING.clearly
 
 
 def calibrate_turns(
@@ -251,7 +267,7 @@ def pooled(windows: Sequence[Window]) -> Window:
     times, end = [], 0.0
     for window in windows:
         times.append(window.time - window.time[0] + end)
-        end = float(times[-1][-1]) + PAUSE
+        end = float(times[-1][-1]) + TUNING.pause
     rates = [window.angular_rate for window in windows]
     known = [rate for rate in rates if rate is not None]
     return Window(

@@ -11,7 +11,7 @@ from magcal_ros.core.knowledge import (
     INCLINATION_SIGMA_DEG,
     STRENGTH_SIGMA_UT,
 )
-from magcal_ros.core.samples.streams import MAX_GAP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.ros.spec import UNSET, Spec
 
 PARAMETERS: tuple[Spec, ...] = (
@@ -187,7 +187,7 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec(
         "window.max_gap_s",
-        MAX_GAP,
+        STREAMS.max_gap,
         "IMU samples further apart are not interpolated between",
         0.001,
         5.0,

@@ -10,13 +10,13 @@ from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.samples.streams import HISTORY, MAX_GAP, Pairer, Streams
+from magcal_ros.core.samples.streams import STREAMS, Pairer, Streams
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire.incoming import read_field, read_imu
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
 
-WARM = HISTORY + 100
+WARM = STREAMS.remembered + 100
 MESSAGES = 10_000
 LARGEST_GROWTH = 10_000
 """Bytes: one a message."""
@@ -27,7 +27,7 @@ class Walk:
         robot = Robot()
         outcome = calibrate(measure(robot, turn(), np.random.default_rng(1)), robot.knowledge())
         self.compass, self.up = Compass(outcome.calibration), UpFollower()
-        self.streams = Streams(MAX_GAP)
+        self.streams = Streams(STREAMS.max_gap)
         self.pairer = Pairer(self.streams)
         self.templates = FieldTemplate(), AttitudeTemplate(), NumberTemplate()
         imu, field = Imu(), MagneticField()
@@ -56,7 +56,7 @@ class Walk:
         self.pairer.offer(arrived.sample)
         self.pairer.take()
         corrected = self.compass.correct(arrived.sample.field)
-        up = self.up.at(arrived.sample.stamp, MAX_GAP)
+        up = self.up.at(arrived.sample.stamp, STREAMS.max_gap)
         heading = self.compass.heading(corrected, up.direction, up.variance)
         field, attitude, number = self.templates
         field.fill(arrived.stamp, "imu_link", corrected, (0.0,) * 9)

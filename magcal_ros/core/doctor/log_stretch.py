@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.stretch import Stretch, field_size
 
 
@@ -108,7 +108,7 @@ def _liveliest(
     """Return from when to when the robot turns most, where no gap of the gyro lies between."""
     if min(len(log.imu_time), len(field_time)) < 20:
         return None
-    breaks = np.flatnonzero(np.diff(log.imu_time) > LONGEST_GYRO_STEP) + 1
+    breaks = np.flatnonzero(np.diff(log.imu_time) > STREAMS.longest_gyro_step) + 1
     best, most = None, 0.0
     for rows in np.split(np.arange(len(log.imu_time)), breaks):
         time = log.imu_time[rows]

@@ -20,9 +20,6 @@ from magcal_ros.core.driving.driving_tuning import CourseTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
-ROUNDS = 5
-"""Reweighted rounds: weights and the street's size have settled."""
-
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
@@ -80,7 +77,7 @@ def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | 
         return None
     start = _cluster(cells)
     found = _Fit(cells, wrap_angle(cells.gap - start), tuning)
-    for _ in range(ROUNDS):
+    for _ in range(tuning.rounds):
         found.improve()
     variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
     variance += tuning.swing_share**2 * found.plain_swing()

@@ -10,9 +10,6 @@ import numpy as np
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.driving_tuning import CourseTuning
 
-FEWEST = 8
-"""Chords from which a scatter is told."""
-
 
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
@@ -43,7 +40,7 @@ class DriftWatch:
         seen.append((chord.stamp, gap, chord.sigma))
         while chord.stamp - seen[0][0] > self._tuning.drifting_span:
             seen.popleft()
-        if len(seen) < FEWEST:
+        if len(seen) < self._tuning.drifting_chords:
             return not self.is_drifting
         time, gaps, sigmas = np.array(seen).T
         line = np.polynomial.polynomial.polyfit(time - time[0], gaps, 1)

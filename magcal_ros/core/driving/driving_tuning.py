@@ -59,10 +59,13 @@ class TickTuning:
     levelling : float
         Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
         against starts and stops.
+    steepest : float
+        A body whose x is closer to upright than this (sine) has no heading.
     """
 
     seconds: float = 0.25
     levelling: float = 60.0
+    steepest: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -171,6 +174,10 @@ class MountingYawTuning:
         Newest ticks, 12 s, over which a speed that never changes is looked at by itself.
     stuck_energy : float
         m²/s³ of the force meanwhile that say that the vehicle moves: more than slopes and hands do.
+    stuck_levelling : float
+        Seconds over which the force's mean follows slopes meanwhile.
+    iterations : int
+        Reweighted steps: the weights have settled.
     """
 
     remembered: int = 2400
@@ -198,6 +205,8 @@ class MountingYawTuning:
     recent: int = 240
     stuck: int = 48
     stuck_energy: float = 4.0
+    stuck_levelling: float = 20.0
+    iterations: int = 6
 
 
 @dataclass(frozen=True)
@@ -299,13 +308,15 @@ class CourseTuning:
         have come or gone on the way.
     fewest : int
         Cells before anything is said.
+    rounds : int
+        Reweighted ones: weights and the street's size have settled.
     new_chords : int
         Chords after which the course is fitted anew.
     drifting : float
         Radians by which course less gyro yaw may scatter within `drifting_span` of straight
         driving; boats exceed it.
-    drifting_span : float
-        Seconds.
+    drifting_span, drifting_chords : float, int
+        Seconds, and chords in them from which a scatter is told.
     """
 
     cell: float = 10.0
@@ -324,9 +335,11 @@ class CourseTuning:
     few_clusters: int = 1
     swing_share: float = 0.5
     fewest: int = 5
+    rounds: int = 5
     new_chords: int = 5
     drifting: float = math.radians(10.0)
     drifting_span: float = 60.0
+    drifting_chords: int = 8
 
 
 @dataclass(frozen=True)

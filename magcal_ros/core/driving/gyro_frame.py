@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 from magcal_ros.core.driving.driving_tuning import TickTuning
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated, unit_triple
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, ImuSample
 
 Axes = tuple[Triple, Triple, Triple]
-SMALLEST_FORWARD = 0.05
-"""A body whose x is closer to upright than this (sine) has no heading."""
 
 
 class Tick(NamedTuple):
@@ -74,7 +72,7 @@ class GyroFrame:
         if not is_usable or length(sample.force) <= 0.0:
             self._last = last
             return None
-        if last is None or self.axes is None or not 0.0 < seconds <= LONGEST_GYRO_STEP:
+        if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
         (a, b, c), (p, q, r), (x, y, z) = last.rate, sample.rate, bias
@@ -122,7 +120,7 @@ class GyroFrame:
         seconds, turned = self._seconds, self._turned
         self._anew()
         self._level((x, y, z), seconds)
-        if abs(forward) < SMALLEST_FORWARD:
+        if abs(forward) < self._tuning.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 

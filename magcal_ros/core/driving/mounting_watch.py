@@ -25,8 +25,6 @@ from magcal_ros.core.driving.mounting_yaw import (
 )
 from magcal_ros.core.driving.speedometer import Speedometer, SpeedRecord
 
-LEVELLING = 20.0
-"""Seconds over which the force's mean follows slopes."""
 UNITS = {3.6: "km/h", 2.237: "mph", 1.944: "knots", 100.0: "cm/s", 1000.0: "mm/s"}
 """How often each is in a m/s."""
 
@@ -103,7 +101,7 @@ class MountingWatch:
     def _looks_stuck(self, tick: Tick, speed: float) -> bool:
         """Whether the force changes while the speed does not."""
         change = tick.level_force - self._level
-        self._level += change * tick.seconds / LEVELLING
+        self._level += change * tick.seconds / self._tuning.mounting.stuck_levelling
         self._unmoved += abs(change) ** 2 * tick.seconds
         if speed != self._speed:
             self._speed, self._unmoved = speed, 0.0

@@ -23,8 +23,6 @@ from magcal_ros.core.driving.driving_tuning import MountingYawTuning, TripTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
-ITERATIONS = 6
-"""Reweighted steps: the weights have settled."""
 
 
 @dataclass(frozen=True)
@@ -272,7 +270,7 @@ def _steps(
     """Gauss-Newton on z and the lever arm, with weights 1/(1 + |e|²/4s²)."""
     z = complex(np.vdot(change, force)) / float(np.sum(np.abs(change) ** 2))
     lever = 0.0
-    for _ in range(ITERATIONS):
+    for _ in range(tuning.iterations):
         error = force - z * (change + lever * swing)
         # The median of a Rayleigh distribution is 1.177 of its components' sigma.
         noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))

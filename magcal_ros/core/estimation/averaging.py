@@ -15,9 +15,24 @@ from magcal_ros.core.knowledge import Knowledge
 TYPICAL_STRENGTH = 50e-6
 """Tesla of one field scale where the strength is unknown."""
 
-SPIKE = 4.5
-"""Robust sigmas from its neighbours' median at which a sample is left out of an average."""
-SPIKE_NEIGHBOURS = 9
+
+@dataclass(frozen=True)
+class SpikeTuning:
+    """When a sample is left out of an average.
+
+    Parameters
+    ----------
+    sigmas : float
+        Robust ones, from its neighbours' median.
+    neighbours : int
+        Of which the median is taken, itself among them; odd.
+    """
+
+    sigmas: float = 4.5
+    neighbours: int = 9
+
+
+SPIKES = SpikeTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,12 +102,12 @@ def prepare(field: FloatArray, force: FloatArray, knowledge: Knowledge, largest:
 
 def without_spikes(values: FloatArray) -> BoolArray:
     """Return which rows (n, 3) agree with the median of their neighbours (a Hampel filter)."""
-    reach = SPIKE_NEIGHBOURS // 2
+    reach = SPIKES.neighbours // 2
     padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
-    stretches = np.lib.stride_tricks.sliding_window_view(padded, SPIKE_NEIGHBOURS, axis=0)
+    stretches = np.lib.stride_tricks.sliding_window_view(padded, SPIKES.neighbours, axis=0)
     away = np.abs(values - np.median(stretches, axis=2))
     usual = 1.4826 * np.median(away, axis=0) + 1e-12
-    return np.asarray((away < SPIKE * usual).all(axis=1))
+    return np.asarray((away < SPIKES.sigmas * usual).all(axis=1))
 
 
 def _averages(values: FloatArray, good: BoolArray, first: IntArray) -> FloatArray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,10 +21,28 @@ from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_r
 from magcal_ros.core.knowledge import ReferenceField
 
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
-VISIBLE_CONE = 4.0
-"""A circle of up vectors is seen where its variance exceeds its thickness by this factor."""
-SMALLEST_CONE = 0.005
-TYPICAL_INCLINATION = math.radians(60.0)
+
+
+@dataclass(frozen=True)
+class GuessTuning:
+    """What the first guesses rest on.
+
+    Parameters
+    ----------
+    visible_cone : float
+        A circle of up vectors is seen where its variance exceeds its thickness by this factor.
+    thinnest_cone : float
+        Standard deviation, of unit vectors, that its thickness is taken for at least.
+    inclination : float
+        Radians either way, tried where neither the field's strength nor its dip is known.
+    """
+
+    visible_cone: float = 4.0
+    thinnest_cone: float = 0.005
+    inclination: float = math.radians(60.0)
+
+
+GUESS = GuessTuning()
 
 
 def starts(samples: Samples, reference: ReferenceField, scale: float, sense: float) -> list[State]:
@@ -56,7 +75,7 @@ def axes(up: FloatArray) -> list[FloatArray]:
     """Return candidates for the turn's axis in body axes: mean of up, and normal of its circle."""
     mean = unit(up.mean(axis=0))
     normal, variances = plane_normal(up)
-    if variances[1] < VISIBLE_CONE * max(variances[0], SMALLEST_CONE**2):
+    if variances[1] < GUESS.visible_cone * max(variances[0], GUESS.thinnest_cone**2):
         return [mean]
     return [mean, normal * math.copysign(1.0, float(normal @ mean))]
 
@@ -120,7 +139,7 @@ class _FieldGuess:
             opening = math.acos(min(1.0, circle.radius / self.strength))
             angles = [-opening, opening]
         else:
-            angles = [-TYPICAL_INCLINATION, math.atan2(height, circle.radius), TYPICAL_INCLINATION]
+            angles = [-GUESS.inclination, math.atan2(height, circle.radius), GUESS.inclination]
         for angle in angles:
             level = math.cos(angle)
             if level > 0.02:

@@ -48,6 +48,8 @@ class AccelerationRule:
     own_lean : float
         Sigma of the lean that accelerometer and gyro have against one another by themselves,
         offsets and crossed axes together: over gravity, per axis.
+    level_lean : float
+        Lean, over gravity, of one sigma of which a pull is worth neither more nor less.
     jolted : float
         Times the slow jolts of the acceleration that it may be pulled on average.
     least_pull : float
@@ -82,6 +84,7 @@ class AccelerationRule:
     needed: float = 10.0
     clear: float = 20.0
     own_lean: float = 0.025
+    level_lean: float = 0.1
     jolted: float = 6.0
     least_pull: float = 0.01
     jolt: float = 1.0
@@ -103,8 +106,6 @@ one besides is counted as a doubt; what it then says of the pull is taken only w
 says that there is one."""
 MEAN, AMISS = slice(0, 3), slice(3, 6)
 """Among the numbers of a pull."""
-LEVEL_LEAN = 0.1
-"""Lean, over gravity, of one sigma of which a pull is worth neither more nor less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +264,7 @@ def _cost_of_bias(fit: Fit) -> float:
 
 def _cost_of_lean(lean: float, sigma: float) -> float:
     """Return what a lean of two axes costs whose sigma per axis is known."""
-    return (lean / sigma) ** 2 + 4.0 * math.log(sigma / LEVEL_LEAN)
+    return (lean / sigma) ** 2 + 4.0 * math.log(sigma / ACCELERATION.level_lean)
 
 
 def _cost_of_own_lean(leaning: Fit, pulled: Fit) -> float:

@@ -11,10 +11,25 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import relative_attitudes
 
-SMOOTHED, BRISKLY = 1.0, 0.3
-"""Seconds over which the turn rate is averaged, for a pull and for motors."""
-LARGEST_SWIFTNESS = 3.0
-"""A jerk of the rate beyond so many means says nothing of the speed."""
+
+@dataclass(frozen=True)
+class PaceTuning:
+    """How a turn rate becomes a pace.
+
+    Parameters
+    ----------
+    smooth, brisk : float
+        Seconds over which the turn rate is averaged, for a pull and for motors.
+    largest_swiftness : float
+        A jerk of the rate beyond so many means says nothing of the speed.
+    """
+
+    smooth: float = 1.0
+    brisk: float = 0.3
+    largest_swiftness: float = 3.0
+
+
+PACE = PaceTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +79,16 @@ def pace_of(window: Window, steps: FloatArray, first: IntArray) -> Pace:
     assert rate is not None
     axis = np.linalg.svd(rate, full_matrices=False)[2][0]
     axis = axis * (1.0 if axis @ window.specific_force.mean(axis=0) >= 0.0 else -1.0)
-    brisk = _smooth(time, steps @ axis, BRISKLY)
+    brisk = _smooth(time, steps @ axis, PACE.brisk)
     mean = rate.mean(axis=0)
-    square = _smooth(time, steps @ (unit(mean) if mean.any() else axis), SMOOTHED) ** 2
+    square = _smooth(time, steps @ (unit(mean) if mean.any() else axis), PACE.smooth) ** 2
     swift = square / max(float(square.mean()), 1e-12) - 1.0
     return Pace(
         averages(rate, first),
         np.asarray(axis),
         averages(brisk, first),
         averages(np.gradient(brisk, time), first),
-        averages(np.clip(swift, -1.0, LARGEST_SWIFTNESS), first),
+        averages(np.clip(swift, -1.0, PACE.largest_swiftness), first),
     )
 
 

@@ -13,11 +13,25 @@ from magcal_ros.core.knowledge import Belief, Knowledge
 
 SOFT_IRON_INDICES = np.arange(p.SOFT_IRON.start, p.SOFT_IRON.stop)
 
-MOST_SOFT_IRON = 0.25
-"""Sigma beyond which no number of soft iron is believed, whatever the samples say."""
-RUNAWAY_HARD_IRON = 1.0
-"""Sigma of the hard iron in field scales where neither strength nor dip is known: one turn about
-an upright axis then shows only their sum, and something has to hold it."""
+
+@dataclass(frozen=True)
+class WidestPrior:
+    """Sigmas at which a prior still holds what runs away.
+
+    Parameters
+    ----------
+    soft_iron : float
+        Beyond it no number of soft iron is believed, whatever the samples say.
+    hard_iron : float
+        Field scales, where neither strength nor dip is known: one turn about an upright axis then
+        shows only their sum, and something has to hold it.
+    """
+
+    soft_iron: float = 0.25
+    hard_iron: float = 1.0
+
+
+WIDEST = WidestPrior()
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +75,7 @@ class Prior:
         size = np.abs(self.deviation(shared)[free])
         information = self.information.copy()
         far = size * np.sqrt(information[free]) > beyond
-        information[free[far]] = np.minimum(size[far], MOST_SOFT_IRON) ** -2
+        information[free[far]] = np.minimum(size[far], WIDEST.soft_iron) ** -2
         return replace(self, information=information)
 
     @property
@@ -100,7 +114,7 @@ def prior_from(knowledge: Knowledge, scale: float, *, soft_iron: bool, yaw: bool
         if not (belief.is_exact or belief.is_unknown):
             information[index] = (unit / belief.sigma) ** 2
     if reference.strength.is_unknown and reference.inclination.is_unknown:
-        information[p.HARD_IRON] = RUNAWAY_HARD_IRON**-2
+        information[p.HARD_IRON] = WIDEST.hard_iron**-2
     iron = knowledge.soft_iron
     sigmas = np.array([iron.sigma_diagonal] * 3 + [iron.sigma_cross] * 3)
     movable = (sigmas > 0.0) & soft_iron

@@ -161,8 +161,21 @@ NEAR = Limit(6, 0.1)
 MEET = Limit(25, 1e-4)
 """Several turns from a common first guess."""
 
-HARMLESS = 1e-4
-"""Squared sigmas: a last step by less than a hundredth of a sigma changes no figure."""
 
-NOTICEABLE_WOBBLE = 0.5
-"""Times the noise of up. A smaller wobble creeps towards none for as long as one waits."""
+@dataclass(frozen=True)
+class Unnoticed:
+    """What may still move where an optimisation ends.
+
+    Parameters
+    ----------
+    step : float
+        Squared sigmas: a last step by less than a hundredth of a sigma changes no figure.
+    wobble : float
+        Times the noise of up. A smaller wobble creeps towards none for as long as one waits.
+    """
+
+    step: float = 1e-4
+    wobble: float = 0.5
+
+
+UNNOTICED = Unnoticed()

@@ -89,16 +89,6 @@ class PropagationRule:
 
 AXIS, PROPAGATION = AxisRule(), PropagationRule()
 
-FAR_BEYOND = 2.5
-"""Sigmas from which a number of soft iron is taken for larger than was believed."""
-MOST_WIDENINGS = 3
-MOST_CAUTION = 16.0
-"""Times the usual fall of chi-square that a drifting gyro may ask for before soft iron is taken: in
-a car the accelerometer's jolts look like drift, and an ellipse of a fifth is no doubt."""
-STRETCHES = 8
-LEAST_SHARE = 1.0 / 3.0
-"""At least this share of soft iron's gain is made outside the best two neighbouring stretches."""
-
 
 @dataclass(frozen=True, eq=False)
 class Choice:
@@ -214,8 +204,8 @@ def with_iron_as_large_as_seen(under: Callable[[Prior], Fit], prior: Prior) -> F
         Frees soft iron.
     """
     fit = under(prior)
-    for _ in range(MOST_WIDENINGS):
-        wider = prior.as_wide_as(fit.shared, FAR_BEYOND)
+    for _ in range(RULE.most_widenings):
+        wider = prior.as_wide_as(fit.shared, RULE.far_beyond)
         if wider is fit.prior or np.array_equal(wider.information, fit.prior.information):
             break
         fit = under(wider)
@@ -255,7 +245,7 @@ def with_soft_iron_or_without(
             needed = look.needed(RULE.most_fall_rigid if rigid else RULE.most_fall)
         # A gyro that drifts more than gyros do hides errors that last, which correlation does not
         # show.
-        needed *= min(max(1.0, (block.drift / DRIFT.usual) ** 2), MOST_CAUTION)
+        needed *= min(max(1.0, (block.drift / DRIFT.usual) ** 2), RULE.most_caution)
         kept = _explained(iron, plain) >= RULE.few_kept * plain.block.weighting.inliers.sum()
         if always or (kept and gain > needed * block.weighting.inefficiency):
             return Choice(iron, gain)
@@ -346,9 +336,9 @@ def lasting_gain(total: float, falls: FloatArray) -> float:
     falls : ndarray, shape (n,)
         Each sample's fall of chi-square.
     """
-    parts = np.array([part.sum() for part in np.array_split(falls, STRETCHES)])
+    parts = np.array([part.sum() for part in np.array_split(falls, RULE.stretches)])
     one_place = max(float(parts.max()), float((parts[:-1] + parts[1:]).max()))
-    return min(total, (float(parts.sum()) - max(one_place, 0.0)) / LEAST_SHARE)
+    return min(total, (float(parts.sum()) - max(one_place, 0.0)) / RULE.lasting_share)
 
 
 def look_at(fit: Fit, with_iron: Prior) -> Look:

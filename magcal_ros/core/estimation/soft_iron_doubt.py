@@ -48,6 +48,16 @@ class SoftIronRule:
     few_kept : float
         A model that throws more of the simpler one's inliers away, to fit the rest better,
         explains nothing.
+    far_beyond, most_widenings : float, int
+        Sigmas from which a number of soft iron is taken for larger than was believed, and how
+        often the belief is widened at most.
+    most_caution : float
+        Times the usual fall of chi-square that a drifting gyro may ask for before soft iron is
+        taken: in a car the accelerometer's jolts look like drift, and an ellipse of a fifth is no
+        doubt.
+    stretches, lasting_share : int, float
+        Stretches of the turn, and the least share of soft iron's gain that is made outside the
+        best two neighbouring ones.
     """
 
     prior_odds: float = 1.4
@@ -61,6 +71,11 @@ class SoftIronRule:
     honest_share: float = 0.97
     trusted_share: float = 0.6
     few_kept: float = 0.9
+    far_beyond: float = 2.5
+    most_widenings: int = 3
+    most_caution: float = 16.0
+    stretches: int = 8
+    lasting_share: float = 1.0 / 3.0
 
 
 RULE = SoftIronRule()

@@ -25,8 +25,7 @@ from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.schedule import (
     FINISH,
     FINISH_LEANING,
-    HARMLESS,
-    NOTICEABLE_WOBBLE,
+    UNNOTICED,
     Damping,
     Limit,
     Schedule,
@@ -253,7 +252,7 @@ def steps_of(
         fit, count, moved = taken, count + 1, max(moved, promised)
         if promised < limit.tolerance:
             status = Status.CONVERGED
-    if promised < HARMLESS:
+    if promised < UNNOTICED.step:
         status = Status.CONVERGED
     return Steps(replace(fit, convergence=Convergence(status, count, promised)), damping, moved)
 
@@ -351,13 +350,13 @@ def _agrees(old: Fit, new: Fit, moved: float, schedule: Schedule, *, soft: bool)
     """Return whether a round changed nothing worth mentioning."""
     for one, other in zip(old.blocks, new.blocks, strict=True):
         was, now = one.weighting, other.weighting
-        change = largest_change(now.noise, was.noise, 0.0 if soft else NOTICEABLE_WOBBLE)
+        change = largest_change(now.noise, was.noise, 0.0 if soft else UNNOTICED.wobble)
         change = max(change, abs(math.log(now.inefficiency / was.inefficiency)) / 5.0)
         if other.drift > 0.0:
             change += abs(math.log(other.drift / one.drift)) / 10.0
         regated = float(np.mean(now.weights.sample != was.weights.sample))
         # A wobble too small to matter makes way for a rigid axis, wherever the rest would go.
-        fades = not soft and other.leans and now.noise.wobble < NOTICEABLE_WOBBLE * now.noise.up
+        fades = not soft and other.leans and now.noise.wobble < UNNOTICED.wobble * now.noise.up
         still = moved * now.inefficiency < schedule.still
         if change >= schedule.noise_settled or regated > schedule.gate_settled:
             return False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,12 +12,28 @@ from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 
-FLAT = 0.05
-"""Share of the sphere that circles on different tilts must leave out of one plane."""
-LEAST_ROUND = 0.5
-"""Cosine and sine of the yaw, found apart, whose squares add up to less show no yaw."""
-LEAST_TURNED = 0.02
-"""How much of the level field must lean against up for gravity to show the yaw."""
+
+@dataclass(frozen=True)
+class SphereTuning:
+    """What circles on different tilts must show.
+
+    Parameters
+    ----------
+    thinnest : float
+        Share of the sphere that they must leave out of one plane.
+    least_round : float
+        Length of cosine and sine of the yaw, found apart, below which they show none; nor do they
+        beyond its inverse.
+    least_turned : float
+        How much of the level field must lean against up for gravity to show the yaw.
+    """
+
+    thinnest: float = 0.05
+    least_round: float = 0.5
+    least_turned: float = 0.02
+
+
+SPHERE = SphereTuning()
 
 
 def sphere_guess(turns: list[Samples], guess: Globals) -> Globals:
@@ -39,7 +55,7 @@ def sphere_guess(turns: list[Samples], guess: Globals) -> Globals:
     up = np.vstack([turn.up for turn in turns])
     centre, strength = inverse @ guess.hard_iron, guess.strength
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[2] > FLAT * spread[0]:
+    if spread[2] > SPHERE.thinnest * spread[0]:
         columns = np.column_stack([2.0 * points, np.ones(len(points))])
         answer = np.linalg.lstsq(columns, np.sum(points**2, axis=1), rcond=None)[0]
         centre = answer[:3]
@@ -61,7 +77,7 @@ def _yaw_by_gravity(guess: Globals, up: FloatArray, field: FloatArray) -> float:
         [up[:, 0] * x + up[:, 1] * y, up[:, 1] * x - up[:, 0] * y, np.ones(len(up))]
     )
     cosine, sine, _ = np.linalg.lstsq(columns, -up[:, 2] * z, rcond=None)[0]
-    shown = LEAST_ROUND < math.hypot(cosine, sine) < 1.0 / LEAST_ROUND
+    shown = SPHERE.least_round < math.hypot(cosine, sine) < 1.0 / SPHERE.least_round
     return math.atan2(sine, cosine) if shown else 0.0
 
 
@@ -83,7 +99,7 @@ def turned_to_gravity(guess: Globals, up: FloatArray, field: FloatArray) -> Glob
         body = field @ pose.T / guess.strength
         columns = np.column_stack([np.cross(body, up), np.ones(len(up))])
         measured = -np.sum(up * body, axis=1)
-        prior = np.sqrt(LEAST_TURNED**2 * len(up)) * np.eye(4)[:3]
+        prior = np.sqrt(SPHERE.least_turned**2 * len(up)) * np.eye(4)[:3]
         answer = np.linalg.lstsq(
             np.vstack([columns, prior]), np.concatenate([measured, np.zeros(3)]), rcond=None
         )[0]

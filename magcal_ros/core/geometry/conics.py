@@ -18,11 +18,24 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
-LINE_RATIO = 1e-6
-"""Points narrower than this share of their length are a line."""
 
-LARGEST_RADIUS = 1e4
-"""Radii beyond this many times the points' own size are a line, too."""
+@dataclass(frozen=True)
+class ConicTuning:
+    """What is no curve but a line.
+
+    Parameters
+    ----------
+    thinnest : float
+        Points narrower than this share of their length are a line.
+    largest_radius : float
+        Radii beyond this many times the points' own size are a line, too.
+    """
+
+    thinnest: float = 1e-6
+    largest_radius: float = 1e4
+
+
+CONICS = ConicTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +188,7 @@ class _Frame:
             )
         centroid = points.mean(axis=0)
         values = np.linalg.svd(points - centroid, compute_uv=False) / math.sqrt(len(points))
-        if values[1] <= LINE_RATIO * values[0] or values[0] == 0.0:
+        if values[1] <= CONICS.thinnest * values[0] or values[0] == 0.0:
             raise Refusal(
                 Reason.FIELD_ON_A_LINE,
                 "The samples lie on a line or on one point. Turn further round.",
@@ -194,7 +207,7 @@ class _Frame:
         squares = level / values
         if not (squares > 0.0).all():
             raise _not_an_ellipse()
-        if squares.max() > LARGEST_RADIUS**2:
+        if squares.max() > CONICS.largest_radius**2:
             raise Refusal(
                 Reason.FIELD_ON_A_LINE,
                 "The samples bend too little to show a circle. Turn further round.",

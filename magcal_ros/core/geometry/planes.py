@@ -15,11 +15,24 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
-CLUSTER_RATIO = 1e-9
-"""Clouds smaller than this share of their distance from the origin are one point."""
 
-LINE_RATIO = 1e-6
-"""Clouds narrower than this share of their length are a line."""
+@dataclass(frozen=True)
+class PlaneTuning:
+    """Which clouds have no plane.
+
+    Parameters
+    ----------
+    smallest : float
+        Clouds smaller than this share of their distance from the origin are one point.
+    thinnest : float
+        Clouds narrower than this share of their length are a line.
+    """
+
+    smallest: float = 1e-9
+    thinnest: float = 1e-6
+
+
+PLANES = PlaneTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,11 +186,11 @@ def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
-    if spread[2] <= CLUSTER_RATIO * float(np.linalg.norm(centre)) or spread[2] == 0.0:
+    if spread[2] <= PLANES.smallest * float(np.linalg.norm(centre)) or spread[2] == 0.0:
         raise Refusal(
             Reason.NO_MOTION, "All samples are the same point. Turn while the samples are taken."
         )
-    if spread[1] <= LINE_RATIO * spread[2]:
+    if spread[1] <= PLANES.thinnest * spread[2]:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
             "The samples lie on a line, which has no plane. Turn further round.",

@@ -16,11 +16,24 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
-THINNEST_CLOUD = 1e-6
-"""Clouds thinner than this share of their length lie on a plane, a line or a point."""
 
-LARGEST_RADIUS = 1e3
-"""Radii beyond this many times the cloud's own size are a plane, too."""
+@dataclass(frozen=True)
+class QuadricTuning:
+    """Which clouds have no ellipsoid.
+
+    Parameters
+    ----------
+    thinnest : float
+        Clouds thinner than this share of their length lie on a plane, a line or a point.
+    largest_radius : float
+        Radii beyond this many times the cloud's own size are a plane, too.
+    """
+
+    thinnest: float = 1e-6
+    largest_radius: float = 1e3
+
+
+QUADRICS = QuadricTuning()
 
 
 class QuadricFit(str, Enum):
@@ -94,11 +107,11 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
     values, axes = np.linalg.eigh(form)
     if shape is not QuadricFit.ROTATED:
         values, axes = np.diag(form), np.eye(3)
-    if np.abs(values).min() <= LARGEST_RADIUS**-2:
+    if np.abs(values).min() <= QUADRICS.largest_radius**-2:
         raise _no_ellipsoid()
     centre = -np.linalg.solve(form, linear)
     squares = (1.0 + float(centre @ form @ centre)) / values
-    if not (squares > 0.0).all() or squares.max() > LARGEST_RADIUS**2:
+    if not (squares > 0.0).all() or squares.max() > QUADRICS.largest_radius**2:
         raise _no_ellipsoid()
     if np.linalg.det(axes) < 0.0:
         axes = -axes
@@ -115,7 +128,7 @@ def _frame(points: FloatArray, least: int) -> tuple[FloatArray, float]:
         )
     centroid = points.mean(axis=0)
     spread = np.linalg.svd(points - centroid, compute_uv=False) / math.sqrt(len(points))
-    if spread[2] <= THINNEST_CLOUD * spread[0]:
+    if spread[2] <= QUADRICS.thinnest * spread[0]:
         raise _planar()
     return centroid, float(np.linalg.norm(spread))
 

@@ -19,7 +19,7 @@ from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, field
 from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
 from magcal_ros.core.heading.fusion_tuning import FusionTuning
 from magcal_ros.core.heading.yaw_filter import YawFilter
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up import GyroBias, Up
 
 HISTORY = 512
@@ -110,7 +110,7 @@ class FusedYaw:
             Whether the robot stands, so that the field of the place stays.
         """
         seconds = stamp - self._stamp
-        if not 0.0 < seconds <= LONGEST_GYRO_STEP and self._north is not None:
+        if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
             self.restart()
         self._stamp, self._up, self._rate, self._is_at_rest = stamp, up, rate, is_at_rest
         if known is not self._known:
@@ -162,7 +162,7 @@ class FusedYaw:
             What the compass makes of both.
         """
         seen = _levelled(field, up.direction)
-        if seen is None or abs(stamp - self._stamp) > LONGEST_GYRO_STEP:
+        if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
         detector = self.detector
         is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
@@ -173,7 +173,7 @@ class FusedYaw:
         then = self._at(stamp)
         if then is None or stamp <= self._corrected:
             return
-        since = min(stamp - self._corrected, LONGEST_GYRO_STEP)
+        since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
         # North that lies further to the left is a yaw further to the right.
         angle = math.atan2(dot(cross(then.north, seen), up.direction), dot(then.north, seen))

@@ -61,6 +61,10 @@ class KeepingTuning:
         Sigmas within which two windows agree at the first start.
     course_proof : float
         Fall of chi-square by which a candidate must explain the swing of compass against course.
+    memory : float
+        Seconds of road that are remembered.
+    map_every, map_rows : float, int
+        Seconds between points of the map of a drive, and the same in rows of its log.
     kept : int
         Calibrations before the one in force that are kept.
     remembered : int
@@ -100,6 +104,9 @@ class KeepingTuning:
     shortest_proof: float = 15.0
     agree: float = 2.0
     course_proof: float = 20.0
+    memory: float = 600.0
+    map_every: float = 0.5
+    map_rows: int = 5
     kept: int = 3
     remembered: int = 20
 

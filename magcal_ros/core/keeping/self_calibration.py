@@ -33,8 +33,6 @@ from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 
 TRIAL = "trial"
-MEMORY = 600.0
-"""Seconds of movement that are remembered."""
 
 
 class SelfCalibration:
@@ -55,7 +53,7 @@ class SelfCalibration:
         self.mode = mode
         self.tuning = tuning
         self.proposal: Calibration | None = None
-        self._recorder = DriveRecorder(MEMORY)
+        self._recorder = DriveRecorder(tuning.memory)
         self._in_force: Calibration | None = None
         self._before: deque[Calibration] = deque(maxlen=tuning.kept)
         self._on_probation: dict[Kind, Probation] = {}

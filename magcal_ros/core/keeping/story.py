@@ -19,10 +19,11 @@ from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import run
+from magcal_ros.core.keeping.keeping_tuning import KEEPING
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import (
     PositionSample,
     TravelSample,
@@ -30,11 +31,6 @@ from magcal_ros.core.samples.travel_samples import (
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
 from magcal_ros.core.up import UpFollower
-
-EVERY = 0.5
-"""Seconds between points of the map."""
-MAP_ROWS = 5
-"""The same in rows of a log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +112,7 @@ class DriveTeller:
         machine: SelfCalibration | None = None,
     ) -> None:
         self._knowledge, self._begun, self._now = knowledge, calibration, calibration
-        self.streams = Streams(MAX_GAP)
+        self.streams = Streams(STREAMS.max_gap)
         self._up = UpFollower()
         self._travelling = Travelling()
         self._machine = machine or SelfCalibration(Mode.APPLY)
@@ -173,7 +169,8 @@ class DriveTeller:
         a, b, c = self._own or (0.0, 0.0, 0.0)
         force = (x - a, y - b, z - c)
         up = self._up.newest
-        if up is not None and not (self._points and sample.stamp < self._points[-1].stamp + EVERY):
+        due = self._points[-1].stamp + KEEPING.map_every if self._points else -math.inf
+        if up is not None and not sample.stamp < due:
             self._points.append(_Point(sample.stamp, sample.field, up, speed))
         if self._machine.add(sample.stamp, sample.field, force, imu.rate, speed):
             for decision in self._machine.note(run(self._machine.job(self._knowledge))):
@@ -229,7 +226,7 @@ def path_along(
         place = np.column_stack([np.interp(time, stamps, east), np.interp(time, stamps, north)])
     else:
         yaw = yaw_from_up_and_field(up, field)
-        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * EVERY)
+        steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * KEEPING.map_every)
         steps *= np.where(known, speed, TUNING.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
@@ -238,8 +235,9 @@ def path_along(
 
 def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
     """Return the path of what is remembered of a drive; None of less than a few seconds."""
-    if len(log) < 2 * MAP_ROWS:
+    every = KEEPING.map_rows
+    if len(log) < 2 * every:
         return None
-    up = log.up()[::MAP_ROWS]
-    time, field, speed = (values[::MAP_ROWS] for values in (log.time, log.field, log.speed))
+    up = log.up()[::every]
+    time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
     return path_along(calibration, time, field, up, speed)

@@ -6,7 +6,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import SMALLEST_FIELD
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 
 WEAKEST_FORCE = 0.8
@@ -46,7 +46,7 @@ def refuse_empty(window: Window, min_samples: int) -> None:
             "The accelerometer shows no gravity. It must publish specific force in m/s², +9.81 "
             "upwards at rest, with gravity not taken off.",
         )
-    if _usual_size(window.field) < SMALLEST_FIELD:
+    if _usual_size(window.field) < STREAMS.smallest_field:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )

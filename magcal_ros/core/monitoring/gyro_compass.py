@@ -10,8 +10,8 @@ from magcal_ros.core.calibration.estimate import GyroSwing
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
-from magcal_ros.core.samples.coverage import LARGEST_GYRO_BIAS, Coverage
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.coverage import COVERAGE, Coverage
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 
 
@@ -77,7 +77,7 @@ def compass_less_gyro(
         design.append(basis[rows] - basis[rows].mean(axis=0))
     a, b = np.concatenate(design), np.concatenate(residuals)
     bias = float(np.linalg.lstsq(a, b, rcond=None)[0][0])
-    bias = min(max(bias, -LARGEST_GYRO_BIAS), LARGEST_GYRO_BIAS)
+    bias = min(max(bias, -COVERAGE.largest_gyro_bias), COVERAGE.largest_gyro_bias)
     return wrap_angle(b - bias * a[:, 0])
 
 
@@ -85,8 +85,7 @@ def _pieces(window: Window, up: FloatArray, tuning: RecheckTuning) -> list[IntAr
     """Return the stretches of rows over which gyro and compass are compared."""
     good = up[:, 0] ** 2 < tuning.steepest_nose
     spell = np.floor((window.time - window.time[0]) / tuning.longest_piece)
-    parted = (
-        (np.diff(window.time) > LONGEST_GYRO_STEP) | (np.diff(spell) > 0) | ~good[1:] | ~good[:-1]
-    )
+    unheard = np.diff(window.time) > STREAMS.longest_gyro_step
+    parted = unheard | (np.diff(spell) > 0) | ~good[1:] | ~good[:-1]
     pieces = np.split(np.arange(len(window)), np.flatnonzero(parted) + 1)
     return [rows for rows in pieces if len(rows) > 2]

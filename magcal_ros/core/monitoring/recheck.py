@@ -24,7 +24,7 @@ from magcal_ros.core.monitoring.recheck_chance import chances, check_beside_chan
 from magcal_ros.core.monitoring.recheck_drive import iron_added
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.up import propagated_up
@@ -251,7 +251,7 @@ def up_of(window: Window) -> FloatArray:
     """Return up at each sample, propagated by the gyro where samples follow each other closely."""
     if window.angular_rate is None:
         return unit(window.specific_force)
-    gaps = np.flatnonzero(np.diff(window.time) > LONGEST_GYRO_STEP)
+    gaps = np.flatnonzero(np.diff(window.time) > STREAMS.longest_gyro_step)
     pieces = np.split(np.arange(len(window)), gaps + 1)
     return np.concatenate([propagated_up(window.take(rows)) for rows in pieces])
 

@@ -7,6 +7,7 @@ theirs. The smoother gives each place its own bend; what is left is the robot's 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from magcal_ros.core.assessment.grading import Bound, Check
 from magcal_ros.core.calibration.calibration import Calibration
@@ -29,10 +30,25 @@ CHANGE = Bound(
     "the robot's own field has changed",
     unit="%",
 )
-SHOWN = 0.06
-"""Sigma of that beyond which a drive shows nothing of it."""
-CHANCE = 2.0
-"""Its sigmas that chance may be."""
+
+
+@dataclass(frozen=True)
+class IronAddedTuning:
+    """When a drive shows iron that was added.
+
+    Parameters
+    ----------
+    largest_sigma : float
+        Of the iron, against the level field, beyond which a drive shows nothing of it.
+    chance : float
+        Its sigmas that chance may be.
+    """
+
+    largest_sigma: float = 0.06
+    chance: float = 2.0
+
+
+TUNING = IronAddedTuning()
 
 
 def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
@@ -60,7 +76,7 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     level = calibration.strength * math.cos(calibration.inclination)
     share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
-    if sigma > SHOWN:
+    if sigma > TUNING.largest_sigma:
         return None
-    excess = math.sqrt(max(share**2 - (CHANCE * sigma) ** 2, 0.0))
+    excess = math.sqrt(max(share**2 - (TUNING.chance * sigma) ** 2, 0.0))
     return CHANGE.check(share, excess=excess)

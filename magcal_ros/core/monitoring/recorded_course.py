@@ -15,7 +15,7 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.monitoring.course_check import check_by_course
-from magcal_ros.core.samples.streams import MAX_GAP, FieldSample, ImuSample, Streams
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.up import UpFollower
 
@@ -78,7 +78,7 @@ def recorded_course(
     travel : iterable
         What receiver and wheels said, by stamp.
     """
-    streams, up, travelling = Streams(MAX_GAP), UpFollower(), Travelling()
+    streams, up, travelling = Streams(STREAMS.max_gap), UpFollower(), Travelling()
     compass = Compass(calibration)
     sensors = (reading for reading in readings if reading is not None)
     for sample in heapq.merge(sensors, travel, key=lambda each: each.stamp):
@@ -88,7 +88,7 @@ def recorded_course(
         elif isinstance(sample, FieldSample):
             if streams.add_field(sample):
                 up.add_field(sample.stamp, sample.field)
-                moment = up.at(sample.stamp, MAX_GAP)
+                moment = up.at(sample.stamp, STREAMS.max_gap)
                 field = compass.correct(sample.field)
                 if moment is not None:
                     heading = compass.heading(field, moment.direction, moment.variance)

@@ -22,7 +22,7 @@ from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
 from magcal_ros.core.monitoring.watch_tuning import WatchTuning
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class Watch:
             self._records.clear()
             self._sampled = self._looked = -math.inf
             self._doubts_since = self._clear_since = None
-        if not 0.0 <= step <= LONGEST_GYRO_STEP:
+        if not 0.0 <= step <= STREAMS.longest_gyro_step:
             self._path += 1
             self._visit.clear()
         elif math.isfinite(rate + self._rate):

@@ -21,10 +21,24 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.agreement import Agreement, agreements
 from magcal_ros.core.multi_turn.turn import Turn
 
-YAW_IS_SHOWN = 0.5
-"""Share of its prior's sigma below which the installation's yaw counts as shown."""
-FEWEST_INLIERS = 0.4
-"""Share of a turn's samples that the joint fit must count."""
+
+@dataclass(frozen=True)
+class JointTuning:
+    """What a joint fit must show.
+
+    Parameters
+    ----------
+    shown_yaw : float
+        Share of its prior's sigma below which the installation's yaw counts as shown.
+    fewest_inliers : float
+        Share of a turn's samples that the fit must count, or the turn contradicts the others.
+    """
+
+    shown_yaw: float = 0.5
+    fewest_inliers: float = 0.4
+
+
+TUNING = JointTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +98,7 @@ def fit_jointly(blocks: Sequence[TurnBlock], knowledge: Knowledge, scale: float)
     """
     meeting = settled(refined(meet(blocks, knowledge, scale), JOINING))
     sigma = math.sqrt(float(meeting.covariance[p.YAW, p.YAW]))
-    yaw = sigma < YAW_IS_SHOWN * knowledge.mounting.yaw_sigma
+    yaw = sigma < TUNING.shown_yaw * knowledge.mounting.yaw_sigma
     best, gain, doubt = meeting, 0.0, None
     if not yaw:
         prior = prior_from(knowledge, scale, soft_iron=True, yaw=False)
@@ -182,7 +196,7 @@ def those_that_agree(turns: list[Turn], knowledge: Knowledge) -> tuple[list[Turn
 def _contradicted(fit: Fit) -> int | None:
     shares = [float(block.weighting.weights.sample.mean()) for block in fit.blocks]
     worst = int(np.argmin(shares))
-    return worst if shares[worst] < FEWEST_INLIERS else None
+    return worst if shares[worst] < TUNING.fewest_inliers else None
 
 
 def _without(turns: list[Turn], odd: Turn, words: str) -> list[Turn]:

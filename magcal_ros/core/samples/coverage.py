@@ -14,22 +14,41 @@ from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.circle3d import fit_circle_in_space
 
 BINS = 36
-BINS_NEEDED = 34
-LARGEST_GAP_DEG = 20.0
-"""A turn is complete when no gap is larger and `BINS_NEEDED` of `BINS` are filled."""
 
-SPREAD_OVER_NOISE = 6.0
-"""The field's cloud must be so many times wider than its noise before it shows a phase."""
 
-SMALLEST_RADIUS = 4e-6
-"""Tesla. A smaller circle is noise, or a robot that stands."""
+@dataclass(frozen=True)
+class CoverageTuning:
+    """When a turn is seen, and when it is complete.
 
-GYRO_LEADS_UNTIL = math.radians(60.0)
-"""A shorter arc does not show its circle well; a gyro, where there is one, measures it."""
+    Parameters
+    ----------
+    bins_needed : int
+        Of `BINS`, that are filled on a complete turn.
+    largest_gap : float
+        Radians that a complete turn may leave out at one place.
+    spread_over_noise : float
+        The field's cloud must be so many times wider than its noise before it shows a phase.
+    smallest_radius : float
+        Tesla. A smaller circle is noise, or a robot that stands.
+    gyro_leads_until : float
+        Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
+        it.
+    smallest_turn : float
+        Radians of the gyro that are a turn, beyond what its bias pretends.
+    largest_gyro_bias : float
+        rad/s. A gyro at rest may pretend to turn as fast as this.
+    """
 
-SMALLEST_TURN = math.radians(10.0)
-LARGEST_GYRO_BIAS = math.radians(1.0)
-"""rad/s. A gyro at rest may pretend to turn as fast as this."""
+    bins_needed: int = 34
+    largest_gap: float = math.radians(20.0)
+    spread_over_noise: float = 6.0
+    smallest_radius: float = 4e-6
+    gyro_leads_until: float = math.radians(60.0)
+    smallest_turn: float = math.radians(10.0)
+    largest_gyro_bias: float = math.radians(1.0)
+
+
+COVERAGE = CoverageTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +103,7 @@ class Coverage:
     @property
     def is_complete(self) -> bool:
         """Whether every heading was seen, up to small gaps."""
-        return self.gap <= math.radians(LARGEST_GAP_DEG) and int(self.filled.sum()) >= BINS_NEEDED
+        return self.gap <= COVERAGE.largest_gap and int(self.filled.sum()) >= COVERAGE.bins_needed
 
     @property
     def hole_in_words(self) -> str:
@@ -138,7 +157,7 @@ def yaw_progress(
         return None
     up = unit(force.mean(axis=0))
     by_gyro = None if rate is None else _turn_by_gyro(time, rate @ up)
-    if by_gyro is not None and np.ptp(by_gyro) < GYRO_LEADS_UNTIL:
+    if by_gyro is not None and np.ptp(by_gyro) < COVERAGE.gyro_leads_until:
         return _beyond_drift(time, by_gyro)
     by_field = _magnetic_progress(field, up)
     if by_field is None and by_gyro is not None:
@@ -153,8 +172,8 @@ def _turn_by_gyro(time: FloatArray, about_up: FloatArray) -> FloatArray:
 
 def _beyond_drift(time: FloatArray, turned: FloatArray) -> FloatArray | None:
     """Return the gyro's turn if it is more than a gyro at rest pretends; else None."""
-    drift = LARGEST_GYRO_BIAS * float(time[-1] - time[0])
-    return turned if np.ptp(turned) > SMALLEST_TURN + drift else None
+    drift = COVERAGE.largest_gyro_bias * float(time[-1] - time[0])
+    return turned if np.ptp(turned) > COVERAGE.smallest_turn + drift else None
 
 
 def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
@@ -163,13 +182,13 @@ def _magnetic_progress(field: FloatArray, up: FloatArray) -> FloatArray | None:
     # Third differences: a turn of half a radian from sample to sample leaves little in them.
     steps = np.diff(field, 3, axis=0)
     noise = math.sqrt(float(np.median(np.sum(steps**2, axis=1))) / 60.0)
-    if math.sqrt(max(spread, 0.0)) < SPREAD_OVER_NOISE * noise:
+    if math.sqrt(max(spread, 0.0)) < COVERAGE.spread_over_noise * noise:
         return None
     try:
         circle = fit_circle_in_space(field, up)
     except Refusal:
         return None
-    if circle.radius < SMALLEST_RADIUS:
+    if circle.radius < COVERAGE.smallest_radius:
         return None
     phase = np.unwrap(circle.phase(field))
     return np.asarray(phase[0] - phase)

@@ -7,34 +7,48 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from magcal_ros.core.geometry.vec3 import Triple, between, length
 
-BACKWARD_SAMPLES_UNTIL_RESTART = 10
-"""So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
 
-MAX_GAP = 0.2
-"""Seconds. IMU samples further apart are usually not interpolated between."""
+@dataclass(frozen=True)
+class StreamTuning:
+    """What passes for a sample, and how samples hang together.
 
-LONGEST_GYRO_STEP = 0.5
-"""Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
+    Parameters
+    ----------
+    restart_after : int
+        So many stamps in a row before the newest mean that time itself went back (a looped bag).
+    max_gap : float
+        Seconds. IMU samples further apart are usually not interpolated between.
+    longest_gyro_step : float
+        Seconds between two samples over which a gyro still propagates; beyond, its path is lost.
+    remembered : int
+        Samples kept of each stream: four seconds of the fastest sensors.
+    smallest_field, largest_field : float
+        Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
+        error or a magnet on the sensor.
+    smallest_force, largest_force : float
+        m/s². No accelerometer reads less or more, milli-g published as m/s² included.
+    largest_rate : float
+        rad/s. No gyro reads more, degrees published as radians included.
+    """
 
-HISTORY = 4096
-"""Samples kept of each stream: four seconds of the fastest sensors."""
+    restart_after: int = 10
+    max_gap: float = 0.2
+    longest_gyro_step: float = 0.5
+    remembered: int = 4096
+    smallest_field: float = 1e-9
+    largest_field: float = 1e-3
+    smallest_force: float = 1e-6
+    largest_force: float = 1e5
+    largest_rate: float = 1e4
 
-LARGEST_FIELD = 1e-3
-"""Tesla. Twenty times the Earth's field: beyond it is a unit error or a magnet on the sensor."""
 
-SMALLEST_FIELD = 1e-9
-"""Tesla. Less than this is a sensor that reads nothing."""
-
-SMALLEST_FORCE, LARGEST_FORCE = 1e-6, 1e5
-"""m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
-
-LARGEST_RATE = 1e4
-"""rad/s. No gyro reads more, degrees published as radians included."""
+STREAMS = StreamTuning()
 
 
 class Drop(str, Enum):
@@ -88,7 +102,7 @@ class StampGuard:
             return Drop.REPEATED
         if stamp < self.newest:
             self._backward += 1
-            if self._backward < BACKWARD_SAMPLES_UNTIL_RESTART:
+            if self._backward < STREAMS.restart_after:
                 return Drop.BACKWARD_STAMP
         self._backward = 0
         self.newest = stamp
@@ -123,7 +137,7 @@ class Streams:
         self.field_drops: Counter[Drop] = Counter()
         self.imu_stamps = StampGuard()
         self.field_stamps = StampGuard()
-        self._imu: deque[ImuSample] = deque(maxlen=HISTORY)
+        self._imu: deque[ImuSample] = deque(maxlen=STREAMS.remembered)
         self._last_field = (math.nan, math.nan, math.nan)
         self.is_repeated = False
         self.largest_field = 0.0
@@ -134,9 +148,9 @@ class Streams:
         """Take an IMU sample; returns whether it was usable."""
         p, q, r = sample.rate
         went_back_from = self.imu_stamps.newest
-        reason = _fault(sample.force, SMALLEST_FORCE, LARGEST_FORCE)
+        reason = _fault(sample.force, STREAMS.smallest_force, STREAMS.largest_force)
         # Without a gyro the rate is NaN, which is larger than nothing.
-        if reason is None and p * p + q * q + r * r > LARGEST_RATE**2:
+        if reason is None and p * p + q * q + r * r > STREAMS.largest_rate**2:
             reason = Drop.TOO_LARGE
         reason = reason or self.imu_stamps.check(sample.stamp)
         if reason is not None:
@@ -154,7 +168,7 @@ class Streams:
         A sample with the values of the one before is counted as repeated, and still usable: a
         robot that stands still in a quantised field is no fault. `is_repeated` tells.
         """
-        reason = _fault(sample.field, SMALLEST_FIELD, LARGEST_FIELD)
+        reason = _fault(sample.field, STREAMS.smallest_field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
             self.largest_field = length(sample.field)
         reason = reason or self.field_stamps.check(sample.stamp)
@@ -236,7 +250,7 @@ class Pairer:
         while self._waiting and self._waiting[-1].stamp > sample.stamp:
             self._waiting.pop()
             self._count_unpaired()
-        if len(self._waiting) == HISTORY:
+        if len(self._waiting) == STREAMS.remembered:
             self._waiting.popleft()
             self._count_unpaired()
         self._waiting.append(sample)

@@ -24,7 +24,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
 from magcal_ros.core.samples.diagnosis import Heard, complaints
-from magcal_ros.core.samples.streams import MAX_GAP, Drop, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.streams import STREAMS, Drop, FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
@@ -75,7 +75,7 @@ class Gathering:
         mounting: Mounting,
         imu_topic: str = "the IMU",
         field_topic: str = "the field",
-        max_gap: float = MAX_GAP,
+        max_gap: float = STREAMS.max_gap,
     ) -> None:
         self.mounting = mounting
         self.streams = Streams(max_gap)

@@ -7,6 +7,7 @@ while the motors are off.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,10 +15,24 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
 from magcal_ros.core.up import relative_attitudes
 
-LONGEST = 10.0
-"""Seconds of a rest that count, those nearest to the turn: before, things may have been moved."""
-FEWEST = 20
-"""Rows that are left of a turn; where there are fewer, the robot hardly moved."""
+
+@dataclass(frozen=True)
+class RestingTuning:
+    """What of a rest is taken apart from a turn.
+
+    Parameters
+    ----------
+    longest : float
+        Seconds of a rest that count, those nearest to the turn: before, things may have been moved.
+    fewest : int
+        Rows that are left of a turn; where there are fewer, the robot hardly moved.
+    """
+
+    longest: float = 10.0
+    fewest: int = 20
+
+
+TUNING = RestingTuning()
 
 
 def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ...]]:
@@ -41,14 +56,14 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     first = 0 if before is None else before.stop
     end = len(rows) if after is None else after.start
     bias = bias_at_rest(time, field, rate) if has_gyro else None
-    if end - first < FEWEST:
+    if end - first < TUNING.fewest:
         before, after, first, end = None, None, 0, len(rows)
     rests = []
     if before is not None:
-        near = rows[before][time[before] > time[first] - LONGEST]
+        near = rows[before][time[before] > time[first] - TUNING.longest]
         rests.append(_rest(near, near[-1], rows[first], has_gyro))
     if after is not None:
-        near = rows[after][time[after] < time[end - 1] + LONGEST]
+        near = rows[after][time[after] < time[end - 1] + TUNING.longest]
         rests.append(_rest(near, near[0], rows[end - 1], has_gyro))
     if has_gyro and bias is None and rests:
         weights = [rest.rate_sigma**-2 for rest in rests]

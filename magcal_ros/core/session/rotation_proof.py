@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.vec3 import dot, length
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP, Pair
+from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.session.gyro_against_field import fit_circle_by_angle, objection_to_gyro
 from magcal_ros.core.session.rotation_plan import Fault, Seen
 from magcal_ros.core.session.session import Progress
@@ -83,7 +83,7 @@ class RotationProof:
         about_up = dot(force, rate) / length(force)
         if self._newest is not None:
             step = stamp - self._newest[0]
-            if not 0.0 < step <= LONGEST_GYRO_STEP:
+            if not 0.0 < step <= STREAMS.longest_gyro_step:
                 self._recent.clear()
             else:
                 self._turned += 0.5 * step * (about_up + self._newest[1])

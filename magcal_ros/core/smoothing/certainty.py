@@ -25,9 +25,6 @@ from magcal_ros.core.smoothing.drive_model import (
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 
-LEAST_CLUSTERS = 5
-"""Fewer say nothing of how much they differ."""
-
 
 @dataclass(frozen=True, eq=False)
 class Twelve:
@@ -105,7 +102,7 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
         return inefficiency_factor(residual, smoothed.here.weights[0])
     scores = cluster_scores(smoothed)
     count = len(scores)
-    if count < LEAST_CLUSTERS:
+    if count < smoothed.problem.tuning.fewest_clusters:
         return 1.0
     middle = scores.T @ scores * count / (count - 4.0)
     sandwich = plain @ (middle + smoothed.problem.prior.information) @ plain

@@ -25,7 +25,6 @@ from magcal_ros.core.smoothing.drive_model import (
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
-TYPICAL_DIP = math.radians(60.0)
 HELD = 1e-6
 """Sigma of a number that is held, in its own unit."""
 
@@ -98,7 +97,7 @@ def _earth(knowledge: Knowledge, tuning: SmootherTuning) -> tuple[FloatArray, Fl
     """Return level and downward field, microtesla, and their covariance."""
     strength, dip = knowledge.reference.strength, knowledge.reference.inclination
     size = MICROTESLA * (TYPICAL_STRENGTH if strength.is_unknown else strength.value)
-    angle = TYPICAL_DIP if dip.is_unknown else dip.value
+    angle = tuning.typical_dip if dip.is_unknown else dip.value
     earth = size * np.array([math.cos(angle), math.sin(angle)])
     along, across = earth / size, np.array([-earth[1], earth[0]])
     spread = np.diag(np.square(tuning.strength))

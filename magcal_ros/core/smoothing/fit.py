@@ -90,7 +90,7 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
             " needed: drive on",
         )
     believed = free_prior(knowledge, tuning)
-    start, prior = linear_start(nodes, believed)
+    start, prior = linear_start(nodes, believed, tuning)
     declination = knowledge.reference.declination or 0.0
     weakened = start.shared[LEVEL_FIELD] < tuning.weak * believed.mean[LEVEL_FIELD]
     if weakened and not knowledge.reference.strength.is_unknown:
@@ -168,7 +168,7 @@ def fit_iron(
         tilt=tuning.kept_tilt,
         soft_iron=tuning.kept_soft_iron,
     )
-    start, prior = linear_start(inside, believed)
+    start, prior = linear_start(inside, believed, tuning)
     declination = knowledge.reference.declination or 0.0
     smoothed = smooth(Problem(inside, prior, declination, Sizes(), tuning), start, reviews=2)
     if smoothed is None:

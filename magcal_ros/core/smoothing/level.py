@@ -17,8 +17,6 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 from magcal_ros.core.up import relative_attitudes
 
 SMALLEST_STEP = 1e-3
-FEWEST_SECONDS = 10
-"""Of a stretch, below which nobody can tell whether something pulls."""
 
 
 def level_up(
@@ -73,7 +71,7 @@ def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> 
     """
     width = round(1.0 / tuning.row)
     count = len(force) // width
-    if count < FEWEST_SECONDS:
+    if count < tuning.fewest_seconds:
         return math.inf
     across = force - np.sum(force * up, axis=1)[:, None] * up
     means = across[: count * width].reshape(count, width, 3).mean(axis=1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.level import level_up, pull
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
@@ -82,7 +82,7 @@ class DriveLog:
     @property
     def _pieces(self) -> list[slice]:
         """Stretches over which the gyro was heard."""
-        edges = np.flatnonzero(np.diff(self.time) > LONGEST_GYRO_STEP) + 1
+        edges = np.flatnonzero(np.diff(self.time) > STREAMS.longest_gyro_step) + 1
         return [slice(*ends) for ends in zip([0, *edges], [*edges, len(self)], strict=True)]
 
 

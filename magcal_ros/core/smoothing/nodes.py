@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 MICROTESLA = 1e6
@@ -155,7 +155,7 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
     tuning : SmootherTuning
     """
     time, level = track.time, levelled_axes(track.up)
-    gaps = np.diff(time) > LONGEST_GYRO_STEP
+    gaps = np.diff(time) > STREAMS.longest_gyro_step
     steps = np.where(gaps, 0.0, yaw_steps(time, track.rate, level))
     yaw = np.concatenate([[0.0], np.cumsum(steps)])
     field = MICROTESLA * track.field @ to_body.T
@@ -241,5 +241,6 @@ def _way(track: Track, stands: BoolArray, tuning: SmootherTuning) -> FloatArray:
         speed = np.where(stands, 0.0, tuning.usual_speed)
     else:
         speed = np.abs(track.speed)
-    steps = np.minimum(np.diff(track.time), LONGEST_GYRO_STEP) * 0.5 * (speed[1:] + speed[:-1])
+    seconds = np.minimum(np.diff(track.time), STREAMS.longest_gyro_step)
+    steps = seconds * 0.5 * (speed[1:] + speed[:-1])
     return np.concatenate([[0.0], np.cumsum(steps)])

@@ -9,13 +9,11 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import LONGEST_GYRO_STEP
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
-CHUNK = 10
-"""Rows after which it is asked whether the robot stands."""
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
 
@@ -39,7 +37,9 @@ class DriveRecorder:
 
     def __init__(self, seconds: float = 600.0, tuning: SmootherTuning = TUNING) -> None:
         self._tuning = tuning
-        self._chunks: deque[FloatArray] = deque(maxlen=int(seconds / (tuning.row * CHUNK)) + 1)
+        self._chunks: deque[FloatArray] = deque(
+            maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
+        )
         self._recent: deque[FloatArray] = deque(maxlen=5)
         self.begin_anew()
 
@@ -94,7 +94,9 @@ class DriveRecorder:
             self._rows.clear()
             self._recent.clear()
             self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
-            self._pause = stamp - self.clock - 2.0 * LONGEST_GYRO_STEP if self._chunks else 0.0
+            self._pause = (
+                stamp - self.clock - 2.0 * STREAMS.longest_gyro_step if self._chunks else 0.0
+            )
         self._newest = stamp
         grown = False
         if stamp >= self._row + self._tuning.row:
@@ -120,7 +122,7 @@ class DriveRecorder:
         if self._count:
             self._rows.append(tuple(value / self._count for value in self._sums))
             self._sums, self._count = [0.0] * COLUMNS, 0
-        if len(self._rows) < CHUNK:
+        if len(self._rows) < self._tuning.chunk:
             return False
         chunk = np.array(self._rows)
         self._rows.clear()
@@ -134,7 +136,7 @@ class DriveRecorder:
             last = float(self._chunks[-1][-1, 0])
             # What was cut out left no hole, and what was not heard leaves one.
             early = last + self._tuning.row - float(stamps[0])
-            if early > 0.0 or (self._pause > 0.0 and -early < LONGEST_GYRO_STEP):
+            if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
                 stamps = stamps + early
                 self._pause -= early
         chunk[:, 0] = stamps
@@ -148,7 +150,7 @@ class DriveRecorder:
         if len(self._recent) < 5:
             return False
         rows, tuning = np.concatenate(list(self._recent)), self._tuning
-        speed = np.abs(rows[-CHUNK:, SPEED])
+        speed = np.abs(rows[-tuning.chunk :, SPEED])
         if (speed > tuning.rest_speed).any():
             return False
         half = len(rows) // 2

@@ -18,16 +18,15 @@ from magcal_ros.core.smoothing.drive_model import (
 )
 from magcal_ros.core.smoothing.drive_prior import SharedPrior
 from magcal_ros.core.smoothing.nodes import Nodes
+from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 BIASES: FloatArray = np.radians([0.0, -0.1, 0.1, -0.2, 0.2, -0.5, 0.5, -1.0, 1.0])
 """rad/s that standing still may have left in the gyro."""
-ROUNDS = 8
-BELIEVED = 10.0
-"""Microtesla, how well the prior's field along up is known here, and at most how small the level
-field may be: enough to keep apart what level ground does not."""
 
 
-def linear_start(nodes: Nodes, prior: SharedPrior) -> tuple[Unknowns, SharedPrior]:
+def linear_start(
+    nodes: Nodes, prior: SharedPrior, tuning: SmootherTuning = TUNING
+) -> tuple[Unknowns, SharedPrior]:
     """Fit field and hard iron in the gyro's axes by IRLS, for several biases; the best is taken.
 
     Returns
@@ -38,7 +37,7 @@ def linear_start(nodes: Nodes, prior: SharedPrior) -> tuple[Unknowns, SharedPrio
     best, chosen, bias = math.inf, np.zeros(6), 0.0
     clock = np.cumsum(nodes.seconds)
     for trial in BIASES:
-        found, misfit = _fitted(nodes, nodes.heading - trial * clock, prior)
+        found, misfit = _fitted(nodes, nodes.heading - trial * clock, prior, tuning)
         if misfit < best:
             best, chosen, bias = misfit, found, float(trial)
     shared = prior.mean.copy()
@@ -52,17 +51,19 @@ def linear_start(nodes: Nodes, prior: SharedPrior) -> tuple[Unknowns, SharedPrio
     return Unknowns(shared, yaw, np.zeros((len(nodes), 3))), prior.about(chosen[3:])
 
 
-def _fitted(nodes: Nodes, heading: FloatArray, prior: SharedPrior) -> tuple[FloatArray, float]:
+def _fitted(
+    nodes: Nodes, heading: FloatArray, prior: SharedPrior, tuning: SmootherTuning
+) -> tuple[FloatArray, float]:
     """Return field in the gyro's axes and hard iron (6,), and the median misfit, microtesla."""
     n = len(nodes)
     design = np.concatenate(
         [nodes.axes @ turned_into(heading), np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2
     )
     expected = np.array([0.0, 0.0, -prior.mean[DOWN_FIELD], 0.0, 0.0, 0.0])
-    known = np.array([1e-6, 1e-6, BELIEVED**-2.0, *(prior.sigma[IRON] ** -2.0)])
+    known = np.array([1e-6, 1e-6, tuning.start_field**-2.0, *(prior.sigma[IRON] ** -2.0)])
     rows, read = design.reshape(-1, 6), nodes.field.ravel()
     weight, found, misfit = np.ones(n), expected, math.inf
-    for _ in range(ROUNDS):
+    for _ in range(tuning.start_rounds):
         weighted = rows * np.repeat(weight, 3)[:, None]
         normal = weighted.T @ rows + n * np.diag(known) * 0.01
         found = np.linalg.solve(normal, weighted.T @ read + n * 0.01 * known * expected)

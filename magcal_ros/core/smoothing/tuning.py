@@ -14,6 +14,8 @@ class SmootherTuning:
     ----------
     row : float
         Seconds of samples that make one row of the log of a drive.
+    chunk : int
+        Rows after which it is asked whether the robot rests.
     node : float
         Seconds of samples that make one node: a field turns little in it, and noise averages out.
     most_nodes : int
@@ -25,6 +27,8 @@ class SmootherTuning:
         The same seconds where nothing pulls the force aside: by less than so many m/s² in the mean,
         over a second each. Then a gyro errs more than the accelerometer, and a robot that tells no
         speed is taken to stay where it is.
+    fewest_seconds : int
+        Seconds of a stretch below which nobody can tell whether something pulls.
     level_rounds, level_walk, level_bias : int, float, float
         How often the gyro's bias is found from the drift of that mean, the angle random walk of up
         (rad/s^.5), and the largest bias that is expected (rad/s).
@@ -53,6 +57,8 @@ class SmootherTuning:
     strength, unknown_strength, unknown_dip, gain : float
         Prior sigmas of the level and upright field where the reference says less: per axis;
         relative and radians where there is no reference; the sensor's own gain, relative.
+    typical_dip : float
+        Radians of inclination, where there is no reference.
     counts : float
         How often the priors on tilt, soft iron and field count: the errors of nodes are not as
         independent as the model has them, and their number would overrule them.
@@ -76,6 +82,8 @@ class SmootherTuning:
         and never below these shares of it.
     cluster : float
         Metres of road that count as one witness in the sandwich covariance.
+    fewest_clusters : int
+        Fewer say nothing of how much they differ. The correction of small samples takes four off.
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
@@ -84,18 +92,23 @@ class SmootherTuning:
         streets let nobody go.
     lasting : float
         Microtesla that sensors and a place err by all along a window in which nobody travels.
+    start_rounds, start_field : int, float
+        Rounds of reweighting to the linear start, and microtesla to which the prior's field along
+        up is known there: enough to keep apart what level ground does not.
     most_rounds, enough, largest_turn : int, float, float
         Steps at most; a heading that moves less than this many radians has converged; the largest
         turn of any node in one step.
     """
 
     row: float = 0.1
+    chunk: int = 10
     node: float = 0.5
     most_nodes: int = 1200
     level_memory: float = 8.0
     pulled: float = 0.1
     level_memory_unpulled: float = 2.0
     unpulled: float = 0.15
+    fewest_seconds: int = 10
     level_rounds: int = 2
     level_walk: float = math.radians(0.3)
     level_bias: float = 0.02
@@ -124,6 +137,7 @@ class SmootherTuning:
     unknown_strength: float = 0.3
     unknown_dip: float = math.radians(20.0)
     gain: float = 0.03
+    typical_dip: float = math.radians(60.0)
     counts: float = 4.0
     widest_soft_iron: float = 0.25
     far_beyond: float = 2.5
@@ -138,9 +152,12 @@ class SmootherTuning:
     least_street: float = 0.1
     least_noise: float = 0.1
     cluster: float = 150.0
+    fewest_clusters: int = 5
     most_repeated: float = 4.0
     usual_witnesses: float = 6.0
     lasting: float = 0.15
+    start_rounds: int = 8
+    start_field: float = 10.0
     most_rounds: int = 40
     enough: float = math.radians(0.01)
     largest_turn: float = 0.3

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, between, length, propagated, unit_triple
-from magcal_ros.core.samples.streams import HISTORY, LONGEST_GYRO_STEP, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, ImuSample
 from magcal_ros.core.up.levelling import Levelling
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.steady import ZERO
@@ -45,7 +45,7 @@ class UpFollower:
         self._propagation = GyroPropagation(self._tuning)
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
-        self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=HISTORY)
+        self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
 
     @property
     def is_propagated(self) -> bool:
@@ -112,7 +112,7 @@ class UpFollower:
         force, is_given = _in_g(sample.force, linear_acceleration)
         if seconds <= 0.0:
             self._ups.clear()
-        follows = last is not None and 0.0 < seconds <= LONGEST_GYRO_STEP
+        follows = last is not None and 0.0 < seconds <= STREAMS.longest_gyro_step
         stamp, rate, propagation = sample.stamp, sample.rate, self._propagation
         if has_gyro(sample):
             if follows and last is not None and has_gyro(last):

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.estimation.averaging import (
-    SPIKE_NEIGHBOURS,
+    SPIKES,
     TYPICAL_STRENGTH,
     field_scale,
     prepare,
@@ -77,7 +77,7 @@ def test_a_spike_is_left_out_of_its_average_and_nothing_else_is():
 def test_a_stretch_of_spikes_alone_is_averaged_all_the_same():
     values = np.zeros((100, 3))
     values[::2] = np.random.default_rng(1).normal(size=(50, 3))
-    out = prepare(values + 1.0, np.ones((100, 3)), KNOWLEDGE, 100 // SPIKE_NEIGHBOURS)
+    out = prepare(values + 1.0, np.ones((100, 3)), KNOWLEDGE, 100 // SPIKES.neighbours)
     assert np.isfinite(out.averaged.field).all()
 
 

@@ -8,9 +8,8 @@ import pytest
 
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.prior import (
-    MOST_SOFT_IRON,
-    RUNAWAY_HARD_IRON,
     SOFT_IRON_INDICES,
+    WIDEST,
     prior_from,
 )
 from magcal_ros.core.knowledge import Knowledge
@@ -51,7 +50,7 @@ def test_the_slope_of_the_cost_pulls_towards_what_is_expected(state, index):
 def test_only_where_nothing_is_known_of_the_field_is_the_hard_iron_held():
     unknown = prior_of(ROBOT.knowledge(math.inf, math.inf))
     assert unknown.holds_hard_iron
-    np.testing.assert_allclose(unknown.information[p.HARD_IRON], RUNAWAY_HARD_IRON**-2)
+    np.testing.assert_allclose(unknown.information[p.HARD_IRON], WIDEST.hard_iron**-2)
     assert not prior_of(ROBOT.knowledge(1e-6, math.inf)).holds_hard_iron
     assert not prior_of(ROBOT.knowledge(math.inf, 2.0 * DEGREE)).holds_hard_iron
 
@@ -71,7 +70,7 @@ def test_soft_iron_far_beyond_its_prior_widens_that_prior_alone(state):
     wide = prior.as_wide_as(replace(state.shared, soft_iron=iron), beyond=3.0)
     found = wide.information[SOFT_IRON_INDICES] ** -0.5
     expected = sigma.copy()
-    expected[0], expected[3] = min(iron[0], MOST_SOFT_IRON), min(iron[3], MOST_SOFT_IRON)
+    expected[0], expected[3] = min(iron[0], WIDEST.soft_iron), min(iron[3], WIDEST.soft_iron)
     np.testing.assert_allclose(found, expected)
     others = np.setdiff1d(np.arange(p.COUNT), SOFT_IRON_INDICES)
     np.testing.assert_array_equal(wide.information[others], prior.information[others])

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.samples.streams import (
-    BACKWARD_SAMPLES_UNTIL_RESTART,
-    HISTORY,
-    LARGEST_FIELD,
+    STREAMS,
     Drop,
     FieldSample,
     ImuSample,
@@ -94,14 +92,14 @@ class TestStampGuard:
     def test_a_stamp_that_stands_still_never_passes(self):
         guard = StampGuard()
         guard.check(2.0)
-        frozen = [guard.check(2.0) for _ in range(5 * BACKWARD_SAMPLES_UNTIL_RESTART)]
+        frozen = [guard.check(2.0) for _ in range(5 * STREAMS.restart_after)]
         assert set(frozen) == {Drop.REPEATED}
 
     def test_follows_time_that_was_set_back_for_good(self):
         guard = StampGuard()
         guard.check(100.0)
-        answers = [guard.check(1.0 + 0.01 * k) for k in range(BACKWARD_SAMPLES_UNTIL_RESTART + 5)]
-        assert answers[:9] == [Drop.BACKWARD_STAMP] * (BACKWARD_SAMPLES_UNTIL_RESTART - 1)
+        answers = [guard.check(1.0 + 0.01 * k) for k in range(STREAMS.restart_after + 5)]
+        assert answers[:9] == [Drop.BACKWARD_STAMP] * (STREAMS.restart_after - 1)
         assert answers[9:] == [None] * 6
 
     def test_now_and_then_an_old_stamp_never_sets_time_back(self):
@@ -160,7 +158,7 @@ class TestFieldDrops:
             (mag(1.0, (math.inf, 0.0, 1e-6)), Drop.NOT_FINITE),
             (mag(1.0, (0.0, 0.0, 0.0)), Drop.ZERO),
             (mag(1.0, (0.0, 5e-324, 1e-160)), Drop.ZERO),
-            (mag(1.0, (0.0, 0.0, 1.001 * LARGEST_FIELD)), Drop.TOO_LARGE),
+            (mag(1.0, (0.0, 0.0, 1.001 * STREAMS.largest_field)), Drop.TOO_LARGE),
             (mag(0.0), Drop.ZERO_STAMP),
             (mag(0.5), Drop.BACKWARD_STAMP),
             (mag(0.6), Drop.REPEATED),
@@ -173,7 +171,7 @@ class TestFieldDrops:
         assert streams.field_drops == {reason: 1}
 
     def test_a_field_up_to_the_limit_is_used(self):
-        assert Streams(MAX_GAP).add_field(mag(1.0, (0.0, 0.0, 0.999 * LARGEST_FIELD)))
+        assert Streams(MAX_GAP).add_field(mag(1.0, (0.0, 0.0, 0.999 * STREAMS.largest_field)))
 
     def test_the_size_of_a_field_too_large_is_remembered(self):
         streams = Streams(MAX_GAP)
@@ -240,7 +238,7 @@ class TestInterpolation:
 
     def test_only_the_history_is_kept(self):
         streams = Streams(MAX_GAP)
-        for k in range(HISTORY + 1):
+        for k in range(STREAMS.remembered + 1):
             streams.add_imu(line(1.0 + 0.001 * k))
         assert streams.imu_at(1.0) is None
         assert streams.imu_at(1.0015) is not None
@@ -309,7 +307,7 @@ class TestPairs:
     def test_what_waits_too_long_for_an_imu_is_let_go_and_counted(self):
         walk = Walk()
         walk.feed_all(drive(1.0, 100.0)[1])
-        assert walk.streams.field_drops[Drop.UNPAIRED] == 5000 - HISTORY
+        assert walk.streams.field_drops[Drop.UNPAIRED] == 5000 - STREAMS.remembered
 
     def test_repeated_field_samples_make_no_second_pair(self):
         imus, fields = drive(1.0, 2.0)
@@ -332,7 +330,7 @@ class TestPairs:
         again = by_stamp(*drive(1.0, 2.0))
         walk.feed_all(again)
         found = [pair.field.stamp for pair in walk.pairs[before:]]
-        assert len(found) >= 100 - 2 * BACKWARD_SAMPLES_UNTIL_RESTART
+        assert len(found) >= 100 - 2 * STREAMS.restart_after
         assert found == sorted(found)
         assert all(1.0 <= stamp < 3.1 for stamp in found)
         for pair in walk.pairs[before:]:
@@ -346,7 +344,7 @@ class TestPairs:
         stream.insert(len(stream) // 2, stray)
         walk = Walk()
         walk.feed_all(stream)
-        assert len(walk.pairs) >= len(fields) - 2 * BACKWARD_SAMPLES_UNTIL_RESTART
+        assert len(walk.pairs) >= len(fields) - 2 * STREAMS.restart_after
         assert walk.pairs[-1].field.stamp > 4.9
         for pair in walk.pairs:
             assert pair.imu.force == pytest.approx(line(pair.field.stamp).force)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,11 +21,27 @@ from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 
-LEAST_ELLIPSE_ARC = math.radians(270.0)
-SECTOR = math.radians(10.0)
-"""Radians of the turn over which noise of up is averaged before it is graded."""
-SPLIT_DAMPING = 1e-6
-"""Half a turn may leave a direction open."""
+
+@dataclass(frozen=True)
+class FigureTuning:
+    """How the figures of one turn are measured.
+
+    Parameters
+    ----------
+    ellipse_arc : float
+        Radians below which an arc shows no ellipse.
+    sector : float
+        Radians of the turn over which noise of up is averaged before it is graded.
+    split_damping : float
+        Of the step to the optimum of half a turn, which may leave a direction open.
+    """
+
+    ellipse_arc: float = math.radians(270.0)
+    sector: float = math.radians(10.0)
+    split_damping: float = 1e-6
+
+
+TUNING = FigureTuning()
 
 
 def measure_figures(
@@ -74,7 +90,7 @@ def _share_of_sector(fit: Fit, arc: float) -> float:
     """
     weighting = fit.block.weighting
     count = max(float(np.count_nonzero(weighting.inliers)), 1.0)
-    return arc / SECTOR * weighting.inefficiency / count
+    return arc / TUNING.sector * weighting.inefficiency / count
 
 
 def _unseen_soft_iron(fit: Fit, knowledge: Knowledge, scale: float) -> dict[Figure, float]:
@@ -114,7 +130,7 @@ def _split_half(fit: Fit, scale: float) -> float:
     for half in (np.arange(count) < count // 2, np.arange(count) >= count // 2):
         counted = Weights(weights.data, weights.wobble, weights.sample * half)
         equations = free.reweighted([counted]).equations
-        move = equations.move(SPLIT_DAMPING, np.zeros(equations.size))
+        move = equations.move(TUNING.split_damping, np.zeros(equations.size))
         if move is None:
             return math.nan
         steps.append(move.step[len(free.block.own) :])
@@ -149,7 +165,7 @@ def _circle_figures(
         strength = knowledge.reference.strength.value / scale
         expected = strength * float(np.linalg.norm(across))
         figures[Figure.RADIUS_RATIO] = circle.radius / max(expected, 1e-9)
-    if arc >= LEAST_ELLIPSE_ARC:
+    if arc >= TUNING.ellipse_arc:
         figures[Figure.ELLIPSE_RATIO] = ellipse_ratio(points, circle.centre, circle.normal)
     return figures
 
