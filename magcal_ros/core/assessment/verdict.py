@@ -157,6 +157,10 @@ NO_MOUNTING = (
     "the mounting of the magnetometer against the IMU: this method took their axes for aligned and "
     "corrects nothing of it"
 )
+STAND_BESIDE = (
+    "stand still for three seconds before and after the turn: that shows the gyro's bias, and"
+    " whether the robot was pulled outwards"
+)
 NOT_COMPARED = (
     "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
     " checked, because "
@@ -239,6 +243,11 @@ def judged_figures(estimate: Estimate, tuning: VerdictTuning) -> dict[Figure, fl
     return figures
 
 
+def _is_mostly_possible_pull(figures: Mapping[Figure, float]) -> bool:
+    part = figures.get(Figure.POSSIBLE_PULL, 0.0)
+    return part**2 > 0.5 * figures[Figure.HEADING_SIGMA] ** 2
+
+
 def _check(
     bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge, tuning: VerdictTuning
 ) -> Check:
@@ -248,6 +257,8 @@ def _check(
         bound = replace(bound, remedy=Z_NOT_UP)
     elif bound.after_full and figures[Figure.ARC] > tuning.nearly_full:
         bound = replace(bound, remedy=bound.after_full)
+    if bound.figure is Figure.HEADING_SIGMA and _is_mostly_possible_pull(figures):
+        bound = replace(bound, remedy=STAND_BESIDE)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:

@@ -94,6 +94,9 @@ class Figure(str, Enum):
     STEADY_PULL = "steady_pull"
     """Lean of the accelerometer's up that was found to turn with the robot and was taken off,
     radians; zero without one; absent without a gyro."""
+    POSSIBLE_PULL = "possible_pull"
+    """What a pull that nothing shows may do to the heading, radians, one sigma; zero where samples
+    or a rest beside the turn tell; absent without a gyro."""
     MOTOR_FIELD = "motor_field"
     """Field that is there while the robot turns and not while it rests beside its turn, or that
     switched on the way, tesla; zero where chance explains it, absent where nothing tells."""

@@ -290,8 +290,24 @@ def _jolts(block: GyroBlock) -> float:
     return block.weighting.noise.up * math.sqrt(seconds / ACCELERATION.jolt / independent)
 
 
-def apparent_pull(samples: Samples, path: GyroPath) -> float:
-    """Return how far the mean specific force leans from the gyro's up, radians.
+@dataclass(frozen=True)
+class Leaning:
+    """How far the mean specific force leans from the gyro's up, radians.
+
+    Parameters
+    ----------
+    apart : float
+        Where a usual bias of the gyro explains its share.
+    at_most : float
+        Where what was taken for a bias is a pull as well, as far as the turn leaves that open.
+    """
+
+    apart: float
+    at_most: float
+
+
+def leaning(samples: Samples, path: GyroPath) -> Leaning:
+    """Return how far the mean specific force leans from the gyro's up.
 
     Up that stands still in the world, a lean that turns with the robot, and the gyro's bias are
     told apart, so that neither a slope nor part of a second turn counts, nor a pause.
@@ -304,35 +320,32 @@ def apparent_pull(samples: Samples, path: GyroPath) -> float:
     """
     forth = path.relative
     still = unit(np.einsum("nji,nj->i", forth, samples.up))
+    by_bias = -forth @ skew(still) @ path.basis[:, :, BIAS]
     rows = np.concatenate(
-        [
-            forth,
-            -forth @ skew(still) @ path.basis[:, :, BIAS],
-            np.broadcast_to(np.eye(3), forth.shape),
-        ],
-        axis=2,
+        [forth, by_bias, np.broadcast_to(np.eye(3), forth.shape)], axis=2
     ).reshape(-1, 9)
     # One jolt is one witness, however many samples it is seen in.
     seconds = path.knots * path.spacing
     weight = seconds / ACCELERATION.jolt / len(samples) / ACCELERATION.own_lean**2
     known = np.repeat([0.0, path.known.bias**-2, path.known.acceleration**-2], 3)
-    found = np.linalg.solve(
-        weight * rows.T @ rows + np.diag(known), weight * rows.T @ samples.up.ravel()
-    )
-    lean = found[6:] - still * float(found[6:] @ still)
-    return math.atan(float(np.linalg.norm(lean)))
+    covariance = np.linalg.inv(weight * rows.T @ rows + np.diag(known))
+    found = covariance @ (weight * rows.T @ samples.up.ravel())
+    unseen = covariance[3:6, 3:6] @ found[3:6] / path.known.bias**2
+    leans = [found[6:], found[6:] + by_bias.mean(axis=0) @ unseen]
+    across = [float(np.linalg.norm(lean - still * (lean @ still))) for lean in leans]
+    return Leaning(math.atan(across[0]), math.atan(max(across)))
 
 
 def doubtful_pull(lean: float, rate: float, lever_arm: float) -> float:
     """Return how far up may be pulled without a trace, radians per axis, one sigma.
 
     A robot that drives a small circle instead of turning on the spot is pulled all the way, and
-    gyros have biases that look the same; part of the pull is taken for one and not seen.
+    gyros have biases that look the same.
 
     Parameters
     ----------
     lean : float
-        Radians, as of `apparent_pull`.
+        Radians, at most (`Leaning`).
     rate : float
         Of the turn, rad/s, RMS.
     lever_arm : float
@@ -353,7 +366,7 @@ def lever_arm_left(lean: float, rate: float, lever_arm: float, bias: float) -> f
     Parameters
     ----------
     lean : float
-        Radians, as of `apparent_pull`.
+        Radians (`Leaning`).
     rate : float
         Of the turn, rad/s, RMS.
     lever_arm, bias : float

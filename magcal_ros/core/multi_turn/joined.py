@@ -35,6 +35,7 @@ WORST_IS_LARGEST = (
     Figure.KAPPA,
     Figure.WOBBLE,
     Figure.STEADY_PULL,
+    Figure.POSSIBLE_PULL,
     Figure.MOTOR_FIELD,
 )
 WORST_IS_SMALLEST = (Figure.INLIER_FRACTION, Figure.GYRO_CARRIED)

@@ -11,8 +11,8 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.estimation.gyro_path import gyro_path
 from magcal_ros.core.estimation.linear_acceleration import (
-    apparent_pull,
     doubtful_pull,
+    leaning,
     lever_arm_left,
 )
 from magcal_ros.core.estimation.model import Samples
@@ -118,7 +118,7 @@ def test_an_accelerometer_that_is_off_is_no_pull(unevenness):
 
 
 def lean_of(time, rate, force_of, bias=np.zeros(3)):
-    """Return what `apparent_pull` makes of a robot that turns at a rate on a slope of 8 degrees."""
+    """Return what `leaning` makes of a robot that turns at a rate on a slope of 8 degrees."""
     yaw = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
     attitude = rotation_about(UP, -yaw) @ rotation_from_rpy(8.0 * DEGREE, 0.0).T
     up = attitude @ UP
@@ -126,7 +126,7 @@ def lean_of(time, rate, force_of, bias=np.zeros(3)):
     window = Window(time, up, force_of(up), np.outer(rate, UP) + bias)
     first = np.arange(len(time))
     samples = Samples(window.specific_force, window.field, np.eye(3))
-    return apparent_pull(samples, gyro_path(window, first))
+    return leaning(samples, gyro_path(window, first)).apart
 
 
 TIME = np.arange(0.0, 30.0, 0.1)

@@ -21,8 +21,8 @@ from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_m
 from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
 from magcal_ros.core.estimation.linear_acceleration import (
-    apparent_pull,
     doubtful_pull,
+    leaning,
     lever_arm_left,
 )
 from magcal_ros.core.estimation.motor_field import motor_field
@@ -197,7 +197,7 @@ class Solved:
         if self.swing is None:
             return figures
         block = self.choice.fit.block
-        acceleration = np.zeros(3)
+        acceleration, dip = np.zeros(3), block.place.state.shared.inclination
         if isinstance(block, GyroBlock):
             acceleration = block.acceleration
             if Effect.LATENCY in block.path.effects:
@@ -207,6 +207,7 @@ class Solved:
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
+            Figure.POSSIBLE_PULL: self.doubtful_pull * abs(math.tan(dip)),
             Figure.SIDEWAYS_PULL: self.pull,
         }
 
@@ -257,9 +258,9 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         motors = motor_field(free.fit, None, scale, window.rests)
         return Solved(prepared, free, found.rival_gap, window, motors=motors)
     choice = propagated_attitudes(start, path, with_iron, always=always)
-    gap, pull = choice.gap, apparent_pull(samples, path)
+    gap, lean = choice.gap, leaning(samples, path)
     turning, lever_arm = Turning.of(window, 0.0).rms, knowledge.systematics.lever_arm
-    doubtful = doubtful_pull(pull, turning, lever_arm) if choice.may_be_pulled else 0.0
+    doubtful = doubtful_pull(lean.at_most, turning, lever_arm) if choice.may_be_pulled else 0.0
     block = gyro_block(choice.fit)
     # What follows the turn rate is off with the gyro and without, or they would differ by it.
     seated = FreeBlock.seated_at(found.best.shared, block.place.samples, weighting)
@@ -283,8 +284,8 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     explained = carried or path.is_doubted or choice.own_lean
     swing = _swing(choice, path, window.time[prepared.first])
     motors = motor_field(choice.fit, path, scale)
-    left = lever_arm_left(pull, turning, lever_arm, path.known.bias)
-    seen = swing, gap, motors, pull, doubtful, left, explained
+    left = lever_arm_left(lean.apart, turning, lever_arm, path.known.bias)
+    seen = swing, gap, motors, lean.apart, doubtful, left, explained
     return Solved(prepared, choice, found.rival_gap, window, *seen)
 
 

@@ -1,0 +1,50 @@
+"""A robot that drives a small circle smoothly, instead of turning on the spot."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uneven_turns import ROBOT as FLAT
+from uneven_turns import collected, driven, evenly
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
+
+ROBOT = replace(FLAT, inclination=68.0 * DEGREE)
+
+
+def judged(course, rest, radius=2.5):
+    motion, window = driven(course, ROBOT, rest)
+    rate = motion.angular_rate[:, 2]
+    pull = np.outer(radius * rate**2, [0.8, 0.6, 0.0])
+    force = window.specific_force + pull
+    pulled = collected(Window(window.time, window.field, force, window.angular_rate))
+    faultless = ROBOT.knowledge(1.5e-6, 1.0 * DEGREE)
+    knowledge = replace(faultless, systematics=Systematics())
+    outcome = calibrate(pulled, knowledge)
+    gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
+    sigma = predicted_heading_sigma(outcome.estimate, 0.0)
+    return math.sqrt(np.mean(gap**2)), sigma, outcome
+
+
+def test_a_rest_beside_the_circle_shows_the_pull():
+    error, sigma, outcome = judged(evenly, 3.0)
+    assert error < 0.8 * DEGREE
+    assert error < 3.0 * sigma
+    assert outcome.estimate.figures[Figure.STEADY_PULL] == pytest.approx(
+        2.5 * (1.05 * math.tau / 20.0) ** 2 / 9.81, rel=0.2
+    )
+    assert outcome.estimate.figures[Figure.POSSIBLE_PULL] == 0.0
+
+
+def test_without_a_rest_sigma_holds_it_and_the_words_say_what_to_do():
+    error, sigma, outcome = judged(lambda time: 1.0 + 0.0 * time, 0.0, radius=1.5)
+    assert error > 1.0 * DEGREE
+    assert error < 3.0 * sigma
+    assert outcome.estimate.figures[Figure.POSSIBLE_PULL] > 0.7 * sigma
+    assert "stand still for three seconds" in outcome.verdict.summary
