@@ -31,7 +31,8 @@ def check(printed, folder):
     assert "true    found    error" in printed
     assert errors(printed, "before")[0] > 10.0
     published, slopes = errors(printed, "after: published")
-    assert published < 0.7
+    # Three headings with the sensors' noise; what is left without it stands below.
+    assert published < 1.0
     assert slopes < 1.0
     assert max(errors(printed, "after, without the sensors' noise")) < 0.3
     calibration, _ = read_calibration(folder / "calibration.yaml")
