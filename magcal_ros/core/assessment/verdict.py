@@ -52,6 +52,8 @@ class VerdictTuning:
         steel it may be the best there is, and who reads only the first word should know.
     nearly_full : float
         Radians of arc from which a steady sideways pull can be told from a slope.
+    mostly_pull : float
+        Share of the heading's variance from which a pull that nothing shows is what to mend.
     weighed_pull_deg : float
         Degrees of sideways pull that are no warning where the fit has weighed what it may be, and
         counts in the heading's sigma what it could not tell.
@@ -85,6 +87,7 @@ class VerdictTuning:
     several: float = 2.0
     rough: float = math.radians(5.0)
     nearly_full: float = math.radians(300.0)
+    mostly_pull: float = 0.5
     weighed_pull_deg: float = 5.0
     one_axis: float = 0.7
     on_its_side: float = math.radians(45.0)
@@ -243,11 +246,6 @@ def judged_figures(estimate: Estimate, tuning: VerdictTuning) -> dict[Figure, fl
     return figures
 
 
-def _is_mostly_possible_pull(figures: Mapping[Figure, float]) -> bool:
-    part = figures.get(Figure.POSSIBLE_PULL, 0.0)
-    return part**2 > 0.5 * figures[Figure.HEADING_SIGMA] ** 2
-
-
 def _check(
     bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge, tuning: VerdictTuning
 ) -> Check:
@@ -257,8 +255,10 @@ def _check(
         bound = replace(bound, remedy=Z_NOT_UP)
     elif bound.after_full and figures[Figure.ARC] > tuning.nearly_full:
         bound = replace(bound, remedy=bound.after_full)
-    if bound.figure is Figure.HEADING_SIGMA and _is_mostly_possible_pull(figures):
-        bound = replace(bound, remedy=STAND_BESIDE)
+    if bound.figure is Figure.HEADING_SIGMA:
+        pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
+        if pull**2 > tuning.mostly_pull * figure**2:
+            bound = replace(bound, remedy=STAND_BESIDE)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:

@@ -26,8 +26,6 @@ RATE = math.tau / 15.0
 
 
 def known(systematics):
-    from dataclasses import replace
-
     return replace(QUIET.knowledge(1.5e-6, 1.0 * DEGREE), systematics=systematics)
 
 

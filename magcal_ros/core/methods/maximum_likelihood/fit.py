@@ -284,9 +284,19 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     explained = carried or path.is_doubted or choice.own_lean
     swing = _swing(choice, path, window.time[prepared.first])
     motors = motor_field(choice.fit, path, scale)
-    left = lever_arm_left(lean.apart, turning, lever_arm, path.known.bias)
-    seen = swing, gap, motors, lean.apart, doubtful, left, explained
-    return Solved(prepared, choice, found.rival_gap, window, *seen)
+    return Solved(
+        prepared,
+        choice,
+        found.rival_gap,
+        window,
+        swing,
+        gyro_gap=gap,
+        motors=motors,
+        pull=lean.apart,
+        doubtful_pull=doubtful,
+        lever_arm=lever_arm_left(lean.apart, turning, lever_arm, path.known.bias),
+        explained=explained,
+    )
 
 
 def _radial_stray(block: TurnBlock) -> float:
