@@ -164,7 +164,8 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "confidence.target_sigma_deg",
         0.5,
-        "Predicted heading error (1 σ, on the level) at which a complete turn is enough",
+        "Predicted heading error (1 σ, on the level) at which a complete turn is enough; so is up "
+        "to twice as much where turning on no longer makes it more certain",
         0.01,
         10.0,
         "°",

@@ -7,6 +7,7 @@ and why. It does not fit: whoever owns it takes the window and gives it to a met
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -37,6 +38,17 @@ class SessionTuning:
         times a second, between the messages.
     most_turns : float
         Full turns after which more of the same hardly makes the answer more certain.
+    near : float
+        Times the target up to which turning may be given up before it is reached. Far from it the
+        surroundings are what is wrong, and a second round is worth what it costs.
+    whole : float
+        Radians turned at a look from which more only repeats what was seen.
+    look_back : float
+        Times that a robot must have turned as far as at an earlier look, before the two tell
+        whether turning on makes the answer more certain.
+    worth_while : float
+        Share of what noise alone would fall by from one look to the other. Where sigma falls by
+        less, nearly all of it is errors that last, and another round takes nothing off them.
     stands_still : float
         Seconds without turning, after a complete turn, from which the robot is taken to be
         done.
@@ -51,6 +63,10 @@ class SessionTuning:
     largest_buffer: int = 20_000
     enough_for_progress: int = 2_000
     most_turns: float = 2.0
+    near: float = 2.0
+    whole: float = math.radians(335.0)
+    look_back: float = 1.125
+    worth_while: float = 0.25
     stands_still: float = 3.0
     slowest_turn: float = math.radians(3.0)
     no_turn: float = 0.1
@@ -98,6 +114,22 @@ class Stage(str, Enum):
     COMPLETE = "complete"
     TIMED_OUT = "timed_out"
     SILENT = "silent"
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a fit of the samples so far said.
+
+    Parameters
+    ----------
+    turned : float
+        Radians that the robot had turned, either way.
+    sigma : float
+        Of the heading, radians; infinite where the fit failed.
+    """
+
+    turned: float
+    sigma: float
 
 
 @dataclass(frozen=True)
@@ -179,7 +211,8 @@ class Session:
         self._last_pair: float | None = None
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
-        self._sigmas = (math.inf, math.inf)
+        self._turned = 0.0
+        self._looks: list[Look] = []
         self._last_turning = now
         self.was_set_back = False
 
@@ -205,7 +238,7 @@ class Session:
         if pair.field.stamp == newest:
             return
         if pair.field.stamp < newest:
-            self._size, self._sigmas = 0, (math.inf, math.inf)
+            self._size, self._turned, self._looks = 0, 0.0, []
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
@@ -220,20 +253,22 @@ class Session:
 
     def note_sigma(self, sigma: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
-        self._sigmas = (self._sigmas[1], sigma)
+        self._looks.append(Look(self._turned, sigma))
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
         rows = self._buffer[: self._size : 1 + self._size // TUNING.enough_for_progress]
         angle = self._angle(rows)
         coverage = Coverage.nothing() if angle is None else Coverage.of(angle)
+        self._turned = abs(coverage.turned)
         flows = self._last_pair is not None and now - self._last_pair < TUNING.stands_still
         rate = _turn_rate(rows[:, 0], angle) if angle is not None and flows else 0.0
         if abs(rate) > TUNING.slowest_turn:
             self._last_turning = now
         stage = self._stage(coverage, now)
         elapsed = now - self._started
-        return Progress(stage, coverage, self._size, elapsed, rate, self._sigmas[1])
+        sigma = self._looks[-1].sigma if self._looks else math.inf
+        return Progress(stage, coverage, self._size, elapsed, rate, sigma)
 
     def window(self) -> Window:
         """Return what was collected of the turn, thinned to equal angles, and its rests.
@@ -285,10 +320,24 @@ class Session:
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether waiting longer is pointless: certain enough, or no longer getting better."""
         return (
-            max(self._sigmas) <= self.limits.target_sigma
+            self._is_certain
+            or (self._is_near and not _is_worth_while(self._looks))
             or abs(coverage.turned) >= TUNING.most_turns * math.tau
             or now - self._last_turning > TUNING.stands_still
         )
+
+    @property
+    def _is_certain(self) -> bool:
+        """Whether a fit said so twice in a row."""
+        return self._is_within(self.limits.target_sigma)
+
+    @property
+    def _is_near(self) -> bool:
+        return self._is_within(TUNING.near * self.limits.target_sigma)
+
+    def _is_within(self, sigma: float) -> bool:
+        last = self._looks[-2:]
+        return len(last) == 2 and max(look.sigma for look in last) <= sigma
 
     def _thin_out(self) -> None:
         if self._size < TUNING.largest_buffer:
@@ -306,6 +355,20 @@ class Session:
         rows = self._buffer[kept]
         self._buffer[: len(rows)] = rows
         self._size = len(rows)
+
+
+def _is_worth_while(looks: Sequence[Look]) -> bool:
+    """Return whether the answer still gets more certain by turning on."""
+    if not looks or math.isinf(looks[-1].sigma):
+        return True
+    now = looks[-1]
+    latest = now.turned / TUNING.look_back
+    before = [look for look in looks if TUNING.whole <= look.turned <= latest]
+    if not before or math.isinf(before[-1].sigma):
+        return True
+    by_noise = 1.0 - before[-1].turned / now.turned
+    fell = 1.0 - (now.sigma / before[-1].sigma) ** 2
+    return fell > TUNING.worth_while * by_noise
 
 
 def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:

@@ -91,6 +91,30 @@ class TestStages:
         session = session_with(simulated(arc=730 * DEGREE, samples=900, duration=27.0))
         assert session.progress(27.0).stage is Stage.COMPLETE
 
+    @pytest.mark.parametrize(
+        ("at_a_turn", "later", "stage"),
+        [
+            (0.8, 0.8, Stage.COMPLETE),
+            (0.8, 0.79, Stage.COMPLETE),
+            (0.8, 0.83, Stage.COMPLETE),
+            (0.8, 0.75, Stage.COLLECTING),
+            (1.6, 1.6, Stage.COLLECTING),
+            (math.inf, 0.8, Stage.COLLECTING),
+        ],
+    )
+    def test_what_turning_on_does_not_make_more_certain_ends_near_the_target(
+        self, at_a_turn, later, stage
+    ):
+        window = simulated(arc=420 * DEGREE, samples=840, duration=21.0)
+        session = Session(LIMITS, Mounting(), now=0.0)
+        looks = {700: at_a_turn, 820: later}
+        for k, pair in enumerate(pairs_of(window)):
+            session.add(pair, 0.025 * k)
+            if k in looks:
+                assert session.progress(0.025 * k).stage is Stage.COLLECTING
+                session.note_sigma(math.radians(looks[k]))
+        assert session.progress(21.0).stage is stage
+
     def test_three_quarters_do_not_complete_it(self):
         progress = session_with(simulated(arc=270 * DEGREE)).progress(15.0)
         assert progress.stage is Stage.COLLECTING
