@@ -10,7 +10,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HEADING_SIGMA,
         2.0,
-        8.0,
+        12.0,
         "predicted heading error on the level (1σ)",
         DRIVE_ON,
         excellent=0.7,

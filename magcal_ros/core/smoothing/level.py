@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotations, skews
+from magcal_ros.core.smoothing.level_bias import Leans, gyro_bias
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 from magcal_ros.core.up import relative_attitudes
 
@@ -43,16 +43,18 @@ def level_up(
     usual = float(np.median(size))
     weight = 1.0 / (1.0 + ((size - usual) / (tuning.pulled * usual)) ** 2)
     steps = np.maximum(np.diff(time), SMALLEST_STEP)
-    keeps = np.exp(-steps / tuning.level_memory)
-    bias = np.zeros(3)
-    for _ in range(tuning.level_rounds):
-        up = _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
-        bias = bias + _bias(time, up, rate - bias, tuning)
-    up = _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
-    if pull(force, up, tuning) > tuning.unpulled:
-        return up
-    keeps = np.exp(-steps / tuning.level_memory_unpulled)
-    return _averaged(time, force * weight[:, None], weight, rate - bias, keeps)
+    heavy, over_gravity = force * weight[:, None], force / usual
+
+    def averaged(bias: FloatArray, memory: float) -> FloatArray:
+        return _averaged(time, heavy, weight, rate - bias, np.exp(-steps / memory))
+
+    bias = gyro_bias(time, over_gravity, rate, weight, Leans.staying(tuning), tuning)
+    if float(np.linalg.norm(bias)) < tuning.largest_bias:
+        up = averaged(bias, tuning.pull_memory)
+        if pull(force, up, tuning) < tuning.unpulled:
+            return averaged(bias, tuning.level_memory_unpulled)
+    bias = gyro_bias(time, over_gravity, rate, weight, Leans.travelling(tuning), tuning)
+    return averaged(bias, tuning.level_memory)
 
 
 def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:
@@ -86,17 +88,6 @@ def _averaged(
     rows = np.column_stack([still, weight])
     both = _trailing(rows, keeps) + _trailing(rows[::-1], keeps[::-1])[::-1] - rows
     return unit(np.einsum("nij,nj->ni", attitude, both[:, :3] / both[:, 3:]))
-
-
-def _bias(time: FloatArray, up: FloatArray, rate: FloatArray, tuning: SmootherTuning) -> FloatArray:
-    """Return the constant bias by which up drifts from where the gyro takes it, rad/s, (3,)."""
-    seconds = np.diff(time)[:, None]
-    steps = exp_rotations(-0.5 * (rate[1:] + rate[:-1]) * seconds)
-    drift = up[1:] - np.einsum("nij,nj->ni", steps, up[:-1])
-    across = -seconds[:, :, None] * skews(0.5 * (up[1:] + up[:-1]))
-    known = (tuning.level_walk / tuning.level_bias) ** 2 * np.eye(3)
-    normal = np.einsum("nki,nkj->ij", across, across / seconds[:, :, None]) + known
-    return np.linalg.solve(normal, np.einsum("nki,nk->i", across, drift / seconds))
 
 
 def _trailing(rows: FloatArray, keeps: FloatArray) -> FloatArray:

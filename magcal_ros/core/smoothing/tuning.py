@@ -23,15 +23,22 @@ class SmootherTuning:
     level_memory, pulled : float
         Seconds over which up is averaged before and after, and the share of gravity by which a
         specific force may be off its usual length before it weighs less.
-    level_memory_unpulled, unpulled : float, float
+    level_memory_unpulled, unpulled, pull_memory : float, float, float
         The same seconds where nothing pulls the force aside: by less than so many m/s² in the mean,
-        over a second each. Then a gyro errs more than the accelerometer, and a robot that tells no
-        speed is taken to stay where it is.
+        over a second each, from up averaged over the last of the three. Then a gyro errs more than
+        the accelerometer, and a robot that tells no speed is taken to stay where it is.
     fewest_seconds : int
         Seconds of a stretch below which nobody can tell whether something pulls.
-    level_rounds, level_walk, level_bias : int, float, float
-        How often the gyro's bias is found from the drift of that mean, the angle random walk of up
-        (rad/s^.5), and the largest bias that is expected (rad/s).
+    bias_stretches : tuple of float
+        Seconds of the stretches in which the gyro's bias is told from what pulls in bends, round
+        after round.
+    usual_bias, largest_bias : float, float
+        rad/s, of the gyro's bias; of a larger one every size is as likely as another. And the one
+        up to which a robot may be one that stays: what a small circle pulls looks like more.
+    pull_per_rate : float
+        How far a bend leans the force, over gravity, per rad/s of turning: that of 10 m/s.
+    jolt_lean, jolt_seconds : float
+        What else leans it, over gravity, and seconds over which that is one and the same.
     still_field, still_yaw, still_rate : float
         A block that differs by no more than this from the one that began a rest, microtesla beyond
         its noise and radians, stands; a gyro's bias turns on by so much more, rad/s.
@@ -104,14 +111,18 @@ class SmootherTuning:
     chunk: int = 10
     node: float = 0.5
     most_nodes: int = 1200
-    level_memory: float = 8.0
+    level_memory: float = 20.0
     pulled: float = 0.1
     level_memory_unpulled: float = 2.0
     unpulled: float = 0.15
+    pull_memory: float = 8.0
     fewest_seconds: int = 10
-    level_rounds: int = 2
-    level_walk: float = math.radians(0.3)
-    level_bias: float = 0.02
+    bias_stretches: tuple[float, ...] = (8.0, 8.0, 15.0, 30.0)
+    usual_bias: float = 0.003
+    largest_bias: float = 0.012
+    pull_per_rate: float = 1.0
+    jolt_lean: float = 0.05
+    jolt_seconds: float = 2.0
     still_field: float = 0.1
     still_yaw: float = math.radians(1.0)
     still_rate: float = math.radians(0.3)
