@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
 from magcal_ros.core.estimation.correlation import inefficiency_factor
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
 from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,
@@ -19,11 +19,15 @@ from magcal_ros.core.smoothing.drive_model import (
     IRON,
     LEVEL_FIELD,
     OFFSET,
+    PITCH,
+    ROLL,
     SHARED,
     distortion,
     field_jacobians,
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA
+
+TILT = [ROLL, PITCH]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +72,12 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
     plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
     widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
-    least = _by_new_road(smoothed) / rms_sigma(by_heading, plain)
+    least = _least_sigma(smoothed) / rms_sigma(by_heading, plain)
     widened = max(widened, least**2)
-    covariance = widened * jacobian @ plain @ jacobian.T
-    sigma = math.sqrt(widened) * rms_sigma(by_heading, plain)
+    of_shared = widened * plain
+    of_shared[TILT, TILT] += _lean(smoothed) ** 2
+    covariance = jacobian @ of_shared @ jacobian.T
+    sigma = rms_sigma(by_heading, of_shared)
     return Twelve(correction, 0.5 * (covariance + covariance.T), field, sigma, widened)
 
 
@@ -124,33 +130,80 @@ def _repeated(smoothed: Smoothed) -> float:
 
 
 def _new_metres(smoothed: Smoothed) -> float:
-    """Return the length of road without what was driven again.
-
-    The way is reckoned from yaw and metres; cells of one reach of the street are counted.
-    """
-    nodes, reach = smoothed.problem.nodes, smoothed.problem.tuning.reach
-    steps = nodes.metres[:, None] * np.column_stack(
-        [np.cos(smoothed.unknowns.yaw), np.sin(smoothed.unknowns.yaw)]
-    )
-    return reach * len(np.unique((np.cumsum(steps, axis=0) // reach).astype(int), axis=0))
+    """Return the length of road without what was driven again; cells of one reach are counted."""
+    reach = smoothed.problem.tuning.reach
+    way = _way(smoothed)
+    cells = np.column_stack([way.real, way.imag]) // reach
+    return reach * len(np.unique(cells.astype(int), axis=0))
 
 
-def _by_new_road(smoothed: Smoothed) -> float:
-    """Return the heading sigma, radians, below which streets let nobody go.
+def _way(smoothed: Smoothed) -> ComplexArray:
+    """Return the places of the nodes, reckoned from yaw and metres: east + i north, metres."""
+    steps = smoothed.problem.nodes.metres * np.exp(1j * smoothed.unknowns.yaw)
+    return np.asarray(np.cumsum(steps), dtype=np.complex128)
 
-    Two reaches of new road are one witness of how far the street bends the level field. In a small
-    place the calibration takes the bend for its own, so what was found of the street's size counts
-    by its witnesses beside the usual size. Who stays has one field for all, but for a little.
+
+def _least_sigma(smoothed: Smoothed) -> float:
+    """Return the heading sigma, radians, below which no model of this drive may go.
+
+    Who stays has one field for all, but for a little.
     """
     tuning, level = smoothed.problem.tuning, float(smoothed.unknowns.shared[LEVEL_FIELD])
-    if not _travels(smoothed):
-        return tuning.lasting / level
+    least = _by_streets(smoothed) if _travels(smoothed) else tuning.lasting
+    return least / level
+
+
+def _by_streets(smoothed: Smoothed) -> float:
+    """Return what streets let pass for hard iron, microtesla per level axis, one sigma.
+
+    Seen from the world, hard iron turns with the yaw and the field of streets belongs to places:
+    `exp(i psi) h + d(p)`. With the covariance of d between places, `exp(-distance / reach)` and
+    small iron beside it, generalised least squares leave of h the variance `1 / (x^H K^-1 x)`,
+    x = exp(i psi). Circles in one place leave little of the street, whose mean is no hard iron,
+    and laps repeat what the first one told.
+
+    In a small place the calibration takes the bend for its own, so what was found of the street's
+    size counts by its witnesses, two reaches of new road each, beside the usual size.
+    """
+    tuning, sizes = smoothed.problem.tuning, smoothed.problem.sizes
     witnesses = _new_metres(smoothed) / (2.0 * tuning.reach)
-    found = (tuning.street * smoothed.problem.sizes.street) ** 2
+    found = (tuning.street * sizes.street) ** 2
     street = (witnesses * found + tuning.usual_witnesses * tuning.street**2) / (
         witnesses + tuning.usual_witnesses
     )
-    return math.sqrt(street / witnesses) / level
+    small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
+    joined = math.ceil(len(smoothed.unknowns.yaw) / tuning.most_places)
+    way, turned = (
+        _block_means(values, joined)
+        for values in (_way(smoothed), np.exp(1j * smoothed.unknowns.yaw))
+    )
+    apart = np.abs(way[:, None] - way)
+    covariance = street * np.exp(-apart / tuning.reach)
+    covariance += small * np.exp(-apart / tuning.small_reach)
+    covariance += tuning.own_noise**2 / joined * np.eye(len(way))
+    known = float(np.real(turned.conj() @ np.linalg.solve(covariance, turned)))
+    return 1.0 / math.sqrt(known)
+
+
+def _lean(smoothed: Smoothed) -> float:
+    """Return how far up may lean all along, with the robot, radians per axis, one sigma.
+
+    In steady bends nobody tells a gyro's bias from what pulls; over the turn rate it is a lean. A
+    gyro that is far off about up, which the field shows, is off about the other axes.
+    """
+    nodes, tuning = smoothed.problem.nodes, smoothed.problem.tuning
+    usual = max(tuning.usual_bias, abs(float(smoothed.unknowns.shared[GYRO_BIAS])))
+    rates = nodes.turned[1:] / np.maximum(nodes.seconds[1:], 1e-3)
+    turning = math.sqrt(float(np.mean(rates**2)))
+    bias = 1.0 / math.sqrt(nodes.bias_information / tuning.bends_alike + usual**-2)
+    return bias / max(turning, bias)
+
+
+def _block_means(values: ComplexArray, size: int) -> ComplexArray:
+    """Return the means of so many values each; the last may be of fewer."""
+    first = np.arange(0, len(values), size)
+    counts = np.diff(np.append(first, len(values)))
+    return np.asarray(np.add.reduceat(values, first) / counts)
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

@@ -59,16 +59,22 @@ class SharedPrior:
         return replace(self, mean=mean)
 
     def widened(self, shared: FloatArray, tuning: SmootherTuning = TUNING) -> SharedPrior:
-        """Return the same with soft iron as wide as what was found, where that is far beyond."""
-        found, sigma = np.abs(shared[SOFT]), self.sigma[SOFT]
-        is_far = found > tuning.far_beyond * sigma
-        if not is_far.any():
-            return self
-        wider = np.where(is_far, found, tuning.shared_soft_iron * float(found[is_far].max()))
-        wider = np.maximum(sigma, np.minimum(wider, tuning.widest_soft_iron))
+        """Return the same with what was found far beyond its sigma as wide as that.
+
+        Of soft iron the other numbers follow; the gyro's bias is one of its own.
+        """
+        sigma = self.sigma
+        is_far = np.abs(shared) > tuning.far_beyond * sigma
+        found = np.abs(shared[SOFT])
+        if is_far[SOFT].any():
+            largest = float(found[is_far[SOFT]].max())
+            wider = np.where(is_far[SOFT], found, tuning.shared_soft_iron * largest)
+            sigma[SOFT] = np.maximum(sigma[SOFT], np.minimum(wider, tuning.widest_soft_iron))
+        if is_far[GYRO_BIAS]:
+            sigma[GYRO_BIAS] = abs(float(shared[GYRO_BIAS]))
         covariance = self.covariance.copy()
-        rows = np.arange(SHARED)[SOFT]
-        covariance[rows, rows] = wider**2
+        rows = [*range(SHARED)[SOFT], GYRO_BIAS]
+        covariance[rows, rows] = sigma[rows] ** 2
         return replace(self, covariance=covariance)
 
 

@@ -7,54 +7,81 @@ seconds they cancel, and the gyro hardly drifts meanwhile. Where nothing pulls, 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.smoothing.level_bias import Leans, gyro_bias
+from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.smoothing.level_bias import Bias, Leaning, Leans, gyro_bias
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 from magcal_ros.core.up import relative_attitudes
 
 SMALLEST_STEP = 1e-3
 
 
-def level_up(
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Up along a drive.
+
+    Parameters
+    ----------
+    up : ndarray, shape (m, 3)
+        Unit vectors in body axes.
+    stays : bool
+        Whether nothing pulls, as starts, stops and bends do: then nobody travels.
+    bias_information : float
+        What is known of the gyro's bias across up beside what gyros usually have, per (rad/s)²;
+        infinite for who stays.
+    """
+
+    up: FloatArray
+    stays: bool
+    bias_information: float
+
+
+def level_of(
     time: FloatArray,
     force: FloatArray,
     rate: FloatArray,
     tuning: SmootherTuning = TUNING,
-) -> FloatArray:
-    """Return up at each row, unit vectors in body axes, shape (m, 3).
+) -> Level:
+    """Return up at each row.
 
     Parameters
     ----------
     time : ndarray, shape (m,)
-        Seconds, increasing, with no gap over which the gyro was not heard.
+        Seconds, increasing; over gaps the gyro was not heard.
     force : ndarray, shape (m, 3)
         m/s², body axes; the vehicle's own acceleration taken off where it is known.
     rate : ndarray, shape (m, 3)
         rad/s, body axes.
     tuning : SmootherTuning
     """
-    if len(time) < 3:
-        return unit(force)
     size = np.linalg.norm(force, axis=1)
     usual = float(np.median(size))
     weight = 1.0 / (1.0 + ((size - usual) / (tuning.pulled * usual)) ** 2)
-    steps = np.maximum(np.diff(time), SMALLEST_STEP)
-    heavy, over_gravity = force * weight[:, None], force / usual
+    edges = np.flatnonzero(np.diff(time) > STREAMS.longest_gyro_step) + 1
+    first = np.concatenate([[0], edges])
+    pieces = [slice(*ends) for ends in zip(first, [*edges, len(time)], strict=True)]
+    seen = Leaning(time, force / usual, rate, weight, first)
 
-    def averaged(bias: FloatArray, memory: float) -> FloatArray:
-        return _averaged(time, heavy, weight, rate - bias, np.exp(-steps / memory))
+    def averaged(bias: Bias, memory: float) -> FloatArray:
+        up = np.empty_like(force)
+        for piece in pieces:
+            rows = np.column_stack([weight[piece, None] * force[piece], weight[piece]])
+            up[piece] = _averaged(time[piece], rows, rate[piece] - bias.rate, memory)
+        return up
 
-    bias = gyro_bias(time, over_gravity, rate, weight, Leans.staying(tuning), tuning)
-    if float(np.linalg.norm(bias)) < tuning.largest_bias:
+    bias = gyro_bias(seen, Leans.staying(tuning), tuning)
+    if float(np.linalg.norm(bias.rate)) < tuning.largest_bias:
         up = averaged(bias, tuning.pull_memory)
-        if pull(force, up, tuning) < tuning.unpulled:
-            return averaged(bias, tuning.level_memory_unpulled)
-    bias = gyro_bias(time, over_gravity, rate, weight, Leans.travelling(tuning), tuning)
-    return averaged(bias, tuning.level_memory)
+        pulls = [pull(force[piece], up[piece], tuning) for piece in pieces]
+        if max(pulls) < tuning.unpulled:
+            return Level(averaged(bias, tuning.level_memory_unpulled), True, math.inf)
+    bias = gyro_bias(seen, Leans.travelling(tuning), tuning)
+    return Level(averaged(bias, tuning.level_memory), False, bias.information)
 
 
 def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:
@@ -80,14 +107,13 @@ def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> 
     return math.sqrt(float(np.mean(np.sum(means**2, axis=1))))
 
 
-def _averaged(
-    time: FloatArray, force: FloatArray, weight: FloatArray, rate: FloatArray, keeps: FloatArray
-) -> FloatArray:
+def _averaged(time: FloatArray, rows: FloatArray, rate: FloatArray, memory: float) -> FloatArray:
+    """Return the direction of the weighted force and its weight (m, 4), averaged both ways."""
     attitude = relative_attitudes(time, rate)
-    still = np.einsum("nji,nj->ni", attitude, force)
-    rows = np.column_stack([still, weight])
-    both = _trailing(rows, keeps) + _trailing(rows[::-1], keeps[::-1])[::-1] - rows
-    return unit(np.einsum("nij,nj->ni", attitude, both[:, :3] / both[:, 3:]))
+    still = np.column_stack([np.einsum("nji,nj->ni", attitude, rows[:, :3]), rows[:, 3]])
+    keeps = np.exp(-np.maximum(np.diff(time), SMALLEST_STEP) / memory)
+    both = _trailing(still, keeps) + _trailing(still[::-1], keeps[::-1])[::-1] - still
+    return unit(np.einsum("nij,nj->ni", attitude, both[:, :3]))
 
 
 def _trailing(rows: FloatArray, keeps: FloatArray) -> FloatArray:

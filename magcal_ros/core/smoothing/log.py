@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.level import level_up, pull
+from magcal_ros.core.smoothing.level import Level, level_of
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
@@ -57,33 +55,20 @@ class DriveLog:
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
         return DriveLog(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def up(self, tuning: SmootherTuning = TUNING) -> FloatArray:
-        """Return up at each row, unit, body axes, shape (m, 3)."""
-        up = np.empty_like(self.force)
-        for piece in self._pieces:
-            up[piece] = level_up(self.time[piece], self.force[piece], self.rate[piece], tuning)
-        return up
+    def level(self, tuning: SmootherTuning = TUNING) -> Level:
+        """Return up at each row, and what goes with it."""
+        return level_of(self.time, self.force, self.rate, tuning)
 
     def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
         known = np.isfinite(self.speed)
-        speed, up = None, self.up(tuning)
+        speed, level = None, self.level(tuning)
         if known.mean() > 0.5:
             speed = np.interp(self.time, self.time[known], self.speed[known])
-        elif self._stays(up, tuning):
+        elif level.stays:
             speed = np.zeros(len(self))
-        return nodes_of(Track(self.time, self.field, up, self.rate, speed), to_body, tuning)
-
-    def _stays(self, up: FloatArray, tuning: SmootherTuning) -> bool:
-        """Tell whether nothing pulls, as starts, stops and bends do: then nobody travels."""
-        pulls = [pull(self.force[piece], up[piece], tuning) for piece in self._pieces]
-        return max(pulls, default=math.inf) < tuning.unpulled
-
-    @property
-    def _pieces(self) -> list[slice]:
-        """Stretches over which the gyro was heard."""
-        edges = np.flatnonzero(np.diff(self.time) > STREAMS.longest_gyro_step) + 1
-        return [slice(*ends) for ends in zip([0, *edges], [*edges, len(self)], strict=True)]
+        track = Track(self.time, self.field, level.up, self.rate, speed, level.bias_information)
+        return nodes_of(track, to_body, tuning)
 
 
 def log_of(

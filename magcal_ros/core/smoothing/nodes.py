@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,8 @@ class Nodes:
     course, course_sigma : ndarray, shape (n,)
         Course over ground to true north, radians ENU, and its standard deviation; infinite where
         there is none.
+    bias_information : float
+        What is known of the gyro's bias across up, `Level.bias_information`.
     """
 
     time: FloatArray
@@ -48,6 +51,7 @@ class Nodes:
     is_tied: BoolArray
     course: FloatArray
     course_sigma: FloatArray
+    bias_information: float = math.inf
 
     def __len__(self) -> int:
         return len(self.time)
@@ -82,6 +86,7 @@ class Nodes:
             tied,
             self.course[rows],
             self.course_sigma[rows],
+            self.bias_information,
         )
 
     def between(self, start: float, end: float) -> Nodes:
@@ -111,6 +116,8 @@ class Track:
         rad/s, body axes.
     speed : ndarray, shape (m,), or None
         m/s along the way; None where nobody measures it.
+    bias_information : float
+        What is known of the gyro's bias across up, `Level.bias_information`.
     """
 
     time: FloatArray
@@ -118,6 +125,7 @@ class Track:
     up: FloatArray
     rate: FloatArray
     speed: FloatArray | None = None
+    bias_information: float = math.inf
 
 
 def levelled_axes(up: FloatArray) -> FloatArray:
@@ -183,6 +191,7 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         np.diff(piece, prepend=piece[0] - 1) == 0,
         np.zeros(n),
         np.full(n, np.inf),
+        track.bias_information,
     )
 
 

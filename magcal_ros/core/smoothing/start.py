@@ -20,8 +20,10 @@ from magcal_ros.core.smoothing.drive_prior import SharedPrior
 from magcal_ros.core.smoothing.nodes import Nodes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
-BIASES: FloatArray = np.radians([0.0, -0.1, 0.1, -0.2, 0.2, -0.5, 0.5, -1.0, 1.0])
-"""rad/s that standing still may have left in the gyro."""
+BIASES: FloatArray = np.radians(
+    [0.0, -0.1, 0.1, -0.2, 0.2, -0.5, 0.5, -1.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0, 5.0]
+)
+"""rad/s that a gyro may be off by, at rest as well."""
 
 
 def linear_start(

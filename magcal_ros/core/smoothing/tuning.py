@@ -32,13 +32,19 @@ class SmootherTuning:
     bias_stretches : tuple of float
         Seconds of the stretches in which the gyro's bias is told from what pulls in bends, round
         after round.
-    usual_bias, largest_bias : float, float
+    bias_rows : int
+        Rows of the log that are one row there.
+    usual_bias, largest_bias, any_bias : float, float, float
         rad/s, of the gyro's bias; of a larger one every size is as likely as another. And the one
-        up to which a robot may be one that stays: what a small circle pulls looks like more.
+        up to which a robot may be one that stays: what a small circle pulls looks like more. And
+        one sigma where only the drive is asked.
     pull_per_rate : float
         How far a bend leans the force, over gravity, per rad/s of turning: that of 10 m/s.
     jolt_lean, jolt_seconds : float
         What else leans it, over gravity, and seconds over which that is one and the same.
+    bends_alike : float
+        How many bends count as one where it is told how certain the bias is: drivers take all of
+        them alike, and what they pull otherwise than the turn rate says is no chance.
     still_field, still_yaw, still_rate : float
         A block that differs by no more than this from the one that began a rest, microtesla beyond
         its noise and radians, stands; a gyro's bias turns on by so much more, rad/s.
@@ -51,6 +57,12 @@ class SmootherTuning:
         iron within two metres included. Cars in two cities: 2.5 to 5 and about 1.5.
     reach : float
         Metres over which the disturbance is alike, e to the minus one.
+    small_reach : float
+        Metres over which small iron is alike: who comes again sees it again.
+    own_noise : float
+        What of a node's noise is the sensor's own, and new each time.
+    most_places : int
+        Places between which the streets' covariance is reckoned; nodes beyond are joined.
     freedom : float
         Degrees of freedom of Student's distribution of both.
     usual_speed : float
@@ -118,11 +130,14 @@ class SmootherTuning:
     pull_memory: float = 8.0
     fewest_seconds: int = 10
     bias_stretches: tuple[float, ...] = (8.0, 8.0, 15.0, 30.0)
+    bias_rows: int = 2
     usual_bias: float = 0.003
     largest_bias: float = 0.012
+    any_bias: float = 0.1
     pull_per_rate: float = 1.0
     jolt_lean: float = 0.05
     jolt_seconds: float = 2.0
+    bends_alike: float = 4.0
     still_field: float = 0.1
     still_yaw: float = math.radians(1.0)
     still_rate: float = math.radians(0.3)
@@ -134,6 +149,9 @@ class SmootherTuning:
     street: float = 3.0
     noise: float = 1.5
     reach: float = 30.0
+    small_reach: float = 2.0
+    own_noise: float = 0.3
+    most_places: int = 600
     freedom: float = 8.0
     usual_speed: float = 5.0
     angle_walk: float = math.radians(0.15)

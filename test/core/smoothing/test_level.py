@@ -7,8 +7,8 @@ import pytest
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
-from magcal_ros.core.smoothing.level import level_up
-from magcal_ros.core.smoothing.level_bias import Leans, gyro_bias
+from magcal_ros.core.smoothing.level import level_of
+from magcal_ros.core.smoothing.level_bias import Leaning, Leans, gyro_bias
 from magcal_ros.core.smoothing.tuning import TUNING
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -47,7 +47,8 @@ def degrees_off(up, truth):
 
 def bias_of(time, force, rate):
     over_gravity = force / np.median(np.linalg.norm(force, axis=1))
-    return gyro_bias(time, over_gravity, rate, np.ones(len(time)), Leans.travelling())
+    seen = Leaning(time, over_gravity, rate, np.ones(len(time)), np.array([0]))
+    return gyro_bias(seen, Leans.travelling()).rate
 
 
 @pytest.mark.parametrize("rate", [0.3, -0.5])
@@ -55,14 +56,14 @@ def test_steady_circles_lean_up_by_no_degree(rate):
     time, force, rates, truth = ride(*circles(rate=rate))
     leans = degrees_off(unit(force), truth)
     assert np.median(leans) > 5.0
-    off = degrees_off(level_up(time, force, rates), truth)
+    off = degrees_off(level_of(time, force, rates).up, truth)
     assert np.median(off) < 0.7
     assert off.max() < 3.0
 
 
 def test_starts_stops_and_bends_lean_up_by_little():
     time, force, rate, truth = ride(*city())
-    off = degrees_off(level_up(time, force, rate), truth)
+    off = degrees_off(level_of(time, force, rate).up, truth)
     assert np.percentile(off, 90.0) < 1.5
 
 
@@ -71,7 +72,7 @@ def test_a_large_bias_is_found_where_streets_are_straight_for_a_while(bias):
     time, force, rate, truth = ride(*city(), bias=np.radians(bias))
     found = np.degrees(bias_of(time, force, rate))
     assert found[:2] == pytest.approx(bias[:2], abs=0.1)
-    off = degrees_off(level_up(time, force, rate), truth)
+    off = degrees_off(level_of(time, force, rate).up, truth)
     assert np.percentile(off, 90.0) < 2.0
 
 
@@ -83,23 +84,23 @@ def test_the_pull_of_a_circle_is_no_bias():
 def test_a_usual_bias_in_circles_stays_usual():
     time, force, rate, truth = ride(*circles(), bias=np.radians([0.1, -0.1, 0.1]))
     assert np.linalg.norm(np.degrees(bias_of(time, force, rate)[:2])) < 0.3
-    assert np.median(degrees_off(level_up(time, force, rate), truth)) < 1.5
+    assert np.median(degrees_off(level_of(time, force, rate).up, truth)) < 1.5
 
 
 def test_who_stands_has_the_mean_of_the_force_for_up():
     time, force, rate, truth = ride(np.zeros(600), np.zeros(600), jolts=0.05)
-    assert degrees_off(level_up(time, force, rate), truth).max() < 0.3
+    assert degrees_off(level_of(time, force, rate).up, truth).max() < 0.3
 
 
 def test_a_small_steady_circle_is_not_taken_for_standing_with_a_bias():
     time, force, rate, truth = ride(*circles(rate=0.8, speed=0.5), jolts=0.05)
     assert np.median(degrees_off(unit(force), truth)) > 2.0
-    assert np.median(degrees_off(level_up(time, force, rate), truth)) < 0.3
+    assert np.median(degrees_off(level_of(time, force, rate).up, truth)) < 0.3
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 12])
 def test_a_few_rows_have_an_up_too(rows):
     time, force, rate, truth = ride(np.zeros(rows + 2), np.zeros(rows + 2))
-    up = level_up(time[:rows], force[:rows], rate[:rows])
+    up = level_of(time[:rows], force[:rows], rate[:rows]).up
     assert np.linalg.norm(up, axis=1) == pytest.approx(np.ones(rows))
     assert degrees_off(up, truth[:rows]).max() < 10.0
