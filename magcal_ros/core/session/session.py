@@ -117,7 +117,7 @@ class Stage(str, Enum):
 
 
 @dataclass(frozen=True)
-class Look:
+class Glance:
     """What a fit of the samples so far said.
 
     Parameters
@@ -212,7 +212,7 @@ class Session:
         self._buffer = np.empty((1024, ROWS))
         self._size = 0
         self._turned = 0.0
-        self._looks: list[Look] = []
+        self._glances: list[Glance] = []
         self._last_turning = now
         self.was_set_back = False
 
@@ -238,7 +238,7 @@ class Session:
         if pair.field.stamp == newest:
             return
         if pair.field.stamp < newest:
-            self._size, self._turned, self._looks = 0, 0.0, []
+            self._size, self._turned, self._glances = 0, 0.0, []
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
@@ -253,7 +253,7 @@ class Session:
 
     def note_sigma(self, sigma: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
-        self._looks.append(Look(self._turned, sigma))
+        self._glances.append(Glance(self._turned, sigma))
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
@@ -267,7 +267,7 @@ class Session:
             self._last_turning = now
         stage = self._stage(coverage, now)
         elapsed = now - self._started
-        sigma = self._looks[-1].sigma if self._looks else math.inf
+        sigma = self._glances[-1].sigma if self._glances else math.inf
         return Progress(stage, coverage, self._size, elapsed, rate, sigma)
 
     def window(self) -> Window:
@@ -321,7 +321,7 @@ class Session:
         """Whether waiting longer is pointless: certain enough, or no longer getting better."""
         return (
             self._is_certain
-            or (self._is_near and not _is_worth_while(self._looks))
+            or (self._is_near and not _is_worth_while(self._glances))
             or abs(coverage.turned) >= TUNING.most_turns * math.tau
             or now - self._last_turning > TUNING.stands_still
         )
@@ -336,8 +336,8 @@ class Session:
         return self._is_within(TUNING.near * self.limits.target_sigma)
 
     def _is_within(self, sigma: float) -> bool:
-        last = self._looks[-2:]
-        return len(last) == 2 and max(look.sigma for look in last) <= sigma
+        last = self._glances[-2:]
+        return len(last) == 2 and max(glance.sigma for glance in last) <= sigma
 
     def _thin_out(self) -> None:
         if self._size < TUNING.largest_buffer:
@@ -357,13 +357,13 @@ class Session:
         self._size = len(rows)
 
 
-def _is_worth_while(looks: Sequence[Look]) -> bool:
+def _is_worth_while(glances: Sequence[Glance]) -> bool:
     """Return whether the answer still gets more certain by turning on."""
-    if not looks or math.isinf(looks[-1].sigma):
+    if not glances or math.isinf(glances[-1].sigma):
         return True
-    now = looks[-1]
+    now = glances[-1]
     latest = now.turned / TUNING.look_back
-    before = [look for look in looks if TUNING.whole <= look.turned <= latest]
+    before = [each for each in glances if TUNING.whole <= each.turned <= latest]
     if not before or math.isinf(before[-1].sigma):
         return True
     by_noise = 1.0 - before[-1].turned / now.turned

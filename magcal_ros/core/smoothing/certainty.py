@@ -191,12 +191,9 @@ def _lean(smoothed: Smoothed) -> float:
     In steady bends nobody tells a gyro's bias from what pulls; over the turn rate it is a lean. A
     gyro that is far off about up, which the field shows, is off about the other axes.
     """
-    nodes, tuning = smoothed.problem.nodes, smoothed.problem.tuning
-    usual = max(tuning.usual_bias, abs(float(smoothed.unknowns.shared[GYRO_BIAS])))
-    rates = nodes.turned[1:] / np.maximum(nodes.seconds[1:], 1e-3)
-    turning = math.sqrt(float(np.mean(rates**2)))
-    bias = 1.0 / math.sqrt(nodes.bias_information / tuning.bends_alike + usual**-2)
-    return bias / max(turning, bias)
+    problem = smoothed.problem
+    about_up = abs(float(smoothed.unknowns.shared[GYRO_BIAS]))
+    return problem.nodes.lean.sigma(max(problem.tuning.usual_bias, about_up))
 
 
 def _block_means(values: ComplexArray, size: int) -> ComplexArray:

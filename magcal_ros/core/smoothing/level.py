@@ -14,11 +14,14 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.smoothing.level_bias import Bias, Leaning, Leans, gyro_bias
+from magcal_ros.core.smoothing.level_bias import ForceLog, Leans, gyro_bias
+from magcal_ros.core.smoothing.nodes import LeanDoubt, levelled_axes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 from magcal_ros.core.up import relative_attitudes
 
 SMALLEST_STEP = 1e-3
+SMALL_BIAS = 1e-3
+"""rad/s, for the difference that shows how up follows the bias."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +34,13 @@ class Level:
         Unit vectors in body axes.
     stays : bool
         Whether nothing pulls, as starts, stops and bends do: then nobody travels.
-    bias_information : float
-        What is known of the gyro's bias across up beside what gyros usually have, per (rad/s)²;
-        infinite for who stays.
+    doubt : LeanDoubt
+        There is none for who stays.
     """
 
     up: FloatArray
     stays: bool
-    bias_information: float
+    doubt: LeanDoubt
 
 
 def level_of(
@@ -65,23 +67,27 @@ def level_of(
     edges = np.flatnonzero(np.diff(time) > STREAMS.longest_gyro_step) + 1
     first = np.concatenate([[0], edges])
     pieces = [slice(*ends) for ends in zip(first, [*edges, len(time)], strict=True)]
-    seen = Leaning(time, force / usual, rate, weight, first)
+    seen = ForceLog(time, force / usual, rate, weight, first)
 
-    def averaged(bias: Bias, memory: float) -> FloatArray:
+    def averaged(bias: FloatArray, memory: float) -> FloatArray:
         up = np.empty_like(force)
         for piece in pieces:
             rows = np.column_stack([weight[piece, None] * force[piece], weight[piece]])
-            up[piece] = _averaged(time[piece], rows, rate[piece] - bias.rate, memory)
+            up[piece] = _averaged(time[piece], rows, rate[piece] - bias, memory)
         return up
 
     bias = gyro_bias(seen, Leans.staying(tuning), tuning)
     if float(np.linalg.norm(bias.rate)) < tuning.largest_bias:
-        up = averaged(bias, tuning.pull_memory)
+        up = averaged(bias.rate, tuning.pull_memory)
         pulls = [pull(force[piece], up[piece], tuning) for piece in pieces]
         if max(pulls) < tuning.unpulled:
-            return Level(averaged(bias, tuning.level_memory_unpulled), True, math.inf)
+            return Level(averaged(bias.rate, tuning.level_memory_unpulled), True, LeanDoubt())
     bias = gyro_bias(seen, Leans.travelling(tuning), tuning)
-    return Level(averaged(bias, tuning.level_memory), False, bias.information)
+    up = averaged(bias.rate, tuning.level_memory)
+    across = levelled_axes(unit(up.mean(axis=0))[None])[0, 0]
+    leaning = averaged(bias.rate + SMALL_BIAS * across, tuning.level_memory) - up
+    lean = float(np.linalg.norm(leaning.mean(axis=0))) / SMALL_BIAS
+    return Level(up, False, LeanDoubt(bias.information / tuning.bends_alike, lean))
 
 
 def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:

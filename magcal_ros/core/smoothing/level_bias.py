@@ -67,7 +67,7 @@ class Leans:
 
 
 @dataclass(frozen=True, eq=False)
-class Leaning:
+class ForceLog:
     """The specific force along a drive, over gravity.
 
     Parameters
@@ -95,11 +95,11 @@ class Leaning:
         block = ((self.time - self.time[0]) / seconds).astype(int)
         return np.union1d(np.flatnonzero(np.diff(block, prepend=-1)), self.pieces)
 
-    def thinned(self, by: int) -> Leaning:
+    def thinned(self, by: int) -> ForceLog:
         """Return the means of so many rows each, none across a gap."""
         starts = np.union1d(np.arange(0, len(self.time), by), self.pieces)
         means = Means(starts, len(self.time))
-        return Leaning(
+        return ForceLog(
             means.of(self.time),
             means.of(self.force),
             means.of(self.rate),
@@ -108,7 +108,7 @@ class Leaning:
         )
 
 
-def gyro_bias(seen: Leaning, leans: Leans, tuning: SmootherTuning = TUNING) -> Bias:
+def gyro_bias(seen: ForceLog, leans: Leans, tuning: SmootherTuning = TUNING) -> Bias:
     """Return the gyro's bias.
 
     Least squares over stretches of the drive, each with an up and a pull of its own; short ones
@@ -118,7 +118,7 @@ def gyro_bias(seen: Leaning, leans: Leans, tuning: SmootherTuning = TUNING) -> B
 
     Parameters
     ----------
-    seen : Leaning
+    seen : ForceLog
     leans : Leans
     tuning : SmootherTuning
     """
@@ -134,6 +134,8 @@ def gyro_bias(seen: Leaning, leans: Leans, tuning: SmootherTuning = TUNING) -> B
     told, up = search.told(bias, tuning.bias_stretches[-1]), unit(seen.force.mean(axis=0))
     # About up the force shows no bias.
     beside = told.information + told.information.max() * np.outer(up, up)
+    if not np.isfinite(beside).all():
+        return Bias(np.zeros(3), 0.0)
     return Bias(bias, max(float(np.linalg.eigvalsh(beside)[0]), 0.0))
 
 
@@ -150,7 +152,7 @@ class _Told:
 class _Search:
     """Looks for a bias in what was seen."""
 
-    seen: Leaning
+    seen: ForceLog
     leans: Leans
     tuning: SmootherTuning
 

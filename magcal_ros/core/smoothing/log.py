@@ -67,7 +67,7 @@ class DriveLog:
             speed = np.interp(self.time, self.time[known], self.speed[known])
         elif level.stays:
             speed = np.zeros(len(self))
-        track = Track(self.time, self.field, level.up, self.rate, speed, level.bias_information)
+        track = Track(self.time, self.field, level.up, self.rate, speed, level.doubt)
         return nodes_of(track, to_body, tuning)
 
 

@@ -16,6 +16,26 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 MICROTESLA = 1e6
 
 
+@dataclass(frozen=True)
+class LeanDoubt:
+    """How far up may lean all along, with the robot: in steady bends a gyro's bias is a lean.
+
+    Parameters
+    ----------
+    information : float
+        What a drive says of the bias across up, per (rad/s)².
+    per_bias : float
+        Radians that up leans for each rad/s of bias.
+    """
+
+    information: float = math.inf
+    per_bias: float = 0.0
+
+    def sigma(self, usual: float) -> float:
+        """Return it in radians, where gyros have a bias of `usual` rad/s (one sigma) per axis."""
+        return self.per_bias / math.sqrt(self.information + usual**-2)
+
+
 @dataclass(frozen=True, eq=False)
 class Nodes:
     """Stretches of driving, one after another; each is told from the one before.
@@ -38,8 +58,8 @@ class Nodes:
     course, course_sigma : ndarray, shape (n,)
         Course over ground to true north, radians ENU, and its standard deviation; infinite where
         there is none.
-    bias_information : float
-        What is known of the gyro's bias across up, `Level.bias_information`.
+    lean : LeanDoubt
+        Of up.
     """
 
     time: FloatArray
@@ -51,7 +71,7 @@ class Nodes:
     is_tied: BoolArray
     course: FloatArray
     course_sigma: FloatArray
-    bias_information: float = math.inf
+    lean: LeanDoubt = LeanDoubt()
 
     def __len__(self) -> int:
         return len(self.time)
@@ -86,7 +106,7 @@ class Nodes:
             tied,
             self.course[rows],
             self.course_sigma[rows],
-            self.bias_information,
+            self.lean,
         )
 
     def between(self, start: float, end: float) -> Nodes:
@@ -116,8 +136,8 @@ class Track:
         rad/s, body axes.
     speed : ndarray, shape (m,), or None
         m/s along the way; None where nobody measures it.
-    bias_information : float
-        What is known of the gyro's bias across up, `Level.bias_information`.
+    lean : LeanDoubt
+        Of up.
     """
 
     time: FloatArray
@@ -125,7 +145,7 @@ class Track:
     up: FloatArray
     rate: FloatArray
     speed: FloatArray | None = None
-    bias_information: float = math.inf
+    lean: LeanDoubt = LeanDoubt()
 
 
 def levelled_axes(up: FloatArray) -> FloatArray:
@@ -191,7 +211,7 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         np.diff(piece, prepend=piece[0] - 1) == 0,
         np.zeros(n),
         np.full(n, np.inf),
-        track.bias_information,
+        track.lean,
     )
 
 

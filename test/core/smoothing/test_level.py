@@ -8,7 +8,7 @@ import pytest
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.smoothing.level import level_of
-from magcal_ros.core.smoothing.level_bias import Leaning, Leans, gyro_bias
+from magcal_ros.core.smoothing.level_bias import ForceLog, Leans, gyro_bias
 from magcal_ros.core.smoothing.tuning import TUNING
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -47,7 +47,7 @@ def degrees_off(up, truth):
 
 def bias_of(time, force, rate):
     over_gravity = force / np.median(np.linalg.norm(force, axis=1))
-    seen = Leaning(time, over_gravity, rate, np.ones(len(time)), np.array([0]))
+    seen = ForceLog(time, over_gravity, rate, np.ones(len(time)), np.array([0]))
     return gyro_bias(seen, Leans.travelling()).rate
 
 
