@@ -89,6 +89,12 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
             f"only {len(nodes)} half seconds of movement; at least {tuning.fewest_nodes} are"
             " needed: drive on",
         )
+    if nodes.tied_share < tuning.least_tied:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
+            " stamp each sample when it is measured, not when a buffer is read",
+        )
     believed = free_prior(knowledge, tuning)
     start, prior = linear_start(nodes, believed, tuning)
     declination = knowledge.reference.declination or 0.0
@@ -159,7 +165,7 @@ def fit_iron(
     DriveFit or None
         Its `twelve` is of the raw field. None where too little was driven.
     """
-    if len(nodes) < tuning.fewest_nodes:
+    if len(nodes) < tuning.fewest_nodes or nodes.tied_share < tuning.least_tied:
         return None
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     believed = held_prior(

@@ -81,6 +81,11 @@ class Nodes:
         """Yaw by the gyro since the first node, radians, shape (n,)."""
         return np.cumsum(self.turned)
 
+    @property
+    def tied_share(self) -> float:
+        """Share of the nodes up to which the gyro was heard all the way; the first is left out."""
+        return float(self.is_tied[1:].mean()) if len(self) > 1 else 1.0
+
     def take(self, rows: IntArray) -> Nodes:
         """Return some of the nodes, increasing; ways and turns between them are joined."""
         rows = np.asarray(rows)

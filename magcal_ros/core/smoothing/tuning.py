@@ -94,6 +94,8 @@ class SmootherTuning:
         Prior sigmas of tilt (rad) and soft iron where only the hard iron is sought anew.
     fewest_nodes : int
         Below which nothing is fitted.
+    least_tied : float
+        Share of the nodes that the gyro must have been heard on the way to.
     believed : float
         Student's weight above which a node counts as believed.
     pseudo, least_street, least_noise : float
@@ -176,6 +178,7 @@ class SmootherTuning:
     kept_tilt: float = math.radians(0.5)
     kept_soft_iron: float = 0.01
     fewest_nodes: int = 40
+    least_tied: float = 0.5
     believed: float = 0.3
     pseudo: float = 18.0
     least_street: float = 0.1

@@ -9,6 +9,7 @@ from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.legs import Leg, city
 from magcal_ros.core.simulation.long_windows import (
     PAPER_SOFT_IRON,
@@ -196,6 +197,17 @@ def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, fitted):
         held_fit(fitted.nodes, each, BOSTON, sizes) for each in (robot.true_correction, wrong)
     )
     assert off.here.cost - true.here.cost > 48.0
+
+
+def test_a_drive_whose_stamps_come_in_bursts_is_refused_by_name(drive):
+    """A buffer that is read once a second: what was turned between, nobody knows."""
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    read = np.floor(window.time)
+    bursts = dataclasses.replace(window, time=read + 0.05 * (window.time - read))
+    nodes = log_of(bursts).nodes(NOBODY)
+    with pytest.raises(Refusal, match="in bursts"):
+        fit_nodes(nodes, BOSTON)
+    assert fit_iron(nodes, drive.vehicle.robot.true_correction, BOSTON) is None
 
 
 LONG = knowledge_of(47.3, inclination_deg=60.5)
