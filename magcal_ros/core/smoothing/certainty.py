@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
 from magcal_ros.core.estimation.correlation import inefficiency_factor
-from magcal_ros.core.geometry.arrays import ComplexArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,
@@ -26,8 +26,10 @@ from magcal_ros.core.smoothing.drive_model import (
     field_jacobians,
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA
+from magcal_ros.core.smoothing.places import iron_by_streets, new_metres
 
 TILT = [ROLL, PITCH]
+"""What a lean of up all along is taken for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,22 +127,8 @@ def _repeated(smoothed: Smoothed) -> float:
 
     A street that is driven again tells what it told before.
     """
-    again = float(smoothed.problem.nodes.metres.sum()) / _new_metres(smoothed)
+    again = float(smoothed.problem.nodes.metres.sum()) / new_metres(smoothed)
     return min(max(1.0, again), smoothed.problem.tuning.most_repeated)
-
-
-def _new_metres(smoothed: Smoothed) -> float:
-    """Return the length of road without what was driven again; cells of one reach are counted."""
-    reach = smoothed.problem.tuning.reach
-    way = _way(smoothed)
-    cells = np.column_stack([way.real, way.imag]) // reach
-    return reach * len(np.unique(cells.astype(int), axis=0))
-
-
-def _way(smoothed: Smoothed) -> ComplexArray:
-    """Return the places of the nodes, reckoned from yaw and metres: east + i north, metres."""
-    steps = smoothed.problem.nodes.metres * np.exp(1j * smoothed.unknowns.yaw)
-    return np.asarray(np.cumsum(steps), dtype=np.complex128)
 
 
 def _least_sigma(smoothed: Smoothed) -> float:
@@ -149,58 +137,19 @@ def _least_sigma(smoothed: Smoothed) -> float:
     Who stays has one field for all, but for a little.
     """
     tuning, level = smoothed.problem.tuning, float(smoothed.unknowns.shared[LEVEL_FIELD])
-    least = _by_streets(smoothed) if _travels(smoothed) else tuning.lasting
+    least = iron_by_streets(smoothed) if _travels(smoothed) else tuning.lasting
     return least / level
-
-
-def _by_streets(smoothed: Smoothed) -> float:
-    """Return what streets let pass for hard iron, microtesla per level axis, one sigma.
-
-    Seen from the world, hard iron turns with the yaw and the field of streets belongs to places:
-    `exp(i psi) h + d(p)`. With the covariance of d between places, `exp(-distance / reach)` and
-    small iron beside it, generalised least squares leave of h the variance `1 / (x^H K^-1 x)`,
-    x = exp(i psi). Circles in one place leave little of the street, whose mean is no hard iron,
-    and laps repeat what the first one told.
-
-    In a small place the calibration takes the bend for its own, so what was found of the street's
-    size counts by its witnesses, two reaches of new road each, beside the usual size.
-    """
-    tuning, sizes = smoothed.problem.tuning, smoothed.problem.sizes
-    witnesses = _new_metres(smoothed) / (2.0 * tuning.reach)
-    found = (tuning.street * sizes.street) ** 2
-    street = (witnesses * found + tuning.usual_witnesses * tuning.street**2) / (
-        witnesses + tuning.usual_witnesses
-    )
-    small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
-    joined = math.ceil(len(smoothed.unknowns.yaw) / tuning.most_places)
-    way, turned = (
-        _block_means(values, joined)
-        for values in (_way(smoothed), np.exp(1j * smoothed.unknowns.yaw))
-    )
-    apart = np.abs(way[:, None] - way)
-    covariance = street * np.exp(-apart / tuning.reach)
-    covariance += small * np.exp(-apart / tuning.small_reach)
-    covariance += tuning.own_noise**2 / joined * np.eye(len(way))
-    known = float(np.real(turned.conj() @ np.linalg.solve(covariance, turned)))
-    return 1.0 / math.sqrt(known)
 
 
 def _lean(smoothed: Smoothed) -> float:
     """Return how far up may lean all along, with the robot, radians per axis, one sigma.
 
-    In steady bends nobody tells a gyro's bias from what pulls; over the turn rate it is a lean. A
-    gyro that is far off about up, which the field shows, is off about the other axes.
+    In steady bends nobody tells a gyro's bias from what pulls. A gyro that is far off about up,
+    which the field shows, is off about the other axes.
     """
     problem = smoothed.problem
     about_up = abs(float(smoothed.unknowns.shared[GYRO_BIAS]))
     return problem.nodes.lean.sigma(max(problem.tuning.usual_bias, about_up))
-
-
-def _block_means(values: ComplexArray, size: int) -> ComplexArray:
-    """Return the means of so many values each; the last may be of fewer."""
-    first = np.arange(0, len(values), size)
-    counts = np.diff(np.append(first, len(values)))
-    return np.asarray(np.add.reduceat(values, first) / counts)
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:
