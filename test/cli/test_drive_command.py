@@ -59,7 +59,7 @@ def test_a_speed_beside_the_sensors_is_taken_off_their_force(tmp_path):
         gathered.take(source.readings(), source.travel())
     without = Gathering(Mounting())
     without.take(sensors_alone)
-    pulls = [pull(log.force, log.level().up) for log in (gathered.drive(), without.drive())]
+    pulls = [pull(log.force, log.level.up) for log in (gathered.drive(), without.drive())]
     assert pulls[0] < 0.6 * pulls[1]
     driven = 0.1 * np.nansum(np.abs(gathered.drive().speed))
     assert driven == pytest.approx(drive.truth.metres[-1], rel=0.1)

@@ -10,7 +10,6 @@ import numpy.typing as npt
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 IntArray: TypeAlias = npt.NDArray[np.int64]
-ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 
 
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:

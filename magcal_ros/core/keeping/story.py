@@ -238,6 +238,6 @@ def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
     every = KEEPING.map_rows
     if len(log) < 2 * every:
         return None
-    up = log.level().up[::every]
+    up = log.level.up[::every]
     time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
     return path_along(calibration, time, field, up, speed)

@@ -319,23 +319,16 @@ class Session:
 
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether waiting longer is pointless: certain enough, or no longer getting better."""
+        target = self.limits.target_sigma
         return (
-            self._is_certain
-            or (self._is_near and not _is_worth_while(self._glances))
+            self._is_within(target)
+            or (self._is_within(TUNING.near * target) and not _is_worth_while(self._glances))
             or abs(coverage.turned) >= TUNING.most_turns * math.tau
             or now - self._last_turning > TUNING.stands_still
         )
 
-    @property
-    def _is_certain(self) -> bool:
-        """Whether a fit said so twice in a row."""
-        return self._is_within(self.limits.target_sigma)
-
-    @property
-    def _is_near(self) -> bool:
-        return self._is_within(TUNING.near * self.limits.target_sigma)
-
     def _is_within(self, sigma: float) -> bool:
+        """Whether a fit said so twice in a row."""
         last = self._glances[-2:]
         return len(last) == 2 and max(glance.sigma for glance in last) <= sigma
 
@@ -358,13 +351,11 @@ class Session:
 
 
 def _is_worth_while(glances: Sequence[Glance]) -> bool:
-    """Return whether the answer still gets more certain by turning on."""
-    if not glances or math.isinf(glances[-1].sigma):
-        return True
+    """Return whether the answer, of which the last is finite, still gets more certain."""
     now = glances[-1]
     latest = now.turned / TUNING.look_back
     before = [each for each in glances if TUNING.whole <= each.turned <= latest]
-    if not before or math.isinf(before[-1].sigma):
+    if not before:
         return True
     by_noise = 1.0 - before[-1].turned / now.turned
     fell = 1.0 - (now.sigma / before[-1].sigma) ** 2

@@ -69,11 +69,12 @@ def level_of(
     pieces = [slice(*ends) for ends in zip(first, [*edges, len(time)], strict=True)]
     seen = ForceLog(time, force / usual, rate, weight, first)
 
+    heavy = weight[:, None] * force
+
     def averaged(bias: FloatArray, memory: float) -> FloatArray:
         up = np.empty_like(force)
         for piece in pieces:
-            rows = np.column_stack([weight[piece, None] * force[piece], weight[piece]])
-            up[piece] = _averaged(time[piece], rows, rate[piece] - bias, memory)
+            up[piece] = _averaged(time[piece], heavy[piece], rate[piece] - bias, memory)
         return up
 
     bias = gyro_bias(seen, Leans.staying(tuning), tuning)
@@ -113,13 +114,13 @@ def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> 
     return math.sqrt(float(np.mean(np.sum(means**2, axis=1))))
 
 
-def _averaged(time: FloatArray, rows: FloatArray, rate: FloatArray, memory: float) -> FloatArray:
-    """Return the direction of the weighted force and its weight (m, 4), averaged both ways."""
+def _averaged(time: FloatArray, force: FloatArray, rate: FloatArray, memory: float) -> FloatArray:
+    """Return the direction of the force (m, 3), averaged both ways where the gyro stands still."""
     attitude = relative_attitudes(time, rate)
-    still = np.column_stack([np.einsum("nji,nj->ni", attitude, rows[:, :3]), rows[:, 3]])
+    still = np.einsum("nji,nj->ni", attitude, force)
     keeps = np.exp(-np.maximum(np.diff(time), SMALLEST_STEP) / memory)
     both = _trailing(still, keeps) + _trailing(still[::-1], keeps[::-1])[::-1] - still
-    return unit(np.einsum("nij,nj->ni", attitude, both[:, :3]))
+    return unit(np.einsum("nij,nj->ni", attitude, both))
 
 
 def _trailing(rows: FloatArray, keeps: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -55,20 +56,21 @@ class DriveLog:
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
         return DriveLog(*(getattr(self, field.name)[rows] for field in fields(self)))
 
-    def level(self, tuning: SmootherTuning = TUNING) -> Level:
-        """Return up at each row, and what goes with it."""
-        return level_of(self.time, self.force, self.rate, tuning)
+    @cached_property
+    def level(self) -> Level:
+        """Up at each row, and what goes with it."""
+        return level_of(self.time, self.force, self.rate)
 
-    def nodes(self, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
+    def nodes(self, to_body: FloatArray) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
         known = np.isfinite(self.speed)
-        speed, level = None, self.level(tuning)
+        speed, level = None, self.level
         if known.mean() > 0.5:
             speed = np.interp(self.time, self.time[known], self.speed[known])
         elif level.stays:
             speed = np.zeros(len(self))
         track = Track(self.time, self.field, level.up, self.rate, speed, level.doubt)
-        return nodes_of(track, to_body, tuning)
+        return nodes_of(track, to_body)
 
 
 def log_of(

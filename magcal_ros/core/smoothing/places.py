@@ -6,22 +6,26 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import ComplexArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.smoothing.descent import Smoothed
+from magcal_ros.core.smoothing.nodes import Means
 
 
 def new_metres(smoothed: Smoothed) -> float:
     """Return the length of road without what was driven again; cells of one reach are counted."""
     reach = smoothed.problem.tuning.reach
-    way = _way(smoothed)
-    cells = np.column_stack([way.real, way.imag]) // reach
+    cells = _way(smoothed) // reach
     return reach * len(np.unique(cells.astype(int), axis=0))
 
 
-def _way(smoothed: Smoothed) -> ComplexArray:
-    """Return the places of the nodes, reckoned from yaw and metres: east + i north, metres."""
-    steps = smoothed.problem.nodes.metres * np.exp(1j * smoothed.unknowns.yaw)
-    return np.asarray(np.cumsum(steps), dtype=np.complex128)
+def _way(smoothed: Smoothed) -> FloatArray:
+    """Return the places of the nodes, reckoned from yaw and metres: east and north, (n, 2)."""
+    return np.cumsum(smoothed.problem.nodes.metres[:, None] * _ahead(smoothed), axis=0)
+
+
+def _ahead(smoothed: Smoothed) -> FloatArray:
+    """Return where the nodes look, east and north, unit, shape (n, 2)."""
+    return np.column_stack([np.cos(smoothed.unknowns.yaw), np.sin(smoothed.unknowns.yaw)])
 
 
 def iron_by_streets(smoothed: Smoothed) -> float:
@@ -30,8 +34,8 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     Seen from the world, hard iron turns with the yaw and the field of streets belongs to places:
     `exp(i psi) h + d(p)`. With the covariance of d between places, `exp(-distance / reach)` and
     small iron beside it, generalised least squares leave of h the variance `1 / (x^H K^-1 x)`,
-    x = exp(i psi). Circles in one place leave little of the street, whose mean is no hard iron,
-    and laps repeat what the first one told.
+    x = exp(i psi), here by its real and imaginary parts. Circles in one place leave little of the
+    street, whose mean is no hard iron, and laps repeat what the first one told.
 
     In a small place the calibration takes the bend for its own, so what was found of the street's
     size counts by its witnesses, two reaches of new road each, beside the usual size.
@@ -43,21 +47,12 @@ def iron_by_streets(smoothed: Smoothed) -> float:
         witnesses + tuning.usual_witnesses
     )
     small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
-    joined = math.ceil(len(smoothed.unknowns.yaw) / tuning.most_places)
-    way, turned = (
-        _block_means(values, joined)
-        for values in (_way(smoothed), np.exp(1j * smoothed.unknowns.yaw))
-    )
-    apart = np.abs(way[:, None] - way)
+    count = len(smoothed.unknowns.yaw)
+    joined = math.ceil(count / tuning.most_places)
+    means = Means(np.arange(0, count, joined), count)
+    way, ahead = means.of(_way(smoothed)), means.of(_ahead(smoothed))
+    apart = np.linalg.norm(way[:, None] - way, axis=2)
     covariance = street * np.exp(-apart / tuning.reach)
     covariance += small * np.exp(-apart / tuning.small_reach)
     covariance += tuning.own_noise**2 / joined * np.eye(len(way))
-    known = float(np.real(turned.conj() @ np.linalg.solve(covariance, turned)))
-    return 1.0 / math.sqrt(known)
-
-
-def _block_means(values: ComplexArray, size: int) -> ComplexArray:
-    """Return the means of so many values each; the last may be of fewer."""
-    first = np.arange(0, len(values), size)
-    counts = np.diff(np.append(first, len(values)))
-    return np.asarray(np.add.reduceat(values, first) / counts)
+    return 1.0 / math.sqrt(float(np.sum(ahead * np.linalg.solve(covariance, ahead))))

@@ -36,8 +36,8 @@ class SmootherTuning:
         Rows of the log that are one row there.
     usual_bias, largest_bias, any_bias : float, float, float
         rad/s, of the gyro's bias; of a larger one every size is as likely as another. And the one
-        up to which a robot may be one that stays: what a small circle pulls looks like more. And
-        one sigma where only the drive is asked.
+        up to which a robot may be one that stays, as what a small circle pulls looks like more, and
+        from which what the drive says alone is looked into. And one sigma where that is asked.
     pull_per_rate : float
         How far a bend leans the force, over gravity, per rad/s of turning: that of 10 m/s.
     jolt_lean, jolt_seconds : float
