@@ -283,7 +283,7 @@ def turned_before(folder: Path) -> Calibration | None:
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
-    return fit_gathered(gathering, Knowledge(reference))[0].calibration
+    return fit_gathered(gathering, Knowledge(reference)).calibration
 
 
 def merged(recording: Recording, truth: FloatArray) -> list[AnySample]:

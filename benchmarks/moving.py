@@ -225,7 +225,7 @@ def car(folder: Path, turned: Path) -> None:
     reference = ReferenceField(
         Belief(51.3e-6, 1.5e-6), Belief(math.radians(66.3), math.radians(1.0))
     )
-    outcome, _ = fit_gathered(gathering, Knowledge(reference))
+    outcome = fit_gathered(gathering, Knowledge(reference))
     if outcome.calibration is None:
         show((folder.name, f"no calibration: {outcome.verdict.summary}"))
         return

@@ -189,7 +189,15 @@ def windows(drive: Drive) -> Iterator[tuple[str, Window | MagcalError]]:
     span = turning_span(drive)
     if span is not None:
         yield "circles", _session_window([p for p in drive.pairs if _within(p, span)])
-    yield "live", _live_window(drive)
+    yield "live", _live_window(drive.pairs, drive.knowledge)
+
+
+def asked_on_the_way(drive: Drive, every: float) -> Iterator[tuple[str, Window | MagcalError]]:
+    """Yield what the node would take if it were asked again and again, seconds from the start."""
+    stamps = np.array([pair.field.stamp for pair in drive.pairs])
+    for moment in np.arange(0.0, float(np.ptp(stamps)) if len(stamps) else 0.0, every):
+        first = int(np.searchsorted(stamps, stamps[0] + moment))
+        yield "asked", _live_window(drive.pairs[first:], drive.knowledge)
 
 
 def _within(pair: Pair, span: tuple[float, float]) -> bool:
@@ -234,14 +242,14 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
 
 
-def _live_window(drive: Drive) -> Window | MagcalError:
-    """Return what a calibration asked for at the recording's first sample takes."""
-    if not drive.pairs:
+def _live_window(pairs: list[Pair], knowledge: Knowledge) -> Window | MagcalError:
+    """Return what a calibration asked for at the first of the samples takes."""
+    if not pairs:
         return _session_window([])
-    begun = drive.pairs[0].field.stamp
-    session = Session(Limits(), drive.knowledge.mounting, begun)
+    begun = pairs[0].field.stamp
+    session = Session(Limits(), knowledge.mounting, begun)
     look = preview = begun
-    for pair in drive.pairs:
+    for pair in pairs:
         now = pair.field.stamp
         session.add(pair, now)
         if now < look + LOOK_EVERY:
@@ -252,7 +260,7 @@ def _live_window(drive: Drive) -> Window | MagcalError:
             break
         if progress.coverage.is_complete and now >= preview + PREVIEW_EVERY:
             preview = now
-            session.note_sigma(predicted_sigma(session.window(), drive.knowledge))
+            session.note_sigma(predicted_sigma(session.window(), knowledge))
     return _taken(session)
 
 

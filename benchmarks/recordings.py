@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from recorded_truth import Drive, Score, peers, read_drive, windows
+from recorded_truth import Drive, Score, asked_on_the_way, peers, read_drive, windows
 
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate, calibrate_drive
@@ -75,13 +75,15 @@ def main() -> None:
     parser.add_argument("--only", default="", help="recordings whose name holds this")
     parser.add_argument("--reference", type=float, nargs=2, metavar=("UT", "DIP_DEG"))
     parser.add_argument("--window", default="", help="whole, circles, live or drive")
+    parser.add_argument("--asked-every", type=float, metavar="SECONDS", help="as the node, instead")
     parser.add_argument("--reasons", action="store_true", help="print each verdict's summary")
     arguments = parser.parse_args()
     lines = []
     print(HEADER)
     for folder in recordings_in(arguments.folders):
         if arguments.only in folder.name:
-            for line in run(read_drive(folder, arguments.reference), arguments.window):
+            drive = read_drive(folder, arguments.reference)
+            for line in run(drive, arguments.window, arguments.asked_every):
                 print(row(line) + (f"\n    {line.why}" if arguments.reasons else ""), flush=True)
                 lines.append(line)
     print(summary(lines))
@@ -97,8 +99,11 @@ def is_recording(folder: Path) -> bool:
     return (folder / "imu.csv").exists() and (folder / "mag.csv").exists()
 
 
-def run(drive: Drive, only: str) -> list[Line]:
+def run(drive: Drive, only: str, asked_every: float | None) -> list[Line]:
     floor = drive.floor()
+    if asked_every:
+        asked = asked_on_the_way(drive, asked_every)
+        return [fitted(drive, name, window, floor) for name, window in asked]
     found = []
     for name, window in windows(drive) if only != "drive" else ():
         if only in name:

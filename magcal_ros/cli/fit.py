@@ -39,13 +39,12 @@ CALIBRATION = "calibration.yaml"
 class Fitted:
     """A recording, or several that were joined, and what came of it.
 
-    Of several, `gathered`, `window` and `progress` are those of the last that joined.
+    Of several, `gathered` and `progress` are those of the last that joined.
     """
 
     gathered: Gathered
     knowledge: Knowledge
     outcome: Outcome
-    window: Window | None
     progress: Progress
     everything: tuple[Gathered, ...]
 
@@ -97,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     fitted = _fit(everything, options)
     knowledge = fitted.knowledge
     if options.compare:
-        print(compare_methods(fitted.window, knowledge))
+        print(compare_methods(fitted.outcome.window, knowledge))
         return fitted.status
     files = _write_files(folder, fitted, options)
     print(document(_facts(fitted, files)) if options.json else _words(fitted, files))
@@ -125,13 +124,13 @@ def _fit(everything: tuple[Gathered, ...], options: argparse.Namespace) -> Fitte
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
     if len(everything) == 1:
         gathering = everything[0].gathering
-        outcome, window = fit_gathered(gathering, knowledge, options.method)
-        return Fitted(everything[0], knowledge, outcome, window, gathering.progress(), everything)
+        outcome = fit_gathered(gathering, knowledge, options.method)
+        return Fitted(everything[0], knowledge, outcome, gathering.progress(), everything)
     names = names_of([str(path) for path in options.recordings])
     gatherings = [each.gathering for each in everything]
-    outcome, window, newest = fit_several(gatherings, names, knowledge, options.method)
+    outcome, newest = fit_several(gatherings, names, knowledge, options.method)
     gathered = replace(everything[newest], reference=known.reference)
-    return Fitted(gathered, knowledge, outcome, window, gatherings[newest].progress(), everything)
+    return Fitted(gathered, knowledge, outcome, gatherings[newest].progress(), everything)
 
 
 def _folder(chosen: Path | None) -> Path:
@@ -150,8 +149,8 @@ def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> l
         origin = Origin.now(gathered.field_frame, gathered.imu_frame)
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
-    if fitted.window is not None:
-        files.append(write_report(folder, _subject(fitted, fitted.window, options)))
+    if outcome.window is not None:
+        files.append(write_report(folder, _subject(fitted, outcome.window, options)))
     return files
 
 
@@ -220,7 +219,8 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
 def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     """Return key, name, number and unit of everything worth a line."""
     imus, fields = fitted.gathered.gathering.heard
-    used = 0 if fitted.window is None else len(fitted.window)
+    window = fitted.outcome.window
+    used = 0 if window is None else len(window)
     arc = math.degrees(fitted.progress.coverage.arc)
     rows = [
         ("imu_messages", f"messages on {fitted.gathered.imu_topic}", f"{imus}", ""),

@@ -10,9 +10,11 @@ from typing import cast
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import Aspect, Grade
 from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Misuse, Reason, Refusal
@@ -20,7 +22,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoothing.log import DriveLog, log_of
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
@@ -33,6 +35,9 @@ JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
+ROBOTS_OWN = (Figure.AXIS_LEAN, Figure.INSTALLATION_ANGLE)
+"""What a turn shows of a robot better than a drive."""
+TURNED_TOO_LITTLE = (Reason.ARC_TOO_SHORT, Reason.NO_MOTION, Reason.FIELD_ON_A_LINE)
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,8 @@ class Outcome:
         Why nothing could be found.
     several : Several or None
         Where turns were put together: what became of each, what is shown, and what comes next.
+    window : Window or None
+        The samples that were looked at: the estimate's residuals are of its rows.
     """
 
     verdict: Verdict
@@ -83,11 +90,12 @@ class Outcome:
     estimate: Estimate | None = None
     reason: Reason | None = None
     several: Several | None = None
+    window: Window | None = None
 
     @classmethod
-    def refused(cls, refusal: Refusal) -> Outcome:
+    def refused(cls, refusal: Refusal, window: Window | None = None) -> Outcome:
         """Return what comes of samples that cannot carry a calibration."""
-        return cls(refuse(refusal), reason=refusal.reason)
+        return cls(refuse(refusal), reason=refusal.reason, window=window)
 
 
 def find_method(name: str) -> Fit:
@@ -104,8 +112,13 @@ def find_method(name: str) -> Fit:
     return cast("Fit", module.fit)
 
 
-def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
-    """Fit a window and judge the result.
+def calibrate(
+    window: Window,
+    knowledge: Knowledge,
+    method: str = METHODS[0],
+    log: DriveLog | None = None,
+) -> Outcome:
+    """Fit a window as a turn, or as the drive that it was, and judge the result.
 
     Parameters
     ----------
@@ -114,20 +127,38 @@ def calibrate(window: Window, knowledge: Knowledge, method: str = METHODS[0]) ->
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`.
+        One of `METHODS`. By the first a window that a turn's model refuses or answers only roughly
+        is fitted as a drive, too (`drive_instead`); the others answer alone.
+    log : DriveLog, optional
+        What was driven meanwhile, where more is known of it than the window says, as of speed.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
+    turn = calibrate_by(window, knowledge, method)
+    if method != METHODS[0]:
+        return turn
+    if log is None and window.angular_rate is not None and len(window):
+        log = log_of(window)
+    return drive_instead(turn, log, knowledge) if log else turn
+
+
+def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
+    """Fit a window by one method alone, and judge the result; otherwise as `calibrate`."""
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(blamed_on_axes(refusal, window, knowledge))
+        return Outcome.refused(blamed_on_axes(refusal, window, knowledge), window)
+    return _judged_by_axes_too(estimate, knowledge, window)
+
+
+def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
+    """Judge an estimate unless the samples say that the axes of the sensors are wrong."""
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
-        return Outcome.refused(wrong)
+        return Outcome.refused(wrong, window)
     return judged(estimate, knowledge, window)
 
 
@@ -135,7 +166,7 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Judge an estimate; `window` holds the samples that its residuals are of."""
     verdict = judge(estimate, knowledge, window)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
-    return Outcome(verdict, calibration, estimate)
+    return Outcome(verdict, calibration, estimate, window=window)
 
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
@@ -146,39 +177,38 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     if not len(log):
         words = "nothing was driven: no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
+    window = log.window
     try:
-        return judged(fit_log(log, knowledge), knowledge, log.window)
+        estimate = fit_log(log, knowledge)
     except Refusal as refusal:
-        return Outcome.refused(refusal)
+        return Outcome.refused(refusal, window)
+    return _judged_by_axes_too(estimate, knowledge, window)
 
 
-def drive_instead(
-    turn: Outcome, log: DriveLog, knowledge: Knowledge, method: str
-) -> Outcome | None:
+def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Return what comes of a window as a drive, where that tells it better than a turn.
 
     Parameters
     ----------
     turn : Outcome
-        What the turn's model makes of it.
+        What the turn's model makes of it; returned where a drive tells no better.
     log : DriveLog
         What was driven meanwhile.
     knowledge : Knowledge
-    method : str
-        The one that was asked for.
     """
-    if method != METHODS[0] or log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
-        return None
+    if log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
+        return turn
     drive = calibrate_drive(log, knowledge)
-    return drive if drive_rather_than_turn(turn, drive, log, knowledge) else None
+    return drive if drive_rather_than_turn(turn, drive, log, knowledge) else turn
 
 
 def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: Knowledge) -> bool:
     """Whether a recording is told better as a drive than as a turn.
 
     A turn that was accepted stays with the turn's model, which knows that it came back to the same
-    place. The drive's answers where that refuses, where it is rough and the drive is more certain,
-    or where along the road the drive's calibration is by far the likelier.
+    place. The drive's answers where that refuses, but for what is wrong with the robot; or where
+    the robot went somewhere, the drive is the more certain one, and the turn is rough or along the
+    road by far the less likely.
 
     Parameters
     ----------
@@ -191,17 +221,36 @@ def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: 
     if drive.estimate is None or not drive.verdict.accepted:
         return False
     if turn.estimate is None or not turn.verdict.accepted:
-        return True
-    if turn.verdict.is_good:
+        return not _is_refused_for_good(turn, log, known)
+    if turn.verdict.is_good or log.stays:
         return False
-    sigmas = [predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)]
-    if sigmas[0] > TUNING.rough and sigmas[1] < sigmas[0]:
+    by_turn, by_drive = (
+        predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)
+    )
+    if by_drive > by_turn:
+        return False
+    if by_turn > TUNING.rough:
         return True
     from magcal_ros.core.smoothing.fit import favour
 
     nodes = log.nodes(known.mounting.to_body)
     corrections = turn.estimate.correction, drive.estimate.correction
     return favour(nodes, *corrections, known).gain > TUNING.clearly
+
+
+def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:
+    """Whether a turn was refused for what a drive does not see, or sees no better.
+
+    How the sensors are mounted is one; where a robot stays it is all but that the turn was too
+    short, or its answer too uncertain: a drive's model knows streets, and there are none.
+    """
+    checks = [check for check in turn.verdict.checks if check.grade is Grade.REFUSED]
+    if any(check.figure in ROBOTS_OWN for check in checks):
+        return True
+    if turn.reason is Reason.AXES_DISAGREE and turn.window is not None:
+        return log.stays or wrong_axes(turn.window, known) is not None
+    is_bad = any(check.aspect is Aspect.QUALITY for check in checks)
+    return log.stays and is_bad and turn.reason not in TURNED_TOO_LITTLE
 
 
 def calibrate_turns(
@@ -228,7 +277,7 @@ def calibrate_turns(
     -------
     Outcome
         Never raises for bad data. A turn that does not belong to the others is left out, with
-        the reason, and the rest stands. One turn alone gives what `calibrate` gives.
+        the reason, and the rest stands. One turn alone gives what `calibrate_by` gives.
 
     Raises
     ------
@@ -254,12 +303,13 @@ def calibrate_turns(
     if len(alone) > 1:
         words = "; ".join(f"{turn.name}: {turn.unfit}" for turn in alone)
         reason = alone[-1].reason or Reason.NO_SOLUTION
-        return Outcome.refused(Refusal(reason, f"none of the turns can be used: {words}"))
-    turn = alone[0]
+        refusal = Refusal(reason, f"none of the turns can be used: {words}")
+        return Outcome.refused(refusal, alone[-1].window)
+    turn, several = alone[0], joined.several
     if turn.estimate is None:
-        return Outcome(turn.verdict, reason=turn.reason, several=joined.several)
+        return Outcome(turn.verdict, reason=turn.reason, several=several, window=turn.window)
     calibration = Calibration.from_estimate(turn.estimate, turn.verdict.evidence(turn.estimate))
-    return Outcome(turn.verdict, calibration, turn.estimate, several=joined.several)
+    return Outcome(turn.verdict, calibration, turn.estimate, None, several, turn.window)
 
 
 def pooled(windows: Sequence[Window]) -> Window:
@@ -279,7 +329,12 @@ def pooled(windows: Sequence[Window]) -> Window:
 
 
 def take_turn(
-    kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
+    kept: Kept,
+    window: Window,
+    knowledge: Knowledge,
+    method: str,
+    accumulate: bool,
+    log: DriveLog | None = None,
 ) -> tuple[Outcome, Kept]:
     """Fit a turn, together with those that are kept if turns are accumulated.
 
@@ -294,7 +349,9 @@ def take_turn(
     method : str
         Name of the method; only `maximum_likelihood` accumulates.
     accumulate : bool
-        Whether turns are put together.
+        Whether turns are put together; such a turn is never fitted as a drive.
+    log : DriveLog, optional
+        As for `calibrate`.
 
     Returns
     -------
@@ -302,7 +359,7 @@ def take_turn(
         A turn that is refused does not join: the others stay as they are.
     """
     if not accumulate:
-        return calibrate(window, knowledge, method), Kept()
+        return calibrate(window, knowledge, method, log), Kept()
     names = (*kept.names, kept.next_name)
     outcome = calibrate_turns([*kept.windows, window], knowledge, method, names)
     several = outcome.several
@@ -311,28 +368,6 @@ def take_turn(
     if not outcome.verdict.accepted:
         return outcome, kept
     return outcome, kept.joined(window, several)
-
-
-def take_window(
-    log: DriveLog, kept: Kept, window: Window, knowledge: Knowledge, method: str, accumulate: bool
-) -> tuple[Outcome, Kept, Window]:
-    """Fit a window as a turn, or as the drive that it was, as `magcal fit` does.
-
-    Parameters
-    ----------
-    log : DriveLog
-        What was driven while the window was collected.
-    kept, window, knowledge, method, accumulate
-        As for `take_turn`; turns that are put together stay turns.
-
-    Returns
-    -------
-    Outcome, Kept, Window
-        The last has the samples that were fitted.
-    """
-    turn, kept = take_turn(kept, window, knowledge, method, accumulate)
-    drive = None if accumulate else drive_instead(turn, log, knowledge, method)
-    return (turn, kept, window) if drive is None else (drive, kept, log.window)
 
 
 def _refused(outcome: Outcome, kept: Kept) -> Outcome:

@@ -213,7 +213,7 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
     estimate = subject.outcome.estimate
     seconds = float(turn.time[-1]) if len(turn.time) else 0.0
     rows = [
-        Row("method", subject.method),
+        Row("method", subject.answered_by),
         Row("why it stopped", estimate.message if estimate is not None else "refused"),
         Row("source", subject.source),
         Row("frame of the field", subject.magnetometer_frame or "not given"),
@@ -238,5 +238,5 @@ def _repeat(subject: Subject) -> str:
     return (
         f"<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
         f"sample{note} in SI units; these lines fit it again{alone}.</p>"
-        f"<pre><code>{escape(recipe(subject.knowledge, subject.method))}</code></pre>"
+        f"<pre><code>{escape(recipe(subject.knowledge, subject.answered_by))}</code></pre>"
     )

@@ -25,7 +25,7 @@ class Subject:
     source : str
         Where the samples came from: topics, or a recording. Any text: it is escaped.
     method : str
-        Name of the method.
+        Name of the method that was asked for.
     created : datetime
         When the calibration was made; this moment unless given.
     title : str
@@ -46,3 +46,9 @@ class Subject:
     magnetometer_frame: str = ""
     imu_frame: str = ""
     vehicle: str = ""
+
+    @property
+    def answered_by(self) -> str:
+        """Name of the method that gave the answer: a turn may have been told better as a drive."""
+        estimate = self.outcome.estimate
+        return self.method if estimate is None else estimate.method

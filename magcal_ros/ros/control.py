@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_window
+from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair, Pairer, Streams
@@ -252,10 +252,10 @@ class Control:
         self._tell(ev.PreviewFitted(turn, sigma))
 
     def _fit(self, asked: ev.FitTurn) -> None:
-        turn = (asked.kept, asked.window, asked.knowledge, asked.method, asked.accumulate)
-        log = self._drive.log()
+        told = (asked.knowledge, asked.method, asked.accumulate)
+        turn = (asked.kept, asked.window, *told, self._drive.log())
         self._fits.run(
-            lambda: self._aside.run(take_window, log, *turn),
+            lambda: self._aside.run(take_turn, *turn),
             lambda found: self._note(ev.FitDone(asked.turn, *found)),
             lambda error: self._note(ev.FitFailed(asked.turn, repr(error))),
         )

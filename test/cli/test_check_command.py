@@ -15,7 +15,7 @@ from magcal_ros.files.calibration_file import Origin, write_calibration
 def calibration_file(tmp_path_factory):
     gathering = Gathering(ROBOT.mounting)
     gathering.take(drive(400.0))
-    outcome, _ = fit_gathered(gathering, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
+    outcome = fit_gathered(gathering, ROBOT.knowledge(1.5e-6, math.radians(1.0)))
     path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
     write_calibration(path, outcome.calibration, Origin.now("mag_link", "imu_link"))
     return path

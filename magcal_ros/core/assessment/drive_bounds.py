@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from magcal_ros.core.assessment.grading import Aspect, Bound
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.samples.units import Z_NOT_UP
 
 DRIVE_ON = "drive on, with bends to both sides, to all headings"
 DRIVE_BOUNDS: tuple[Bound, ...] = (
@@ -52,6 +53,14 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         "installation error",
         "give the sensor's nominal pose with mount_rpy_deg",
         excellent=5.0,
+    ),
+    Bound(
+        Figure.AXIS_LEAN,
+        45.0,
+        90.0,
+        "up leans from the body's z by",
+        Z_NOT_UP,
+        excellent=20.0,
     ),
 )
 """From simulated drives and twelve recordings. The weightiest come first."""

@@ -10,13 +10,11 @@ from typing import TypeAlias
 from magcal_ros.core.calibrate import (
     DRIVES,
     METHODS,
-    POOL,
     Outcome,
     calibrate,
     calibrate_drive,
     calibrate_turns,
     drive_instead,
-    pooled,
 )
 from magcal_ros.core.doctor.refusal import blamed_on_sensors
 from magcal_ros.core.driving.companion import Companion
@@ -172,9 +170,7 @@ def _arc(session: Session) -> float:
     return session.progress(0.0).coverage.arc
 
 
-def fit_gathered(
-    gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]
-) -> tuple[Outcome, Window | None]:
+def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
     """Calibrate from what was gathered.
 
     Parameters
@@ -188,21 +184,17 @@ def fit_gathered(
 
     Returns
     -------
-    Outcome, Window or None
+    Outcome
         Never raises for bad data: a refusal is a verdict, and then there may be no window.
     """
-    if method == DRIVES:
-        log = gathering.drive()
-        return calibrate_drive(log, knowledge), log.window if len(log) else None
-    found = _window_or_refusal(gathering)
-    window: Window | None
-    if isinstance(found, Refusal):
-        turn, window = Outcome.refused(found), None
-    else:
-        turn, window = calibrate(found, knowledge, method), found
     log = gathering.drive()
-    drive = drive_instead(turn, log, knowledge, method)
-    return (turn, window) if drive is None else (drive, log.window)
+    if method == DRIVES:
+        return calibrate_drive(log, knowledge)
+    window = _window_or_refusal(gathering)
+    if isinstance(window, Window):
+        return calibrate(window, knowledge, method, log)
+    turn = Outcome.refused(window)
+    return drive_instead(turn, log, knowledge) if method == METHODS[0] else turn
 
 
 def fit_several(
@@ -210,7 +202,7 @@ def fit_several(
     names: Sequence[str],
     knowledge: Knowledge,
     method: str = METHODS[0],
-) -> tuple[Outcome, Window | None, int]:
+) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
 
     Parameters
@@ -226,9 +218,9 @@ def fit_several(
 
     Returns
     -------
-    Outcome, Window or None, int
-        The samples that the estimate's residuals are of, and which recording holds them. Never
-        raises for bad data: a recording that is no turn is left out, with the reason.
+    Outcome, int
+        The latter tells which recording holds the outcome's window. Never raises for bad data: a
+        recording that is no turn is left out, with the reason.
 
     Raises
     ------
@@ -239,19 +231,18 @@ def fit_several(
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
     left_out = {k: found for k, found in enumerate(looked) if isinstance(found, Refusal)}
     if not windows:
-        return Outcome.refused(left_out[len(gatherings) - 1]), None, len(gatherings) - 1
+        return Outcome.refused(left_out[len(gatherings) - 1]), len(gatherings) - 1
     used = list(windows)
     turns = [windows[index] for index in used]
     outcome = calibrate_turns(turns, knowledge, method, [names[index] for index in used])
     if outcome.several is None:
-        whole = pooled(turns) if method in POOL else turns[-1]
-        return outcome, whole, used[-1]
+        return outcome, used[-1]
     newest = used[outcome.several.newest]
     fates = dict(zip(used, outcome.several.fates, strict=True))
     fates |= {k: TurnFate(names[k], False, str(why).rstrip(".")) for k, why in left_out.items()}
     ordered = tuple(fates[index] for index in sorted(fates))
     outcome = replace(outcome, several=replace(outcome.several, fates=ordered))
-    return outcome, windows[newest], newest
+    return outcome, newest
 
 
 def _window_or_refusal(gathering: Gathering) -> Window | Refusal:

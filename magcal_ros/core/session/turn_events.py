@@ -106,12 +106,11 @@ class FinishAsked(Event):
 
 @dataclass(frozen=True)
 class FitDone(Event):
-    """A turn is fitted; what is kept for the next one to join, and the samples if others."""
+    """A turn is fitted; what is kept for the next one to join."""
 
     turn: int
     outcome: Outcome
     kept: Kept
-    window: Window | None = None
 
 
 @dataclass(frozen=True)

@@ -282,7 +282,7 @@ class TurnMachine:
         # Turns that were forgotten while this one was fitted do not come back with it.
         if self._kept is stand.kept:
             self._kept = event.kept
-        self.last_window = event.window or self.last_window
+        self.last_window = event.outcome.window or self.last_window
         self._judge(event.outcome, stand.why_ended)
 
     def _on_fit_failed(self, event: ev.FitFailed, _: float) -> None:

@@ -61,15 +61,23 @@ class DriveLog:
         """Up at each row, and what goes with it."""
         return level_of(self.time, self.force, self.rate)
 
+    @cached_property
+    def driven(self) -> FloatArray | None:
+        """Speed at each row, m/s: zero for who stays, None where nothing tells it."""
+        known = np.isfinite(self.speed)
+        if known.mean() > 0.5:
+            return np.interp(self.time, self.time[known], self.speed[known])
+        return np.zeros(len(self)) if self.level.stays else None
+
+    @property
+    def stays(self) -> bool:
+        """Whether it is one of a robot that stays where it is."""
+        return self.driven is not None and not self.driven.any()
+
     def nodes(self, to_body: FloatArray) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
-        known = np.isfinite(self.speed)
-        speed, level = None, self.level
-        if known.mean() > 0.5:
-            speed = np.interp(self.time, self.time[known], self.speed[known])
-        elif level.stays:
-            speed = np.zeros(len(self))
-        track = Track(self.time, self.field, level.up, self.rate, speed, level.doubt)
+        level = self.level
+        track = Track(self.time, self.field, level.up, self.rate, self.driven, level.doubt)
         return nodes_of(track, to_body)
 
 

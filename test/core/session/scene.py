@@ -111,7 +111,8 @@ class Scene:
     def fitted(self, command):
         if isinstance(self.outcome, Exception):
             return FitFailed(command.turn, repr(self.outcome))
-        return FitDone(command.turn, self.outcome, Kept(count=command.kept.count + 1))
+        outcome = replace(self.outcome, window=command.window)
+        return FitDone(command.turn, outcome, Kept(count=command.kept.count + 1))
 
     def later(self, seconds, event):
         self._later.append((self.now + seconds, event))

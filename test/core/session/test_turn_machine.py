@@ -53,7 +53,7 @@ def test_a_verdict_that_falls_short_leaves_what_is_in_force_and_names_the_remedy
     assert "The calibration in force is unchanged; ~/accept" in conclusion.message
     assert "Report: here." in conclusion.message
     assert not scene.in_force
-    assert scene.turn.last_outcome is SHORT
+    assert scene.turn.last_outcome.verdict is SHORT.verdict
 
 
 def test_what_cannot_be_fitted_offers_nothing_to_accept():

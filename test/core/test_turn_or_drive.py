@@ -1,0 +1,101 @@
+"""When a window is told as the drive that it was, and when a turn's refusal stands."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from honesty_cases import draw_case
+from smoothing.streets import BOSTON, driven, heading_error
+
+from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.calibrate import calibrate, calibrate_by, calibrate_drive, drive_instead
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.errors import Reason
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.drive import random_vehicle
+from magcal_ros.core.simulation.legs import circles, joined, standing
+from magcal_ros.core.smoothing.log import log_of
+
+TURN = "maximum_likelihood"
+
+
+@pytest.fixture(scope="module")
+def ringed():
+    """A robot that drives circles, and what it sees of them; nothing of the stand before them."""
+    vehicle = random_vehicle(np.random.default_rng(7))
+    robot = replace(vehicle.robot, gyro_bias=np.radians([0.1, 0.0, 0.1]))
+    legs = joined(standing(5.0), circles(80.0, 4.0, 8.0))
+    drive = driven(10, legs=legs, vehicle=replace(vehicle, robot=robot))
+    rows = drive.time > drive.time[0] + 10.0
+    return robot, Window(drive.time[rows], drive.field[rows], drive.force[rows], drive.rate[rows])
+
+
+def test_circles_that_a_turn_cannot_tell_are_told_as_the_drive_they_were(ringed):
+    robot, window = ringed
+    turn, outcome = calibrate_by(window, BOSTON, TURN), calibrate(window, BOSTON)
+    assert not turn.verdict.accepted
+    assert outcome.verdict.accepted
+    assert outcome.estimate.method == "smoother"
+    error = heading_error(outcome.estimate.correction, robot)
+    assert error < 0.3 * heading_error(turn.estimate.correction, robot)
+    assert error < 2.0 * math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+
+
+def test_the_samples_of_the_answer_come_with_it(ringed):
+    _, window = ringed
+    outcome = calibrate(window, BOSTON)
+    assert len(outcome.window) == len(outcome.estimate.residual) < len(window)
+    assert calibrate_by(window, BOSTON, TURN).window is window
+
+
+def test_another_method_answers_alone(ringed):
+    _, window = ringed
+    assert calibrate(window, BOSTON, "design_tip").window is window
+
+
+WRONG = {"upside down": 144, "gyro axes": 880, "large installation": 417, "iron beside": 35}
+"""Turns on the spot, of the honesty benchmark, that a drive's model would have taken."""
+
+
+@pytest.mark.parametrize("number", WRONG.values(), ids=WRONG)
+def test_what_is_wrong_with_a_robot_is_not_driven_away(number):
+    _, case = draw_case(7, number)
+    turn = calibrate_by(case.window, case.knowledge, TURN)
+    assert not turn.verdict.accepted
+    assert not calibrate(case.window, case.knowledge).verdict.accepted
+
+
+def test_a_turn_on_the_spot_that_was_accepted_stays_a_turn():
+    _, case = draw_case(7, 139)
+    turn, log = calibrate_by(case.window, case.knowledge, TURN), log_of(case.window)
+    assert log.stays
+    assert turn.verdict.quality is Grade.WARN or turn.verdict.confidence is Grade.WARN
+    # The drive's model says more than it knows there.
+    drive = calibrate_drive(log, case.knowledge)
+    assert predicted_heading_sigma(drive.estimate, 0.0) < predicted_heading_sigma(
+        turn.estimate, 0.0
+    )
+    assert drive_instead(turn, log, case.knowledge) is turn
+
+
+@pytest.mark.parametrize("ned", [False, True], ids=["negative", "NED"])
+def test_a_drive_by_an_accelerometer_that_is_upside_down_is_refused(ned):
+    drive = driven(3, 150.0)
+    sign = np.array([1.0, -1.0, -1.0]) if ned else -np.ones(3)
+    window = Window(drive.time, drive.field, sign * drive.force, drive.rate)
+    outcome = calibrate_drive(log_of(window), BOSTON)
+    assert not outcome.verdict.accepted
+    assert "z points down" in outcome.verdict.summary
+
+
+def test_a_drive_whose_magnetometer_has_other_axes_is_refused_for_them():
+    drive = driven(3)
+    swapped = np.diag([1.0, -1.0, -1.0])
+    outcomes = [
+        calibrate_drive(log_of(Window(drive.time, field, drive.force, drive.rate)), BOSTON)
+        for field in (drive.field, drive.field @ swapped)
+    ]
+    assert outcomes[0].verdict.accepted
+    assert outcomes[1].reason is Reason.AXES_DISAGREE
+    assert "axes" in outcomes[1].verdict.summary
