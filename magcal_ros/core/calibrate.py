@@ -188,6 +188,11 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
 def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Return what comes of a window as a drive, where that tells it better than a turn.
 
+    A turn that was accepted stays with the turn's model, which knows that it came back to the same
+    place. The drive's answers where that refuses, but for what is wrong with the robot; or where
+    the robot went somewhere, the drive is the more certain one, and the turn is rough or along the
+    road by far the less likely.
+
     Parameters
     ----------
     turn : Outcome
@@ -198,44 +203,13 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     """
     if log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
         return turn
+    before = turn.estimate if turn.verdict.accepted else None
+    if log.stays if before else _is_refused_for_good(turn, log, knowledge):
+        return turn
     drive = calibrate_drive(log, knowledge)
-    return drive if drive_rather_than_turn(turn, drive, log, knowledge) else turn
-
-
-def drive_rather_than_turn(turn: Outcome, drive: Outcome, log: DriveLog, known: Knowledge) -> bool:
-    """Whether a recording is told better as a drive than as a turn.
-
-    A turn that was accepted stays with the turn's model, which knows that it came back to the same
-    place. The drive's answers where that refuses, but for what is wrong with the robot; or where
-    the robot went somewhere, the drive is the more certain one, and the turn is rough or along the
-    road by far the less likely.
-
-    Parameters
-    ----------
-    turn, drive : Outcome
-        Of the same recording.
-    log : DriveLog
-        Of which `drive` came.
-    known : Knowledge
-    """
     if drive.estimate is None or not drive.verdict.accepted:
-        return False
-    if turn.estimate is None or not turn.verdict.accepted:
-        return not _is_refused_for_good(turn, log, known)
-    if turn.verdict.is_good or log.stays:
-        return False
-    by_turn, by_drive = (
-        predicted_heading_sigma(each, 0.0) for each in (turn.estimate, drive.estimate)
-    )
-    if by_drive > by_turn:
-        return False
-    if by_turn > TUNING.rough:
-        return True
-    from magcal_ros.core.smoothing.fit import favour
-
-    nodes = log.nodes(known.mounting.to_body)
-    corrections = turn.estimate.correction, drive.estimate.correction
-    return favour(nodes, *corrections, known).gain > TUNING.clearly
+        return turn
+    return drive if before is None or _is_better(drive.estimate, before, log, knowledge) else turn
 
 
 def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:
@@ -251,6 +225,17 @@ def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool
         return log.stays or wrong_axes(turn.window, known) is not None
     is_bad = any(check.aspect is Aspect.QUALITY for check in checks)
     return log.stays and is_bad and turn.reason not in TURNED_TOO_LITTLE
+
+
+def _is_better(drive: Estimate, turn: Estimate, log: DriveLog, known: Knowledge) -> bool:
+    """Whether of two that were accepted the drive tells more."""
+    by_drive, by_turn = (predicted_heading_sigma(each, 0.0) for each in (drive, turn))
+    if by_drive > by_turn or by_turn > TUNING.rough:
+        return by_drive <= by_turn
+    from magcal_ros.core.smoothing.fit import favour
+
+    nodes = log.nodes(known.mounting.to_body)
+    return favour(nodes, turn.correction, drive.correction, known).gain > TUNING.clearly
 
 
 def calibrate_turns(
