@@ -58,7 +58,7 @@ class CalibrateTuning:
 
     rough: float = VerdictTuning().rough
     clearly: float = 12.0
-    shortest_drive: float = 25.0
+    shortest_drive: float = 15.0
     pause: float = 1.0
 
 

@@ -165,7 +165,7 @@ def fit_iron(
     DriveFit or None
         Its `twelve` is of the raw field. None where too little was driven.
     """
-    if len(nodes) < tuning.fewest_nodes or nodes.tied_share < tuning.least_tied:
+    if len(nodes) < tuning.fewest_for_iron or nodes.tied_share < tuning.least_tied:
         return None
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     believed = held_prior(

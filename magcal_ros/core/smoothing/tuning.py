@@ -92,8 +92,8 @@ class SmootherTuning:
         sigma grows in proportion: something is there that the model does not have.
     kept_tilt, kept_soft_iron : float
         Prior sigmas of tilt (rad) and soft iron where only the hard iron is sought anew.
-    fewest_nodes : int
-        Below which nothing is fitted.
+    fewest_nodes, fewest_for_iron : int
+        Below which nothing is fitted, and no iron is sought that was added.
     least_tied : float
         Share of the nodes that the gyro must have been heard on the way to.
     believed : float
@@ -177,7 +177,8 @@ class SmootherTuning:
     no_strain: float = 2.0
     kept_tilt: float = math.radians(0.5)
     kept_soft_iron: float = 0.01
-    fewest_nodes: int = 40
+    fewest_nodes: int = 24
+    fewest_for_iron: int = 40
     least_tied: float = 0.5
     believed: float = 0.3
     pseudo: float = 18.0
