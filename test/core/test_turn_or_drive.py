@@ -42,6 +42,21 @@ def test_circles_that_a_turn_cannot_tell_are_told_as_the_drive_they_were(ringed)
     assert error < 2.0 * math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
 
 
+@pytest.mark.parametrize("start", [0.0, 30.0])
+def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
+    robot, window = ringed
+    since = window.time - window.time[0] - start
+    rows = (since >= 0.0) & (since < 19.0)
+    columns = window.time, window.field, window.specific_force, window.angular_rate
+    piece = Window(*(column[rows] for column in columns))
+    assert not calibrate_by(piece, BOSTON, TURN).verdict.accepted
+    outcome = calibrate(piece, BOSTON)
+    assert outcome.verdict.accepted
+    sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+    assert heading_error(outcome.estimate.correction, robot) < 2.0 * sigma
+    assert sigma < 5.0
+
+
 def test_the_samples_of_the_answer_come_with_it(ringed):
     _, window = ringed
     outcome = calibrate(window, BOSTON)
