@@ -204,7 +204,7 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     if log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
         return turn
     before = turn.estimate if turn.verdict.accepted else None
-    if log.stays if before else _is_refused_for_good(turn, log, knowledge):
+    if log.stays if before is not None else _is_refused_for_good(turn, log, knowledge):
         return turn
     drive = calibrate_drive(log, knowledge)
     if drive.estimate is None or not drive.verdict.accepted:
@@ -271,11 +271,11 @@ def calibrate_turns(
     """
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
-        return calibrate(pooled(windows), knowledge, method)
+        return calibrate_by(pooled(windows), knowledge, method)
     if method != JOINS:
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
-        return calibrate(windows[0], knowledge, method)
+        return calibrate_by(windows[0], knowledge, method)
     # What joins turns loads what fits them, which nobody pays for before it is used.
     from magcal_ros.core.multi_turn.joined import join
     from magcal_ros.core.multi_turn.turn import survey
