@@ -23,10 +23,11 @@ from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
-from magcal_ros.core.up import propagated_up
+from magcal_ros.core.up import UpFollower, propagated_up
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 PLACES = (("Boston", 51.3, 66.3), ("Northeastern", 51.3, 66.3), ("BROAD", 44.3, 69.6))
@@ -195,9 +196,14 @@ def windows(drive: Drive) -> Iterator[tuple[str, Window | MagcalError]]:
 def asked_on_the_way(drive: Drive, every: float) -> Iterator[tuple[str, Window | MagcalError]]:
     """Yield what the node would take if it were asked again and again, seconds from the start."""
     stamps = np.array([pair.field.stamp for pair in drive.pairs])
+    up, heard = UpFollower(), 0
     for moment in np.arange(0.0, float(np.ptp(stamps)) if len(stamps) else 0.0, every):
         first = int(np.searchsorted(stamps, stamps[0] + moment))
-        yield "asked", _live_window(drive.pairs[first:], drive.knowledge)
+        for pair in drive.pairs[heard:first]:
+            up.add(pair.imu)
+            up.add_field(pair.field.stamp, pair.field.field)
+        heard = first
+        yield "asked", _live_window(drive.pairs[first:], drive.knowledge, up.gyro_at_rest)
 
 
 def _within(pair: Pair, span: tuple[float, float]) -> bool:
@@ -242,12 +248,14 @@ def _runs(mask: BoolArray) -> list[tuple[int, int]]:
     return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
 
 
-def _live_window(pairs: list[Pair], knowledge: Knowledge) -> Window | MagcalError:
+def _live_window(
+    pairs: list[Pair], knowledge: Knowledge, gyro: GyroAtRest | None = None
+) -> Window | MagcalError:
     """Return what a calibration asked for at the first of the samples takes."""
     if not pairs:
         return _session_window([])
     begun = pairs[0].field.stamp
-    session = Session(Limits(), knowledge.mounting, begun)
+    session = Session(Limits(), knowledge.mounting, begun, gyro)
     look = preview = begun
     for pair in pairs:
         now = pair.field.stamp

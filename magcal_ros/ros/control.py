@@ -14,6 +14,7 @@ from typing import Protocol, TypeVar
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
@@ -127,20 +128,28 @@ class Control:
         """Note which sensors are there; turns of others are not joined."""
         self._tell(ev.SensorsMet(names))
 
-    def start(self, settings: Settings) -> ev.Conclusion:
-        """Open a session; refused while another is under way."""
+    def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
+        """Open a session; refused while another is under way.
+
+        Parameters
+        ----------
+        settings : Settings
+        gyro : GyroAtRest, optional
+            What a rest before it has shown of the gyro.
+        """
         rotation, limits = settings.rotation, settings.limits
         order = None
         if rotation.enabled:
             to_body = settings.knowledge.mounting.to_body
             order = Order(rotation.speed, limits.timeout, to_body)
-        brief = ev.Brief(limits, settings.knowledge, settings.method, settings.accumulate, order)
+        knowledge, method = settings.knowledge, settings.method
+        brief = ev.Brief(limits, knowledge, method, settings.accumulate, order, gyro)
         was_idle = self.state is TurnState.IDLE
         answer = self._tell(ev.Opened(brief))
         assert answer is not None
         if was_idle and answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
-            self._drive = DriveRecorder()
+            self._drive = DriveRecorder(gyro=gyro)
         return answer
 
     def add(self, sample: FieldSample, own: Triple | None = None, speed: float = math.nan) -> None:

@@ -220,7 +220,7 @@ class Calibrator(Node):
 
     def _start(self) -> Conclusion:
         settings = self._seat.settled(self._whereabouts.settings)
-        opened = self._control.start(settings)
+        opened = self._control.start(settings, self._up.gyro_at_rest)
         if opened.success:
             self._tick.reset()
             if settings.rotation.enabled:

@@ -57,6 +57,20 @@ def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
     assert sigma < 5.0
 
 
+def test_a_gyro_that_is_far_off_is_no_matter_once_a_rest_has_shown_it(ringed):
+    """Over a steady circle a bias looks like what pulls in it."""
+    robot, window = ringed
+    rate = window.angular_rate + np.radians([3.5, 2.0, 1.9])
+    unknown = calibrate(replace(window, angular_rate=rate), BOSTON)
+    known = calibrate(replace(window, sigma_before=5e-4), BOSTON)
+    error = heading_error(known.estimate.correction, robot)
+    sigma = math.degrees(predicted_heading_sigma(known.estimate, 0.0))
+    assert known.verdict.accepted
+    assert error < 2.0 * sigma
+    assert sigma < 4.0
+    assert error < 0.5 * heading_error(unknown.estimate.correction, robot)
+
+
 def test_the_samples_of_the_answer_come_with_it(ringed):
     _, window = ringed
     outcome = calibrate(window, BOSTON)

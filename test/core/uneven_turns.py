@@ -44,9 +44,9 @@ def driven(course, robot=ROBOT, rest=REST, seed=1):
     return motion, measure(robot, motion, rng, gyro=True)
 
 
-def collected(window):
+def collected(window, gyro=None):
     """What a session makes of it."""
-    session = Session(Limits(), Mounting(), 0.0)
+    session = Session(Limits(), Mounting(), 0.0, gyro)
     rates = window.angular_rate
     rates = np.full_like(window.field, math.nan) if rates is None else rates
     for stamp, field, force, rate in zip(

@@ -6,10 +6,11 @@ import time
 
 import numpy as np
 import pytest
-from support import REFERENCE, ROBOT, rms_deg
+from support import DEGREE, REFERENCE, ROBOT, rms_deg
 
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation.simulator import UP_ENU
 
 LEVEL = [(0.0, 0.0)]
@@ -28,6 +29,25 @@ def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
     answer = actor.calibrate()
     assert answer.success, answer.message
     assert_heading_is_right(actor, headings=3)
+
+
+def test_a_rest_long_before_shows_a_gyro_that_is_far_off(stage):
+    """It drives circles when it is asked, and what pulls in them looks like the gyro's bias."""
+    bias = np.array([3.5, 2.0, 1.9]) * DEGREE
+    actor = stage(dataclasses.replace(ROBOT, gyro_bias=bias), speed=8.0)
+
+    def circling(sample):
+        if isinstance(sample, ImuSample) and sample.rate[2] - bias[2] > 0.25:
+            x, y, z = sample.force
+            sample = sample._replace(force=(x, y + 1.5, z))
+        return [sample]
+
+    actor.mangle = circling
+    actor.run(2.0)
+    actor.run(1.0, yaw_rate=0.5)
+    answer = actor.calibrate()
+    assert answer.success, answer.message
+    assert rms_deg(actor.published_errors(LEVEL, headings=4)) <= 2.0
 
 
 @pytest.mark.nightly

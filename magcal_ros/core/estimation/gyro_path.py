@@ -30,7 +30,7 @@ class GyroErrors:
     bias : float
         Sigma of the gyro's bias, rad/s per axis: about 0.2 degrees a second, of consumer MEMS.
     rested_bias : float
-        The same where a rest right beside the turn showed it and it was taken off: what a bias
+        The same where a rest before or after the turn showed it and it was taken off: what a bias
         changes by from rest to motion.
     scale : float
         Sigma of its scale, per axis, relative.
@@ -61,10 +61,9 @@ class GyroErrors:
     longest_spacing: float = 5.0
     most_of_all: int = 72
 
-    def after(self, rests: tuple[RestBeside, ...]) -> GyroErrors:
-        """Return what is known where rests were seen beside the turn."""
-        sigmas = [math.hypot(self.rested_bias, rest.rate_sigma) for rest in rests]
-        return replace(self, bias=min([self.bias, *sigmas]))
+    def after_rest(self, sigma: float) -> GyroErrors:
+        """Return what is known where a rest has shown the bias, by so many rad/s per axis."""
+        return replace(self, bias=min(self.bias, math.hypot(self.rested_bias, sigma)))
 
     def knots(self, seconds: float) -> int:
         """Return how many knots a window of so many seconds has."""
@@ -234,7 +233,7 @@ def gyro_path(window: Window, first: IntArray, known: GyroErrors = GyroErrors())
     basis = np.concatenate([start, by_bias, by_scale, by_knot], axis=2)
     pace, none = pace_of(window, turns, first), Effects.none(count)
     rests = tuple(_on_path(rest, window.time, attitude) for rest in window.rests)
-    mean, known = _average_rotations(attitude, first), known.after(window.rests)
+    mean, known = _average_rotations(attitude, first), known.after_rest(window.bias_sigma)
     return GyroPath(mean, basis, knots, spacing, pace, none, known, rests)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,11 @@ class Window:
         Rotations from the body axes at one moment to those of each sample, by all that the gyro
         said, where samples between those of the window were left out.
     rests : tuple of RestBeside
-        What was seen right before and after the turn, where the robot stood there.
+        What was seen right before and after the turn, where the robot stood there; the gyro's bias
+        that they show is taken off `angular_rate`.
+    sigma_before : float
+        rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
+        infinite where none was.
 
     Raises
     ------
@@ -42,6 +47,7 @@ class Window:
     angular_rate: FloatArray | None = None
     turned: FloatArray | None = None
     rests: tuple[RestBeside, ...] = ()
+    sigma_before: float = math.inf
 
     def __post_init__(self) -> None:
         time = frozen_array(self.time, (-1,), "time")
@@ -58,6 +64,14 @@ class Window:
         if (np.diff(time) <= 0.0).any():
             raise ValueError("the stamps of a window must increase")
 
+    @property
+    def bias_sigma(self) -> float:
+        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where nothing told it.
+
+        It was taken off where a rest has shown it.
+        """
+        return min([self.sigma_before, *(rest.rate_sigma for rest in self.rests)])
+
     def __len__(self) -> int:
         return len(self.time)
 
@@ -66,4 +80,5 @@ class Window:
         rate = None if self.angular_rate is None else self.angular_rate[rows]
         force = self.specific_force[rows]
         turned = None if self.turned is None else self.turned[rows]
-        return Window(self.time[rows], self.field[rows], force, rate, turned, self.rests)
+        time, field, rests = self.time[rows], self.field[rows], self.rests
+        return Window(time, field, force, rate, turned, rests, self.sigma_before)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
 from magcal_ros.core.up import relative_attitudes
 
@@ -35,7 +36,9 @@ class RestingTuning:
 TUNING = RestingTuning()
 
 
-def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ...]]:
+def apart_from_rests(
+    rows: FloatArray, known: GyroAtRest | None = None
+) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
     """Take the gyro's bias off, and the rests before and after the turn away from it.
 
     Parameters
@@ -43,12 +46,16 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     rows : ndarray, shape (n, 10)
         Stamp, field, specific force and angular rate of pairs; the rates are all finite, or none
         is.
+    known : GyroAtRest, optional
+        What a rest before all of them has shown; a rest among them tells more.
 
     Returns
     -------
     ndarray, shape (m, 10)
         The turn.
     tuple of RestBeside
+    float
+        Sigma of the known bias where that was taken off, rad/s; infinite where it was not.
     """
     time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
     has_gyro = bool(np.isfinite(rate).all())
@@ -65,13 +72,16 @@ def apart_from_rests(rows: FloatArray) -> tuple[FloatArray, tuple[RestBeside, ..
     if after is not None:
         near = rows[after][time[after] < time[end - 1] + TUNING.longest]
         rests.append(_rest(near, near[0], rows[end - 1], has_gyro))
+    sigma = math.inf
     if has_gyro and bias is None and rests:
         weights = [rest.rate_sigma**-2 for rest in rests]
         bias = np.average([rest.rate for rest in rests], axis=0, weights=weights)
+    if bias is None and known is not None:
+        bias, sigma = np.array(known.rate), known.sigma
     turn = rows[first:end].copy()
     if bias is not None:
         turn[:, 7:10] -= bias
-    return turn, tuple(rests)
+    return turn, tuple(rests), sigma
 
 
 def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:

@@ -18,6 +18,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.resting import apart_from_rests
@@ -197,6 +198,8 @@ class Session:
         How the magnetometer is meant to sit: a phase about the up vector needs it.
     now : float
         Seconds on a steady clock.
+    gyro : GyroAtRest, optional
+        What a rest before it has shown of the gyro.
 
     Attributes
     ----------
@@ -204,8 +207,10 @@ class Session:
         Whether stamps went back, and what came before was left out.
     """
 
-    def __init__(self, limits: Limits, mounting: Mounting, now: float) -> None:
-        self.limits = limits
+    def __init__(
+        self, limits: Limits, mounting: Mounting, now: float, gyro: GyroAtRest | None = None
+    ) -> None:
+        self.limits, self._gyro = limits, gyro
         self._to_body = mounting.to_body
         self._started = now
         self._last_pair: float | None = None
@@ -285,13 +290,14 @@ class Session:
             )
         rows = np.array(self._buffer[: self._size])
         if _rate_if_any(rows) is None:
-            rows, rests = apart_from_rests(rows)
+            rows, rests, _ = apart_from_rests(rows)
             rows = rows[self._kept(rows)]
             return Window(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rests=rests)
-        rows, rests = apart_from_rests(rows[np.isfinite(rows[:, 7:10]).all(axis=1)])
+        rows = rows[np.isfinite(rows[:, 7:10]).all(axis=1)]
+        rows, rests, sigma = apart_from_rests(rows, self._gyro)
         turned, kept = relative_attitudes(rows[:, 0], rows[:, 7:10]), self._kept(rows)
         time, field, force, rate = np.split(rows[kept], [1, 4, 7], axis=1)
-        return Window(time[:, 0], field, force, rate, turned[kept], rests)
+        return Window(time[:, 0], field, force, rate, turned[kept], rests, sigma)
 
     def _kept(self, rows: FloatArray) -> IntArray:
         """Return which rows stay when they are thinned to equal angles."""

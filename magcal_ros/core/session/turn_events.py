@@ -9,6 +9,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, Order
@@ -47,6 +48,8 @@ class Brief:
         Whether it joins the turns before it.
     order : Order or None
         How the robot turns itself; None if somebody turns it.
+    gyro : GyroAtRest or None
+        What a rest before the turn has shown of the gyro.
     """
 
     limits: Limits
@@ -54,6 +57,7 @@ class Brief:
     method: str
     accumulate: bool
     order: Order | None = None
+    gyro: GyroAtRest | None = None
 
 
 @dataclass(frozen=True)

@@ -142,7 +142,7 @@ class TurnMachine:
             self._forget()
         self._number += 1
         self.last_window = None
-        session = Session(brief.limits, brief.knowledge.mounting, now)
+        session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
         self._stand = Collecting(brief, session)
         self.progress = session.progress(now)
         self._do(ev.Prepare())

@@ -144,12 +144,10 @@ def _least_sigma(smoothed: Smoothed) -> float:
 def _lean(smoothed: Smoothed) -> float:
     """Return how far up may lean all along, with the robot, radians per axis, one sigma.
 
-    In steady bends nobody tells a gyro's bias from what pulls. A gyro that is far off about up,
-    which the field shows, is off about the other axes.
+    In steady bends nobody tells a gyro's bias from what pulls.
     """
-    problem = smoothed.problem
     about_up = abs(float(smoothed.unknowns.shared[GYRO_BIAS]))
-    return problem.nodes.lean.sigma(max(problem.tuning.usual_bias, about_up))
+    return smoothed.problem.nodes.lean.sigma(about_up)
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

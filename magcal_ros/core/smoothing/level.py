@@ -47,6 +47,7 @@ def level_of(
     time: FloatArray,
     force: FloatArray,
     rate: FloatArray,
+    bias_sigma: float = math.inf,
     tuning: SmootherTuning = TUNING,
 ) -> Level:
     """Return up at each row.
@@ -59,8 +60,11 @@ def level_of(
         m/s², body axes; the vehicle's own acceleration taken off where it is known.
     rate : ndarray, shape (m, 3)
         rad/s, body axes.
+    bias_sigma : float
+        rad/s per axis, of the rate's bias; infinite where only what is usual of gyros is known.
     tuning : SmootherTuning
     """
+    tuning = tuning.after_rest(bias_sigma)
     size = np.linalg.norm(force, axis=1)
     usual = float(np.median(size))
     weight = 1.0 / (1.0 + ((size - usual) / (tuning.pulled * usual)) ** 2)
@@ -88,7 +92,8 @@ def level_of(
     across = levelled_axes(unit(up.mean(axis=0))[None])[0, 0]
     leaning = averaged(bias.rate + SMALL_BIAS * across, tuning.level_memory) - up
     lean = float(np.linalg.norm(leaning.mean(axis=0))) / SMALL_BIAS
-    return Level(up, False, LeanDoubt(bias.information / tuning.bends_alike, lean))
+    doubt = LeanDoubt(bias.information / tuning.bends_alike, lean, tuning.usual_bias)
+    return Level(up, False, doubt)
 
 
 def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:

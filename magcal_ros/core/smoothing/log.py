@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +31,9 @@ class DriveLog:
         rad/s, body axes.
     speed : ndarray, shape (m,)
         m/s; NaN where nobody measures it.
+    bias_sigma : float
+        rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
+        and it was taken off; infinite where none has.
     """
 
     time: FloatArray
@@ -37,6 +41,7 @@ class DriveLog:
     force: FloatArray
     rate: FloatArray
     speed: FloatArray
+    bias_sigma: float = math.inf
 
     def __len__(self) -> int:
         return len(self.time)
@@ -49,17 +54,19 @@ class DriveLog:
     @property
     def window(self) -> Window:
         """The same rows as samples."""
-        return Window(self.time, self.field, self.force, self.rate)
+        rows = (self.time, self.field, self.force, self.rate)
+        return Window(*rows, sigma_before=self.bias_sigma)
 
     def between(self, start: float, end: float) -> DriveLog:
         """Return the rows of a span of stamps, both ends included, seconds."""
         rows = slice(*np.searchsorted(self.time, [start, np.nextafter(end, np.inf)]))
-        return DriveLog(*(getattr(self, field.name)[rows] for field in fields(self)))
+        columns = ("time", "field", "force", "rate", "speed")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     @cached_property
     def level(self) -> Level:
         """Up at each row, and what goes with it."""
-        return level_of(self.time, self.force, self.rate)
+        return level_of(self.time, self.force, self.rate, self.bias_sigma)
 
     @cached_property
     def driven(self) -> FloatArray | None:
@@ -102,4 +109,5 @@ def log_of(
         means.of(window.specific_force),
         means.of(window.angular_rate),
         np.full(len(means.first), np.nan) if speed is None else means.of(speed),
+        window.bias_sigma,
     )

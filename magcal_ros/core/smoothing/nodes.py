@@ -26,14 +26,20 @@ class LeanDoubt:
         What a drive says of the bias across up, per (rad/s)².
     per_bias : float
         Radians that up leans for each rad/s of bias.
+    usual : float
+        rad/s per axis: one sigma of a bias beforehand.
     """
 
     information: float = math.inf
     per_bias: float = 0.0
+    usual: float = TUNING.usual_bias
 
-    def sigma(self, usual: float) -> float:
-        """Return it in radians, where gyros have a bias of `usual` rad/s (one sigma) per axis."""
-        return self.per_bias / math.sqrt(self.information + usual**-2)
+    def sigma(self, about_up: float) -> float:
+        """Return it in radians, for a gyro whose bias about up is known to be so large, rad/s.
+
+        A gyro that is far off about up is off about the other axes.
+        """
+        return self.per_bias / math.sqrt(self.information + max(self.usual, about_up) ** -2)
 
 
 @dataclass(frozen=True, eq=False)

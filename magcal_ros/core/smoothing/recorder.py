@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA
@@ -28,6 +29,8 @@ class DriveRecorder:
     seconds : float
         Of movement that is kept.
     tuning : SmootherTuning
+    gyro : GyroAtRest, optional
+        What a rest beforehand has shown; a rest on the way tells more.
 
     Attributes
     ----------
@@ -35,18 +38,27 @@ class DriveRecorder:
         Where its clock began, seconds; NaN before the first movement.
     """
 
-    def __init__(self, seconds: float = 600.0, tuning: SmootherTuning = TUNING) -> None:
+    def __init__(
+        self,
+        seconds: float = 600.0,
+        tuning: SmootherTuning = TUNING,
+        gyro: GyroAtRest | None = None,
+    ) -> None:
         self._tuning = tuning
         self._chunks: deque[FloatArray] = deque(
             maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
         )
         self._recent: deque[FloatArray] = deque(maxlen=5)
+        self._rested: deque[FloatArray] = deque(maxlen=tuning.rest_chunks)
         self.begin_anew()
+        self._gyro = gyro
 
     def begin_anew(self) -> None:
         """Forget the drive."""
         self._chunks.clear()
         self._recent.clear()
+        self._rested.clear()
+        self._gyro = None
         self._rows: list[tuple[float, ...]] = []
         self._sums = [0.0] * COLUMNS
         self._count = 0
@@ -69,6 +81,16 @@ class DriveRecorder:
     def rests(self) -> bool:
         """Whether the robot stood in the last second."""
         return self._rests
+
+    @property
+    def gyro(self) -> GyroAtRest | None:
+        """What the newest rests have shown of the gyro; None where there was none."""
+        if not self._rested:
+            return self._gyro
+        rates = np.array(self._rested)
+        sigma = math.sqrt(float(np.mean(rates.var(axis=0, ddof=1))) / len(rates))
+        x, y, z = rates.mean(axis=0).tolist()
+        return GyroAtRest((x, y, z), sigma)
 
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
@@ -113,9 +135,14 @@ class DriveRecorder:
         return grown
 
     def log(self) -> DriveLog:
-        """Return everything that is kept, by the drive's own clock."""
+        """Return everything that is kept, by the drive's own clock.
+
+        The gyro's bias is taken off the rates where a rest has shown it.
+        """
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
-        return DriveLog(rows[:, 0], rows[:, FIELD], rows[:, FORCE], rows[:, RATE], rows[:, SPEED])
+        gyro, rate = self.gyro or GyroAtRest((0.0, 0.0, 0.0), math.inf), rows[:, RATE]
+        known = (rate - gyro.rate, rows[:, SPEED], gyro.sigma)
+        return DriveLog(rows[:, 0], rows[:, FIELD], rows[:, FORCE], *known)
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""
@@ -127,8 +154,10 @@ class DriveRecorder:
         chunk = np.array(self._rows)
         self._rows.clear()
         self._recent.append(chunk)
-        self._rests = self._stands()
+        rested, self._rests = self._rests, self._stands()
         if self._rests:
+            new = [chunk] if rested else self._recent
+            self._rested.extend(each[:, RATE].mean(axis=0) for each in new)
             self._pause += float(chunk[-1, 0] - chunk[0, 0]) + self._tuning.row
             return False
         stamps = chunk[:, 0] - self._pause

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,8 @@ class SmootherTuning:
         Seconds of samples that make one row of the log of a drive.
     chunk : int
         Rows after which it is asked whether the robot rests.
+    rest_chunks : int
+        At rest by which the gyro's bias is known, the newest.
     node : float
         Seconds of samples that make one node: a field turns little in it, and noise averages out.
     most_nodes : int
@@ -32,6 +34,9 @@ class SmootherTuning:
     bias_stretches : tuple of float
         Seconds of the stretches in which the gyro's bias is told from what pulls in bends, round
         after round.
+    rested_bias, rested_limit : float, float
+        What a bias that a rest has shown changes by from rest to motion, rad/s per axis; and sigmas
+        of it up to which a robot may be one that stays.
     bias_rows : int
         Rows of the log that are one row there.
     usual_bias, largest_bias, any_bias : float, float, float
@@ -123,6 +128,7 @@ class SmootherTuning:
 
     row: float = 0.1
     chunk: int = 10
+    rest_chunks: int = 60
     node: float = 0.5
     most_nodes: int = 1200
     level_memory: float = 20.0
@@ -135,6 +141,8 @@ class SmootherTuning:
     bias_rows: int = 2
     usual_bias: float = 0.003
     largest_bias: float = 0.012
+    rested_bias: float = 0.001
+    rested_limit: float = 4.0
     any_bias: float = 0.1
     pull_per_rate: float = 1.0
     jolt_lean: float = 0.05
@@ -194,6 +202,13 @@ class SmootherTuning:
     most_rounds: int = 40
     enough: float = math.radians(0.01)
     largest_turn: float = 0.3
+
+    def after_rest(self, sigma: float) -> SmootherTuning:
+        """Return what is known of a gyro whose bias a rest has shown, by so many rad/s per axis."""
+        usual = math.hypot(self.rested_bias, sigma)
+        if usual >= self.usual_bias:
+            return self
+        return replace(self, usual_bias=usual, largest_bias=self.rested_limit * usual)
 
 
 TUNING = SmootherTuning()

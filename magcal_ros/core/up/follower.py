@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, between, length, propagated, unit_triple
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
 from magcal_ros.core.up.levelling import Levelling
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
@@ -71,6 +72,15 @@ class UpFollower:
     def gyro_bias(self) -> GyroBias:
         """What is known of the gyro's bias."""
         return self._propagation.gyro_bias
+
+    @property
+    def gyro_at_rest(self) -> GyroAtRest | None:
+        """The same where a rest has shown it; None before any."""
+        bias = self.gyro_bias
+        sigma = math.sqrt(bias.variance)
+        if sigma > self._tuning.filter.rested_bias or not self.is_propagated:
+            return None
+        return GyroAtRest(bias.rate, sigma)
 
     @property
     def is_at_rest(self) -> bool:

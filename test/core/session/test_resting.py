@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 
 
@@ -61,3 +63,21 @@ def test_without_a_gyro_the_field_tells_a_rest():
     assert (before.beside, after.beside) == (window.time[0], window.time[-1])
     assert before.rate_sigma == after.rate_sigma == math.inf
     assert collected(replace(driven(lambda t: 1.0 + 0.0 * t)[1], angular_rate=None)).rests == ()
+
+
+def test_a_bias_that_was_known_before_is_taken_off_where_no_rest_tells_more():
+    known = GyroAtRest(tuple(BIAS), 2e-4)
+    moving = driven(lambda time: 1.0 + 0.0 * time, replace(ROBOT, gyro_bias=BIAS))
+    for (motion, window), sigma in ((moving, known.sigma), (driven(evenly), None)):
+        found = collected(window, GyroAtRest(tuple(BIAS), 2e-4))
+        rows = np.isin(motion.time, found.time)
+        left = (found.angular_rate - motion.angular_rate[rows]).mean(axis=0)
+        np.testing.assert_allclose(left, 0.0, atol=5e-4)
+        assert found.bias_sigma == (sigma or min(rest.rate_sigma for rest in found.rests))
+        assert math.isinf(found.sigma_before) == (sigma is None)
+
+
+def test_without_a_rest_nothing_is_known_of_the_gyro():
+    window = collected(driven(lambda time: 1.0 + 0.0 * time)[1])
+    assert math.isinf(window.bias_sigma)
+    assert math.isinf(window.take(np.arange(100)).bias_sigma)

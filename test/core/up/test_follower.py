@@ -126,6 +126,21 @@ def test_a_large_bias_is_learnt_at_rest_and_honestly_said_before(bias):
     assert errors.rms(last=2000) < 0.8
 
 
+@pytest.mark.parametrize("bias", BIASES)
+def test_what_a_rest_has_shown_of_the_gyro_is_told_and_nothing_else(bias):
+    course, errors = with_bias(*bias)
+    follow = errors.follower
+    course.circle(15.0)
+    assert follow.gyro_at_rest is None
+    course.go(10.0)
+    told = follow.gyro_at_rest
+    assert np.abs(np.array(told.rate) - np.radians(bias)).max() < 1e-3
+    assert 0.0 < told.sigma < 1e-3
+    course.go(1.0, acceleration=2.0 * FORWARD)
+    course.circle(30.0)
+    assert np.abs(np.array(follow.gyro_at_rest.rate) - np.radians(bias)).max() < 3e-3
+
+
 def test_without_a_field_a_bias_about_up_is_left_and_up_is_right_all_the_same():
     course, errors = with_bias(5.0, 0.0, 5.0)
     follow = errors.follower

@@ -1,0 +1,100 @@
+"""What a recorder keeps of a drive, and what its pauses show of the gyro."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.smoothing.recorder import DriveRecorder
+
+BIAS = np.radians([3.5, -2.0, 1.9])
+STEP = 0.02
+
+
+class Ride:
+    """Stands and turns, and tells a recorder."""
+
+    def __init__(self, recorder, noise=0.002, seed=1):
+        self.recorder, self.noise = recorder, noise
+        self.rng = np.random.default_rng(seed)
+        self.stamp = self.yaw = 0.0
+
+    def go(self, seconds, rate=0.0, bias=BIAS):
+        for _ in range(round(seconds / STEP)):
+            self.stamp += STEP
+            self.yaw += rate * STEP
+            field = 1e-6 * np.array([20.0 * math.cos(self.yaw), -20.0 * math.sin(self.yaw), -40.0])
+            field += self.rng.normal(0.0, 1e-7, 3)
+            force = np.array([0.0, 0.0, 9.81]) + self.rng.normal(0.0, 0.02, 3)
+            spin = bias + np.array([0.0, 0.0, rate]) + self.rng.normal(0.0, self.noise, 3)
+            self.recorder.add(self.stamp, tuple(field), tuple(force), tuple(spin))
+
+
+@pytest.fixture
+def ride():
+    return Ride(DriveRecorder())
+
+
+def left_over(log, rate):
+    """Bias that is left in the rates of a log, rad/s."""
+    return log.rate.mean(axis=0) - [0.0, 0.0, rate]
+
+
+def test_a_pause_shows_the_bias_and_it_is_taken_off(ride):
+    ride.go(8.0)
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    # The stand is told from the drive only after some seconds.
+    turning = log.between(log.time[-1] - 15.0, log.time[-1])
+    assert np.abs(left_over(turning, 0.4)).max() < 5e-4
+    assert log.bias_sigma < 5e-4
+    assert turning.bias_sigma == log.window.bias_sigma == log.bias_sigma
+
+
+def test_it_is_taken_off_what_was_driven_before_too(ride):
+    ride.go(20.0, rate=0.4)
+    before = ride.recorder.log()
+    assert ride.recorder.gyro is None
+    assert math.isinf(before.bias_sigma)
+    assert left_over(before, 0.4) == pytest.approx(BIAS, abs=1e-3)
+    ride.go(12.0)
+    after = ride.recorder.log().between(0.0, 19.0)
+    assert np.abs(left_over(after, 0.4)).max() < 1e-3
+
+
+def test_what_was_known_before_counts_until_a_rest_tells_more():
+    known = GyroAtRest(tuple(BIAS + 1e-3), 1e-3)
+    ride = Ride(DriveRecorder(gyro=known))
+    ride.go(10.0, rate=0.4)
+    log = ride.recorder.log()
+    assert log.bias_sigma == known.sigma
+    assert left_over(log, 0.4) == pytest.approx(np.full(3, -1e-3), abs=5e-4)
+    ride.go(12.0)
+    assert ride.recorder.gyro.rate == pytest.approx(BIAS, abs=5e-4)
+
+
+def test_a_bias_that_changes_is_followed_by_the_newest_rests(ride):
+    ride.go(60.0)
+    ride.go(20.0, rate=0.4)
+    ride.go(90.0, bias=2.0 * BIAS)
+    assert ride.recorder.gyro.rate == pytest.approx(2.0 * BIAS, abs=1e-3)
+
+
+@pytest.mark.parametrize("rate", [0.05, -0.4])
+def test_an_even_turn_is_no_rest(ride, rate):
+    ride.go(30.0, rate=rate)
+    assert ride.recorder.gyro is None
+
+
+def test_other_sensors_have_another_bias(ride):
+    ride.go(10.0)
+    assert ride.recorder.gyro is not None
+    ride.recorder.begin_anew()
+    assert ride.recorder.gyro is None
+
+
+def test_who_knows_nothing_takes_nothing_off():
+    log = DriveRecorder().log()
+    assert not len(log)
+    assert math.isinf(log.bias_sigma)
