@@ -77,7 +77,7 @@ def apart_from_rests(
         weights = [rest.rate_sigma**-2 for rest in rests]
         bias = np.average([rest.rate for rest in rests], axis=0, weights=weights)
     if bias is None and known is not None:
-        bias, sigma = np.array(known.rate), known.sigma
+        bias, sigma = np.array(known.rate), known.later_sigma
     turn = rows[first:end].copy()
     if bias is not None:
         turn[:, 7:10] -= bias

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +18,31 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
+
+
+@dataclass
+class _Rest:
+    """What the gyro reads at rest.
+
+    `clock` is the drive's own when the rest began, minus infinity before any movement; `sigma` is
+    that of `rate` then.
+    """
+
+    clock: float
+    rate: FloatArray
+    sigma: float
+    chunks: int
+
+    @classmethod
+    def of(cls, clock: float, means: FloatArray) -> _Rest:
+        """Begin one with the means of some chunks (n, 3)."""
+        scatter = float(np.mean(means.var(axis=0, ddof=1)))
+        return cls(clock, means.mean(axis=0), math.sqrt(scatter / len(means)), len(means))
+
+    def add(self, mean: FloatArray, most: int) -> None:
+        """Take another chunk: a mean over the newest ones, as a bias wanders."""
+        self.chunks = min(self.chunks + 1, most)
+        self.rate = self.rate + (mean - self.rate) / self.chunks
 
 
 class DriveRecorder:
@@ -49,7 +75,7 @@ class DriveRecorder:
             maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
         )
         self._recent: deque[FloatArray] = deque(maxlen=5)
-        self._rested: deque[FloatArray] = deque(maxlen=tuning.rest_chunks)
+        self._rested: deque[_Rest] = deque(maxlen=tuning.rests)
         self.begin_anew()
         self._gyro = gyro
 
@@ -84,13 +110,11 @@ class DriveRecorder:
 
     @property
     def gyro(self) -> GyroAtRest | None:
-        """What the newest rests have shown of the gyro; None where there was none."""
+        """What the newest rest has shown of the gyro; None where there was none."""
         if not self._rested:
             return self._gyro
-        rates = np.array(self._rested)
-        sigma = math.sqrt(float(np.mean(rates.var(axis=0, ddof=1))) / len(rates))
-        x, y, z = rates.mean(axis=0).tolist()
-        return GyroAtRest((x, y, z), sigma)
+        x, y, z = self._rested[-1].rate.tolist()
+        return GyroAtRest((x, y, z), self._rested[-1].sigma)
 
     def add(
         self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
@@ -137,12 +161,22 @@ class DriveRecorder:
     def log(self) -> DriveLog:
         """Return everything that is kept, by the drive's own clock.
 
-        The gyro's bias is taken off the rates where a rest has shown it.
+        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
+        changes from one to the other.
         """
         rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
-        gyro, rate = self.gyro or GyroAtRest((0.0, 0.0, 0.0), math.inf), rows[:, RATE]
-        known = (rate - gyro.rate, rows[:, SPEED], gyro.sigma)
-        return DriveLog(rows[:, 0], rows[:, FIELD], rows[:, FORCE], *known)
+        time, rate, gyro = rows[:, 0], rows[:, RATE], self.gyro
+        if gyro is not None:
+            rate = rate - (self._bias_at(time) if self._rested else gyro.rate)
+        sigma = math.inf if gyro is None else gyro.later_sigma
+        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma)
+
+    def _bias_at(self, time: FloatArray) -> FloatArray:
+        """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
+        rates = np.array([rest.rate for rest in self._rested])
+        # One before any movement was when that began.
+        clocks = np.maximum([rest.clock for rest in self._rested], time[0] if len(time) else 0.0)
+        return np.column_stack([np.interp(time, clocks, rates[:, k]) for k in range(3)])
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""
@@ -156,8 +190,11 @@ class DriveRecorder:
         self._recent.append(chunk)
         rested, self._rests = self._rests, self._stands()
         if self._rests:
-            new = [chunk] if rested else self._recent
-            self._rested.extend(each[:, RATE].mean(axis=0) for each in new)
+            if rested:
+                self._rested[-1].add(chunk[:, RATE].mean(axis=0), self._tuning.rest_chunks)
+            else:
+                means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
+                self._rested.append(_Rest.of(self.clock, means))
             self._pause += float(chunk[-1, 0] - chunk[0, 0]) + self._tuning.row
             return False
         stamps = chunk[:, 0] - self._pause

@@ -16,8 +16,8 @@ class SmootherTuning:
         Seconds of samples that make one row of the log of a drive.
     chunk : int
         Rows after which it is asked whether the robot rests.
-    rest_chunks : int
-        At rest by which the gyro's bias is known, the newest.
+    rests, rest_chunks : int
+        What is remembered of the gyro: rests, and chunks of each that its mean is over.
     node : float
         Seconds of samples that make one node: a field turns little in it, and noise averages out.
     most_nodes : int
@@ -128,6 +128,7 @@ class SmootherTuning:
 
     row: float = 0.1
     chunk: int = 10
+    rests: int = 60
     rest_chunks: int = 60
     node: float = 0.5
     most_nodes: int = 1200

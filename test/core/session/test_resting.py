@@ -68,7 +68,7 @@ def test_without_a_gyro_the_field_tells_a_rest():
 def test_a_bias_that_was_known_before_is_taken_off_where_no_rest_tells_more():
     known = GyroAtRest(tuple(BIAS), 2e-4)
     moving = driven(lambda time: 1.0 + 0.0 * time, replace(ROBOT, gyro_bias=BIAS))
-    for (motion, window), sigma in ((moving, known.sigma), (driven(evenly), None)):
+    for (motion, window), sigma in ((moving, known.later_sigma), (driven(evenly), None)):
         found = collected(window, GyroAtRest(tuple(BIAS), 2e-4))
         rows = np.isin(motion.time, found.time)
         left = (found.angular_rate - motion.angular_rate[rows]).mean(axis=0)
