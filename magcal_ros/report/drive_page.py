@@ -16,8 +16,7 @@ from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.samples import REMEDY
-from magcal_ros.report.page import POLICY
-from magcal_ros.report.style import CSS
+from magcal_ros.report.page import checks_table, page_head
 from magcal_ros.report.write import PAGE
 
 STEPS_UT = (2.0, 4.0, 8.0, 16.0)
@@ -64,21 +63,9 @@ def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
 def render_drive(story: DriveStory, source: str) -> str:
     """Return the whole page; it loads nothing."""
     title = "A drive, and what it says of the compass"
-    created = datetime.now(timezone.utc).isoformat(sep=" ", timespec="seconds")
     return "\n".join(
         [
-            f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
-<style>{CSS}</style>
-</head>
-<body>
-<h1>{title}</h1>
-<p class="meta">{escape(created)} · {escape(source)}</p>""",
+            page_head(title, datetime.now(timezone.utc), source),
             _summary(story),
             _before_and_after(story),
             _decisions(story),
@@ -149,15 +136,12 @@ def _cells(calibration: Calibration | None) -> str:
 def _decisions(story: DriveStory) -> str:
     if not story.decisions:
         return "<h2>What was decided</h2><p>Nothing.</p>"
-    rows = "".join(
-        f"<tr><td>{_duration(seconds)}</td><td>{VERBS[made.verb]}</td>"
-        f"<td>{escape(made.words)}</td></tr>"
+    rows = [
+        (_duration(seconds), VERBS[made.verb], escape(made.words))
         for seconds, made in story.decisions
-    )
-    return (
-        f'<h2>What was decided</h2><p>{RULES}</p><table class="checks"><tr><th>after</th>'
-        f"<th>decision</th><th>why</th></tr>{rows}</table>"
-    )
+    ]
+    table = checks_table(("after", "decision", "why"), rows)
+    return f"<h2>What was decided</h2><p>{RULES}</p>{table}"
 
 
 def _map(path: DrivePath | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable, Sequence
+from datetime import datetime
 from html import escape
 
 import numpy as np
@@ -44,7 +45,8 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     outcome = subject.outcome
     estimate, calibration = outcome.estimate, outcome.calibration
     by_hand = calibration is not None and calibration.evidence.accepted_by_user
-    parts = [_head(subject), _verdict(outcome.verdict, by_hand)]
+    head = page_head(subject.title, subject.created, subject.source)
+    parts = [head, _verdict(outcome.verdict, by_hand)]
     if estimate is not None:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
     if outcome.several is not None:
@@ -63,21 +65,28 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
     return "\n".join(parts)
 
 
-def _head(subject: Subject) -> str:
-    title = escape(subject.title)
-    created = escape(subject.created.isoformat(sep=" ", timespec="seconds"))
+def page_head(title: str, created: datetime, source: str) -> str:
+    """Return the beginning of a page, its headline included."""
+    words = escape(title)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="{POLICY}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title>
+<title>{words}</title>
 <style>{CSS}</style>
 </head>
 <body>
-<h1>{title}</h1>
-<p class="meta">{created} · {escape(subject.source)}</p>"""
+<h1>{words}</h1>
+<p class="meta">{created.isoformat(sep=" ", timespec="seconds")} · {escape(source)}</p>"""
+
+
+def checks_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of cells that are HTML already, under their heads."""
+    head = "".join(f"<th>{words}</th>" for words in heads)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<table class="checks"><tr>{head}</tr>{body}</table>'
 
 
 def _chip(grade: Grade, words: str = "") -> str:
@@ -103,15 +112,13 @@ def _key(rows: Iterable[Row]) -> str:
 
 def _several(several: Several) -> str:
     """Return what became of each turn, what is shown, and what the next should be."""
-    rows = "".join(
-        f"<tr><td>{escape(fate.name)}</td><td>{'joined' if fate.joined else 'left out'}</td>"
-        f"<td>{escape(fate.words)}</td></tr>"
+    rows = [
+        (escape(fate.name), "joined" if fate.joined else "left out", escape(fate.words))
         for fate in several.fates
-    )
+    ]
     return (
         '<section id="several"><h2>Turns put together</h2>'
-        '<table class="checks"><tr><th>turn</th><th>fate</th><th>what it shows</th></tr>'
-        f"{rows}</table>"
+        f"{checks_table(('turn', 'fate', 'what it shows'), rows)}"
         f"<p>Now shown: {escape(several.shown.in_words)}.</p>"
         f"<p>{escape(several.advice_in_words)}</p></section>"
     )
@@ -143,16 +150,8 @@ def _not_shown(verdict: Verdict, found: bool) -> str:
 
 def _checks(checks: Sequence[Check]) -> str:
     ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
-    rows = "".join(
-        f"<tr><td>{_chip(check.grade)}</td><td>{check.aspect.value}</td>"
-        f"<td>{escape(check.words)}</td></tr>"
-        for check in ordered
-    )
-    return (
-        '<h2>What was checked</h2><table class="checks">'
-        "<tr><th>grade</th><th>speaks for</th><th>what</th></tr>"
-        f"{rows}</table>"
-    )
+    rows = [(_chip(check.grade), check.aspect.value, escape(check.words)) for check in ordered]
+    return f"<h2>What was checked</h2>{checks_table(('grade', 'speaks for', 'what'), rows)}"
 
 
 def _sensors(page: Page) -> str:
@@ -168,13 +167,16 @@ def _sensors(page: Page) -> str:
 
 
 def _lines(findings: Sequence[Finding]) -> str:
-    rows = "".join(
-        f"<tr><td>{'not shown' if f.grade is Grade.GOOD else _chip(f.grade)}</td>"
-        f"<td>{escape(f.name)}</td><td>{escape(_said(f))}</td></tr>"
-        for f in sorted(findings, key=lambda finding: -finding.grade.rank)
-    )
-    head = "<tr><th>grade</th><th>what</th><th>evidence, and what to change</th></tr>"
-    return f'<table class="checks">{head}{rows}</table>'
+    ordered = sorted(findings, key=lambda finding: -finding.grade.rank)
+    rows = [
+        (
+            "not shown" if f.grade is Grade.GOOD else _chip(f.grade),
+            escape(f.name),
+            escape(_said(f)),
+        )
+        for f in ordered
+    ]
+    return checks_table(("grade", "what", "evidence, and what to change"), rows)
 
 
 def _said(finding: Finding) -> str:
