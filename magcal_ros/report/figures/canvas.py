@@ -23,6 +23,9 @@ IDEAL = "#222222"
 SPHERE = "#B8B8B8"
 """Okabe and Ito's colours, which colour-blind people tell apart; markers differ besides."""
 
+LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
+"""How samples look that the fit did not believe."""
+
 MICRO = 1e6
 
 SIZE = (4.9, 5.5)

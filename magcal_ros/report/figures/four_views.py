@@ -10,8 +10,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.report.figures.canvas import (
     CORRECTED,
     IDEAL,
+    LEFT_OUT,
     MICRO,
-    ODD,
     RAW,
     SPHERE,
     UP,
@@ -91,13 +91,7 @@ def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any
         clouds.append((field[kept], {"color": CORRECTED, "label": "corrected field"}))
         left_out = turn.rows(~turn.believed, most=POINTS // 4)
         if len(left_out):
-            looks: dict[str, Any] = {
-                "color": ODD,
-                "marker": "x",
-                "markersize": 4.0,
-                "markeredgewidth": 0.9,
-            }
-            clouds.append((field[left_out], looks | {"label": "not believed"}))
+            clouds.append((field[left_out], LEFT_OUT | {"label": "not believed"}))
     return clouds
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.report.figures.canvas import CORRECTED, IDEAL, ODD, RAW, dots, legend_below
+from magcal_ros.report.figures.canvas import CORRECTED, IDEAL, LEFT_OUT, RAW, dots, legend_below
 from magcal_ros.report.turn import Corrected, Turn
 
 if TYPE_CHECKING:
@@ -75,8 +75,7 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
     reach = 1.4 * max(float(usual), 0.1)
     dots(axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=CORRECTED)
     if len(left_out):
-        looks = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
-        dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **looks)
+        dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **LEFT_OUT)
     axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
     axes.set_xlabel("turned since the start [°], left positive")
 

@@ -11,8 +11,8 @@ from magcal_ros.core.samples.coverage import BINS
 from magcal_ros.report.figures.canvas import (
     CORRECTED,
     IDEAL,
+    LEFT_OUT,
     MICRO,
-    ODD,
     RAW,
     UP,
     dots,
@@ -108,7 +108,6 @@ def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:
         shown = MICRO * values
         dots(axes, angle[kept], shown[kept], color=colour, marker=marker, label=words)
         if len(left_out):
-            looks = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
             label = "not believed" if values is corrected.axial else None
-            dots(axes, angle[left_out], shown[left_out], **looks, label=label)
+            dots(axes, angle[left_out], shown[left_out], **LEFT_OUT, label=label)
     axes.set(xlabel="turned since the start [°], left positive", ylabel="residual [µT]")
