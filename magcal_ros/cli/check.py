@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
-from magcal_ros.cli.recorded import Gathered, add_recording_options, gather
+from magcal_ros.cli.recorded import Gathered, add_recording_options, gather, opened
 from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
@@ -19,7 +19,6 @@ from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.plain import plain
-from magcal_ros.files.sources import open_recording
 from magcal_ros.report import Subject, write_report
 
 
@@ -49,7 +48,7 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
-    gathered = gather(options, Mounting())
+    gathered = gather(options, Mounting(), options.recording)
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
@@ -75,9 +74,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _course(options: argparse.Namespace, calibration: Calibration) -> RecordedCourse | None:
     """Compare the compass with course, where the recording has fixes."""
-    chosen = {"imu": options.imu, "field": options.mag}
-    span = {"start": options.start, "stop": options.stop}
-    with open_recording(options.recording, **chosen, **span) as source:
+    with opened(options, options.recording) as source:
         travel = source.travel()
         return recorded_course(calibration, source.readings(), travel) if travel else None
 

@@ -17,6 +17,7 @@ from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
     mounting_from,
+    opened,
     watched,
 )
 from magcal_ros.cli.reference import reference_in_use
@@ -33,7 +34,6 @@ from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.sources import open_recording
 
 MOST = 500_000
 """Samples kept of each stream: more than an hour at 100 Hz."""
@@ -99,13 +99,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _recorded(options: argparse.Namespace) -> int:
     kept, mounting = _Kept(), mounting_from(options)
-    with open_recording(
-        options.recording,
-        imu=options.imu,
-        field=options.mag,
-        start=options.start,
-        stop=options.stop,
-    ) as source:
+    with opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         gathering.take(kept.passing(watched(source, sys.stderr)))
         newest = gathering.streams.field_stamps.newest

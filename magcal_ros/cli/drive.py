@@ -12,6 +12,7 @@ from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
     mounting_from,
+    opened,
     watched,
 )
 from magcal_ros.cli.reference import reference_in_use
@@ -19,7 +20,6 @@ from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.plain import plain
-from magcal_ros.files.sources import open_recording
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 CALIBRATION = "calibration.yaml"
@@ -52,9 +52,7 @@ def run(options: argparse.Namespace) -> int:
     """Read, decide again, write the page."""
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = new_or_named(options.output, "magcal_drive")
-    chosen = {"imu": options.imu, "field": options.mag}
-    span = {"start": options.start, "stop": options.stop}
-    with open_recording(options.recording, **chosen, **span) as source:
+    with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
         teller.take(watched(source, sys.stderr), source.travel())

@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -119,12 +120,15 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
     return knowledge_of(soft_iron_gains=gains, mount_rpy_deg=angles).mounting
 
 
-def gather(
-    options: argparse.Namespace, mounting: Mounting, recording: Path | None = None
-) -> Gathered:
-    """Read a recording, with progress on stderr, and find its reference field.
+def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
+    """Open a recording: those topics and that part of it which the options name."""
+    chosen = {"imu": options.imu, "field": options.mag}
+    span = {"start": options.start, "stop": options.stop}
+    return open_recording(recording, **chosen, **span)
 
-    Without `recording` it is the one that the options name.
+
+def gather(options: argparse.Namespace, mounting: Mounting, recording: Path) -> Gathered:
+    """Read a recording, with progress on stderr, and find its reference field.
 
     Raises
     ------
@@ -135,10 +139,7 @@ def gather(
     """
     if not options.start < options.stop:
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
-    chosen = {"imu": options.imu, "field": options.mag}
-    span = {"start": options.start, "stop": options.stop}
-    path = options.recording if recording is None else recording
-    with open_recording(path, **chosen, **span) as source:
+    with opened(options, recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         gathering.take(watched(source, sys.stderr), source.travel())
         return Gathered(
