@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
+from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather, opened
 from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.calibrate import Outcome
@@ -35,12 +35,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder for the report (default: a new magcal_check_DATE_TIME here)",
-    )
+    add_output_option(parser, "the report", "magcal_check")
     add_reference_options(parser)
     parser.set_defaults(run=run)
 

@@ -47,6 +47,12 @@ def number(low: float, high: float) -> Callable[[str], float]:
     return parse
 
 
+def add_output_option(parser: argparse.ArgumentParser, content: str, prefix: str) -> None:
+    """Add the folder that `new_or_named` takes."""
+    words = f"folder for {content} (default: a new {prefix}_DATE_TIME here)"
+    parser.add_argument("--output", type=Path, metavar="DIR", help=words)
+
+
 def new_or_named(chosen: Path | None, prefix: str) -> Path:
     """Return the folder the user named, or a new dated one in the working directory.
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, document, new_or_named
+from magcal_ros.cli.common import Exit, add_output_option, document, new_or_named
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
@@ -38,12 +38,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
     )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder for the report (default: a new magcal_drive_DATE_TIME here)",
-    )
+    add_output_option(parser, "the report", "magcal_drive")
     add_knowledge_options(parser)
     parser.set_defaults(run=run)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, bullets, document, new_or_named, table
+from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
 from magcal_ros.cli.compare import compare_methods
 from magcal_ros.cli.recorded import (
     Gathered,
@@ -73,12 +73,7 @@ def add_to(commands: Any) -> None:
         "4 refused, 5 file trouble.",
     )
     add_recording_options(parser, several=True)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder for what is found (default: a new magcal_fit_DATE_TIME here)",
-    )
+    add_output_option(parser, "what is found", "magcal_fit")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="way of fitting")
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
