@@ -19,20 +19,17 @@ from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
+from magcal_ros.files.ros_reader import FIX_TYPE, ODOM_TYPE, SURE_TWIST_TYPE, TWIST_TYPE, RosReader
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
-FIX_TYPE = "sensor_msgs/msg/NavSatFix"
-ODOM_TYPE = "nav_msgs/msg/Odometry"
-TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
-SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 RECEIVERS_SAY = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
-FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FIXES = 10_000
 """Messages without a fix after which none is looked for any more."""
 
@@ -207,8 +204,6 @@ def _ros_reader(path: Path) -> Any:
         import rosbag2_py
     except ImportError:
         return None
-    from magcal_ros.files.ros_reader import RosReader
-
     return RosReader(path, rosbag2_py)
 
 
