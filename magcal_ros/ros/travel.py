@@ -232,28 +232,18 @@ class Travel:
         self._errands.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
-        sample = _read(data, Odometry, speed_of)
-        self._note(SpeedSource.ODOMETRY, sample)
-        if not isinstance(sample, str):
+        sample = self._read(SpeedSource.ODOMETRY, data, Odometry, speed_of)
+        if sample is not None:
             self._travelling.add_speed(sample)
 
     def _on_velocity(self, data: bytes) -> None:
-        sample = _read(data, TwistStamped, velocity_of)
-        self._note(SpeedSource.VELOCITY, sample)
-        if not isinstance(sample, str):
+        sample = self._read(SpeedSource.VELOCITY, data, TwistStamped, velocity_of)
+        if sample is not None:
             self._travelling.add_velocity(sample)
 
-    def _note(self, source: SpeedSource, heard: object) -> None:
-        """Note what is wrong with the newest message of a topic, or that nothing is."""
-        if isinstance(heard, str):
-            self._odd[self._topics[source]] = heard
-        else:
-            self._odd.pop(self._topics[source], None)
-
     def _on_fix(self, data: bytes) -> None:
-        fix = _read(data, NavSatFix, fix_of)
-        self._note(SpeedSource.FIXES, fix)
-        if isinstance(fix, str):
+        fix = self._read(SpeedSource.FIXES, data, NavSatFix, fix_of)
+        if fix is None:
             return
         # What is wrong with fixes is said where the place is looked up.
         self._tell_fix(fix)
@@ -261,13 +251,20 @@ class Travel:
         if position is not None:
             self._travelling.add_position(position)
 
-
-def _read(data: bytes, kind: type, take: Callable[[Any], Sample | str]) -> Sample | str:
-    """Return the sample that bytes hold, or why they hold none."""
-    try:
-        return take(read_travel(data, kind))
-    except Unreadable as error:
-        return str(error)
+    def _read(
+        self, source: SpeedSource, data: bytes, kind: type, take: Callable[[Any], Sample | str]
+    ) -> Sample | None:
+        """Return the sample that bytes hold; where they hold none, keep why as a complaint."""
+        topic = self._topics[source]
+        try:
+            found = take(read_travel(data, kind))
+        except Unreadable as error:
+            found = str(error)
+        if isinstance(found, str):
+            self._odd[topic] = found
+            return None
+        self._odd.pop(topic, None)
+        return found
 
 
 def _agree(one: VehicleYaw, other: VehicleYaw) -> bool:
