@@ -39,8 +39,8 @@ class Runner(Protocol):
     def run(
         self,
         work: Callable[[], T],
-        then: Callable[[T], None],
-        otherwise: Callable[[Exception], None],
+        then: Callable[[T], object],
+        otherwise: Callable[[Exception], object],
     ) -> None:
         """Do some work, then go on in the executor's thread."""
 
@@ -83,8 +83,6 @@ class Control:
         Turns itself where the parameters ask for it.
     fits, files : Runner
         Compute and store elsewhere.
-    clock : callable
-        Seconds on a steady clock.
 
     Attributes
     ----------
@@ -99,9 +97,8 @@ class Control:
         robot: SelfTurn,
         fits: Runner,
         files: Runner,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._house, self._fits, self._files, self._clock = house, fits, files, clock
+        self._house, self._fits, self._files = house, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
         self._drive = DriveRecorder()
@@ -224,7 +221,7 @@ class Control:
     def _tell(self, event: ev.Event) -> ev.Conclusion | None:
         """Tell the turn what happened and do what it says; returns its answer, if it has one."""
         answer = None
-        for command in self.turn.handle(event, self._clock()):
+        for command in self.turn.handle(event, time.monotonic()):
             if isinstance(command, ev.Answer):
                 answer = command.conclusion
             else:
@@ -252,33 +249,27 @@ class Control:
     def _preview(self, asked: ev.Preview) -> None:
         self._fits.run(
             lambda: self._aside.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
-            lambda sigma: self._note_preview(asked.turn, sigma),
+            lambda sigma: self._tell(ev.PreviewFitted(asked.turn, sigma)),
             # A preview that failed predicts nothing; the fit will tell.
-            lambda _: self._note_preview(asked.turn, math.inf),
+            lambda _: self._tell(ev.PreviewFitted(asked.turn, math.inf)),
         )
-
-    def _note_preview(self, turn: int, sigma: float) -> None:
-        self._tell(ev.PreviewFitted(turn, sigma))
 
     def _fit(self, asked: ev.FitTurn) -> None:
         told = (asked.knowledge, asked.method, asked.accumulate)
         turn = (asked.kept, asked.window, *told, self._drive.log())
         self._fits.run(
             lambda: self._aside.run(take_turn, *turn),
-            lambda found: self._note(ev.FitDone(asked.turn, *found)),
-            lambda error: self._note(ev.FitFailed(asked.turn, repr(error))),
+            lambda found: self._tell(ev.FitDone(asked.turn, *found)),
+            lambda error: self._tell(ev.FitFailed(asked.turn, repr(error))),
         )
 
     def _put_in_force(self, command: ev.PutInForce) -> None:
         self._files.run(
             self._house.put_in_force(command.calibration),
-            lambda words: self._note(ev.Saved(words)),
+            lambda words: self._tell(ev.Saved(words)),
             # The calibration is in force; a fault in storing it is only said.
-            lambda error: self._note(ev.Saved(f"In force, but not saved: {error!r}")),
+            lambda error: self._tell(ev.Saved(f"In force, but not saved: {error!r}")),
         )
-
-    def _note(self, event: ev.Event) -> None:
-        self._tell(event)
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
         self._aside.stop()

@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 T = TypeVar("T")
 
-Done = Callable[[], None]
+Done = Callable[[], object]
 
 
 class Errands:
@@ -42,8 +42,8 @@ class Errands:
     def run(
         self,
         work: Callable[[], T],
-        then: Callable[[T], None],
-        otherwise: Callable[[Exception], None],
+        then: Callable[[T], object],
+        otherwise: Callable[[Exception], object],
     ) -> None:
         """Do some work, then go on in the executor's thread.
 
