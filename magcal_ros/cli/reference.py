@@ -10,15 +10,10 @@ from datetime import date, datetime, timezone
 
 from magcal_ros.cli.common import number
 from magcal_ros.core.earth_field.reference import Local, Reference, resolve
-from magcal_ros.core.earth_field.wmm import VALIDITY, Place, decimal_year, year_of
+from magcal_ros.core.earth_field.wmm import Place, decimal_year, year_of
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.knowledge import (
-    DECLINATION_SIGMA_DEG,
-    INCLINATION_SIGMA_DEG,
-    STRENGTH_SIGMA_UT,
-    ReferenceField,
-    knowledge_of,
-)
+from magcal_ros.core.knowledge import ReferenceField, knowledge_of
+from magcal_ros.ros.parameter_table import PARAMETERS
 
 
 def add_reference_options(parser: argparse.ArgumentParser) -> None:
@@ -28,20 +23,22 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
         "place, else for the first fix in a bag)"
     )
 
-    def add(name: str, low: float, high: float, default: float, words: str) -> None:
-        group.add_argument(
-            name, type=number(low, high), default=default, metavar="NUMBER", help=words
-        )
+    specs = {spec.name: spec for spec in PARAMETERS}
 
-    add("--reference-strength-ut", 15.0, 100.0, math.nan, "strength of the Earth's field, µT")
-    add("--reference-strength-sigma-ut", 0.0, 100.0, STRENGTH_SIGMA_UT, "local part (1 σ), µT")
-    add("--reference-inclination-deg", -90.0, 90.0, math.nan, "inclination, positive down, °")
-    add("--reference-inclination-sigma-deg", 0.0, 90.0, INCLINATION_SIGMA_DEG, "local part, °")
-    add("--reference-declination-deg", -180.0, 180.0, math.nan, "declination, positive east, °")
-    add("--reference-declination-sigma-deg", 0.0, 90.0, DECLINATION_SIGMA_DEG, "local part, °")
-    add("--latitude", -90.0, 90.0, math.nan, "where it was recorded, positive north, °")
-    add("--longitude", -180.0, 180.0, math.nan, "the same, positive east, °")
-    add("--altitude", *VALIDITY.altitudes, 0.0, "the same, m")
+    def add(name: str, parameter: str, words: str) -> None:
+        spec = specs[f"reference.{parameter}"]
+        within = number(spec.low, spec.high)
+        group.add_argument(name, type=within, default=spec.default, metavar="NUMBER", help=words)
+
+    add("--reference-strength-ut", "strength_ut", "strength of the Earth's field, µT")
+    add("--reference-strength-sigma-ut", "strength_sigma_ut", "local part (1 σ), µT")
+    add("--reference-inclination-deg", "inclination_deg", "inclination, positive down, °")
+    add("--reference-inclination-sigma-deg", "inclination_sigma_deg", "local part, °")
+    add("--reference-declination-deg", "declination_deg", "declination, positive east, °")
+    add("--reference-declination-sigma-deg", "declination_sigma_deg", "local part, °")
+    add("--latitude", "latitude_deg", "where it was recorded, positive north, °")
+    add("--longitude", "longitude_deg", "the same, positive east, °")
+    add("--altitude", "altitude_m", "the same, m")
     group.add_argument(
         "--date",
         type=_year,
