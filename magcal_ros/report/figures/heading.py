@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.report.figures.canvas import CORRECTED, IDEAL, LEFT_OUT, RAW, dots, legend_below
 from magcal_ros.report.turn import Corrected, Turn
 
@@ -50,14 +51,15 @@ def _scatter_share(turn: Turn, corrected: Corrected) -> float:
 def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
     order = turn.rows()
     order = order[np.argsort(angle[order])]
-    ideal = _wrapped(corrected.reference[order])
+    ideal = np.degrees(wrap_angle(corrected.reference[order]))
     # A line that leaves at the top and comes back at the bottom must not be joined.
     ideal[1:][np.abs(np.diff(ideal)) > 180.0] = np.nan
     axes.plot(angle[order], ideal, color=IDEAL, linewidth=0.9, label="the turn itself", zorder=3)
     rows = turn.rows()
     raw = {"color": RAW, "marker": "^", "markersize": 3.0, "label": "before"}
-    dots(axes, angle[rows], _wrapped(turn.yaw[rows]), **raw)
-    dots(axes, angle[rows], _wrapped(corrected.yaw[rows]), color=CORRECTED, label="after")
+    dots(axes, angle[rows], np.degrees(wrap_angle(turn.yaw[rows])), **raw)
+    after = np.degrees(wrap_angle(corrected.yaw[rows]))
+    dots(axes, angle[rows], after, color=CORRECTED, label="after")
     axes.fill_between([], [], [], color=CORRECTED, alpha=0.2, label="±2σ of the heading")
     axes.set(ylabel="heading, ENU yaw [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
 
@@ -78,7 +80,3 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
         dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **LEFT_OUT)
     axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
     axes.set_xlabel("turned since the start [°], left positive")
-
-
-def _wrapped(yaw: Any) -> Any:
-    return np.degrees(np.angle(np.exp(1j * yaw)))
