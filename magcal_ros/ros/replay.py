@@ -10,10 +10,8 @@ from rosgraph_msgs.msg import Clock
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files.recording import Recording
-from magcal_ros.ros.sensor_source import SensorSource
-
-FIRST_STAMP = 1.0
-"""Seconds. A recording whose time begins at zero is moved here: a zero stamp means "no stamp"."""
+from magcal_ros.files.sources import FIRST_STAMP
+from magcal_ros.ros.sensor_source import SensorSource, set_time
 
 
 def replay(
@@ -68,5 +66,5 @@ def _moved(sample: ImuSample | FieldSample, shift: float) -> ImuSample | FieldSa
 
 def _clock(stamp: float) -> Clock:
     message = Clock()
-    message.clock.sec, message.clock.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
+    set_time(message.clock, stamp)
     return message

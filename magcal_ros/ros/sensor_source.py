@@ -48,7 +48,7 @@ class SensorSource:
 
     def _publish_imu(self, sample: ImuSample) -> None:
         message = self._imu
-        set_stamp(message, sample.stamp)
+        set_time(message.header.stamp, sample.stamp)
         force, rate = message.linear_acceleration, message.angular_velocity
         force.x, force.y, force.z = sample.force
         has_rate = all(math.isfinite(value) for value in sample.rate)
@@ -58,14 +58,12 @@ class SensorSource:
 
     def _publish_field(self, sample: FieldSample) -> None:
         message = self._field
-        set_stamp(message, sample.stamp)
+        set_time(message.header.stamp, sample.stamp)
         field = message.magnetic_field
         field.x, field.y, field.z = sample.field
         self._field_out.publish(message)
 
 
-def set_stamp(message: Any, stamp: float) -> None:
-    """Put a stamp in seconds into a message's header."""
-    nanoseconds = round(stamp * 1e9)
-    message.header.stamp.sec = nanoseconds // 1_000_000_000
-    message.header.stamp.nanosec = nanoseconds % 1_000_000_000
+def set_time(time: Any, stamp: float) -> None:
+    """Put a stamp in seconds into a builtin_interfaces/Time."""
+    time.sec, time.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
