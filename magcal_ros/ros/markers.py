@@ -54,16 +54,18 @@ def turn_markers(
     every = max(1, len(window) // MOST_POINTS)
     raw = window.field @ to_body.T
     up = unit(window.specific_force.mean(axis=0))
-    drawn = [_points("raw", raw[::every], RAW)]
+    drawn = [_marker("raw", Marker.POINTS, RAW, raw[::every], POINT_SIZE, POINT_SIZE)]
     shown = raw
     if estimate is not None:
         shown = estimate.correction.apply(window.field)
-        drawn.append(_points("corrected", shown[::every], CORRECTED))
+        points = shown[::every]
+        drawn.append(_marker("corrected", Marker.POINTS, CORRECTED, points, POINT_SIZE, POINT_SIZE))
         up = estimate.axis
     # A robot that has not turned yet draws no circle.
     with contextlib.suppress(Refusal):
         drawn += _circle(fit_circle_in_space(shown, up), shown)
-    drawn.append(_arrow("axis", up, AXIS))
+    ends = np.stack([np.zeros(3), up]) / METRES_PER_TESLA
+    drawn.append(_marker("axis", Marker.ARROW, AXIS, ends, 0.02, 0.05))
     array = MarkerArray(markers=[Marker(action=Marker.DELETEALL), *drawn])
     for marker in array.markers:
         marker.header.frame_id = frame
@@ -72,46 +74,30 @@ def turn_markers(
 
 def _circle(circle: Circle, points: FloatArray) -> list[Marker]:
     around = np.linspace(0.0, 2.0 * np.pi, 73)
-    drawn = [_line("circle", circle.at(around), CIRCLE)]
+    drawn = [_marker("circle", Marker.LINE_STRIP, CIRCLE, circle.at(around), LINE_WIDTH)]
     phases = np.sort(circle.phase(points))
     gaps = np.diff(np.append(phases, phases[0] + 2.0 * np.pi))
     widest = int(np.argmax(gaps))
     if gaps[widest] > SMALLEST_GAP:
         hole = phases[widest] + np.linspace(0.0, gaps[widest], 37)
-        drawn.append(_line("missing", circle.at(hole), MISSING, 3.0 * LINE_WIDTH))
+        width = 3.0 * LINE_WIDTH
+        drawn.append(_marker("missing", Marker.LINE_STRIP, MISSING, circle.at(hole), width))
     return drawn
 
 
-def _points(name: str, field: FloatArray, colour: Sequence[float]) -> Marker:
-    marker = _marker(name, Marker.POINTS, colour)
-    marker.scale.x = marker.scale.y = POINT_SIZE
-    marker.points = _scaled(field)
-    return marker
-
-
-def _line(
-    name: str, field: FloatArray, colour: Sequence[float], width: float = LINE_WIDTH
+def _marker(
+    name: str,
+    kind: int,
+    colour: Sequence[float],
+    field: FloatArray,
+    width: float,
+    height: float = 0.0,
 ) -> Marker:
-    marker = _marker(name, Marker.LINE_STRIP, colour)
-    marker.scale.x = width
-    marker.points = _scaled(field)
-    return marker
-
-
-def _arrow(name: str, direction: FloatArray, colour: Sequence[float]) -> Marker:
-    marker = _marker(name, Marker.ARROW, colour)
-    marker.scale.x, marker.scale.y = 0.02, 0.05
-    marker.points = _scaled(np.stack([np.zeros(3), direction]) / METRES_PER_TESLA)
-    return marker
-
-
-def _marker(name: str, kind: int, colour: Sequence[float]) -> Marker:
+    """Draw points of the field; what width and height are of depends on the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
+    marker.scale.x, marker.scale.y = width, height
     red, green, blue = colour
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    marker.points = [Point(x=x, y=y, z=z) for x, y, z in (field * METRES_PER_TESLA).tolist()]
     return marker
-
-
-def _scaled(field: FloatArray) -> list[Point]:
-    return [Point(x=x, y=y, z=z) for x, y, z in (field * METRES_PER_TESLA).tolist()]
