@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 
 
@@ -33,8 +32,8 @@ knowledge = Knowledge(
         {declination!r}, {float(reference.declination_sigma)!r},
     ),
     Mounting(
-        {_numbers(mounting.gains)},
-        {_numbers(mounting.pose)},
+        {mounting.gains.tolist()!r},
+        {mounting.pose.tolist()!r},
     ),
     SoftIron({float(iron.sigma_diagonal)!r}, {float(iron.sigma_cross)!r}, {bool(iron.always)!r}),
 )
@@ -47,7 +46,3 @@ def _belief(belief: Belief) -> str:
     if math.isinf(belief.sigma):
         return "Belief.unknown()"
     return f"Belief({float(belief.value)!r}, {float(belief.sigma)!r})"
-
-
-def _numbers(values: FloatArray) -> str:
-    return repr(values.tolist())
