@@ -131,7 +131,9 @@ def test_it_is_small_and_refers_to_nothing_outside(tmp_path, make):
 )
 def test_foreign_text_stays_text(tmp_path, place):
     evil = "<script>alert('x')</script>\"&<img src=x>"
-    page = text_of(tmp_path, replace(good(), **{place: evil}))
+    # A page tells the method that was asked for where none has answered.
+    subject = refused() if place == "method" else good()
+    page = text_of(tmp_path, replace(subject, **{place: evil}))
     assert "<script" not in page
     assert "<img" not in page
     assert "&lt;script&gt;" in page
@@ -147,8 +149,8 @@ def test_a_refusal_shows_the_raw_samples_and_the_reason(tmp_path):
     assert names_of(page) == ["views", "around"]
     assert page.count("<svg") == 2
     assert ">corrected field<" not in page
-    text_of(tmp_path, subject)
-    assert (tmp_path / "samples.csv").read_text().count("\n") == 501
+    text_of(tmp_path / "text", subject)
+    assert (tmp_path / "text" / "samples.csv").read_text().count("\n") == 501
 
 
 @pytest.mark.parametrize("samples", [0, 1, 2])
