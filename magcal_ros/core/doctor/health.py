@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
@@ -80,12 +80,6 @@ def repeats_finding(name: str, values: FloatArray, tuning: HealthTuning = TUNING
     words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
     too_many = share - chance > tuning.repeats and share > 2.0 * chance
     return looked_at("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
-
-
-def runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return first row and end of every run of true flags (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def in_long_runs(same: BoolArray, long: int = 10) -> BoolArray:

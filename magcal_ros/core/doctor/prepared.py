@@ -17,11 +17,10 @@ from magcal_ros.core.doctor.health import (
     in_long_runs,
     repeats,
     repeats_finding,
-    runs,
     saturated,
     stamps_finding,
 )
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.stamps import long_gaps
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.health import runs
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, runs
 from magcal_ros.core.samples.sensor_log import SensorLog
 
 

@@ -20,7 +20,7 @@ from magcal_ros.core.estimation.gyro_path import GyroPath, RestOnPath
 from magcal_ros.core.estimation.model import local_jacobian
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.estimation.step_by_field import step_by_field
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.samples.rest import RestBeside
 
 
@@ -121,8 +121,7 @@ def _switched(fit: Fit, scale: float) -> FloatArray | None:
     place, noise = block.place, block.weighting.noise.field
     residual = place.prediction.field_residual
     loud = ~block.weighting.inliers & (np.linalg.norm(residual, axis=1) > MOTORS.loud * noise)
-    edges = np.flatnonzero(np.diff(np.r_[False, ~block.weighting.inliers, False].astype(int)))
-    stretches = [np.arange(a, b)[loud[a:b]] for a, b in edges.reshape(-1, 2)]
+    stretches = [np.arange(a, b)[loud[a:b]] for a, b in runs(~block.weighting.inliers)]
     stretches = [rows for rows in stretches if len(rows) >= MOTORS.least_run]
     if len(stretches) < MOTORS.fewest_runs:
         return None

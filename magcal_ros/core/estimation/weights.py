@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from magcal_ros.core.estimation.weighting import ChiSquares, Weights
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,8 @@ def _shoulders(loud: BoolArray) -> BoolArray:
     What comes gently is under the noise at first: a stretch that is dropped for its middle still
     pulls with its ends.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(int)))
     around = loud.copy()
-    for first, last in edges.reshape(-1, 2):
+    for first, last in runs(loud):
         reach = int(ROBUST.shoulder * (last - first))
         around[max(first - reach, 0) : last + reach] = True
     return np.asarray(around)

@@ -44,3 +44,9 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
         raise ValueError(f"{name} holds a value that is not finite")
     array.setflags(write=False)
     return array
+
+
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return first row and end of every run of true flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
