@@ -14,6 +14,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.estimate import GyroSwing
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import turns_about_z
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatAr
     """
     back = np.swapaxes(relative, 1, 2)
     away = back @ attitude
-    stray = np.unwrap(_turn_about_z(away @ away[len(away) // 2].T))
-    turned = np.unwrap(_turn_about_z(back))
+    stray = np.unwrap(turns_about_z(away @ away[len(away) // 2].T))
+    turned = np.unwrap(turns_about_z(back))
     noise = _sample_noise(stray)
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
     sectors = _sectors(stray, turned, time, yaw, noise)
@@ -126,12 +127,6 @@ def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
         found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.stray)
         left = sectors.stray - rows @ found
     return np.asarray(left)
-
-
-def _turn_about_z(rotations: FloatArray) -> FloatArray:
-    return np.arctan2(
-        rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
-    )
 
 
 def lasting_stray(radial: FloatArray, turned: FloatArray) -> float:

@@ -13,7 +13,7 @@ from magcal_ros.core.estimation.pace import Pace, attitudes, averages, pace_of
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
-from magcal_ros.core.geometry.rotations import rotation_vectors
+from magcal_ros.core.geometry.rotations import axial_vectors, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 
@@ -264,17 +264,11 @@ def sense_of_mounting(samples: Samples, path: GyroPath) -> float:
     points = samples.field @ np.linalg.inv(samples.mounting).T
     circle = fit_circle_robustly(points)
     axis = unit(samples.up.mean(axis=0))
-    normal = circle.normal * math.copysign(1.0, float(circle.normal @ axis))
-    plane = np.linalg.svd(normal[None])[2][1:]
-    plane[1] = np.cross(normal, plane[0])
-    x, y = plane @ (points - circle.centre).T
     stride = max(1, len(points) // 60)
-    field_turn = wrap_angle(np.diff(np.arctan2(y, x)[::stride]))
+    field_turn = wrap_angle(np.diff(circle.phase(points)[::stride]))
+    field_turn *= math.copysign(1.0, float(circle.normal @ axis))
     relative = path.relative[::stride]
-    between = relative[1:] @ np.swapaxes(relative[:-1], 1, 2)
-    # between = exp(-[w]x dt), whose antisymmetric part holds -w dt
-    turned = 0.5 * (between[:, [0, 1, 2], [1, 2, 0]] - between[:, [1, 2, 0], [0, 1, 2]])
-    robot_turn = turned[:, [1, 2, 0]] @ axis
+    robot_turn = axial_vectors(relative[:-1] @ np.swapaxes(relative[1:], 1, 2)) @ axis
     together = float(field_turn @ robot_turn)
     size = float(np.linalg.norm(field_turn) * np.linalg.norm(robot_turn))
     return -1.0 if together > CLEAR_SENSE * size else 1.0

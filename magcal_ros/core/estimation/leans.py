@@ -26,7 +26,7 @@ from magcal_ros.core.estimation.free_equations import LocalEquations, SchurSyste
 from magcal_ros.core.estimation.model import field_by_inclination
 from magcal_ros.core.estimation.weighting import Noise
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import skews
+from magcal_ros.core.geometry.rotations import axial_vectors, skews
 
 _WOBBLE_ROWS: FloatArray = np.diag([1.0, 1.0, 0.0])
 
@@ -99,15 +99,7 @@ def _by_vector(
     cross = skews(vector)
     half = cross @ inverse
     product = metric @ half
-    gradient = np.stack(
-        [
-            product[:, 2, 1] - product[:, 1, 2],
-            product[:, 0, 2] - product[:, 2, 0],
-            product[:, 1, 0] - product[:, 0, 1],
-        ],
-        axis=1,
-    )
-    return 2.0 * gradient, -half @ cross
+    return 4.0 * axial_vectors(product), -half @ cross
 
 
 def _through_field_matrix(system: SchurSystem, weighted: FloatArray) -> FloatArray:

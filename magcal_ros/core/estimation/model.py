@@ -22,7 +22,7 @@ import numpy as np
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotations, skews
+from magcal_ros.core.geometry.rotations import exp_rotations, skews, turns_about_z
 
 DATA_ROWS = 6
 """Residuals of one sample: three of up (turn's frame, two degrees of freedom), three of field."""
@@ -68,9 +68,7 @@ class State:
 
     def upright(self) -> State:
         """Return the state without wobble: each attitude becomes the nearest turn about z."""
-        a = self.attitude
-        angle = np.arctan2(a[:, 1, 0] - a[:, 0, 1], a[:, 0, 0] + a[:, 1, 1])
-        return State(self.shared, about_z(angle))
+        return State(self.shared, about_z(turns_about_z(self.attitude)))
 
     @property
     def lean(self) -> FloatArray:

@@ -58,15 +58,30 @@ def exp_rotations(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + sine[:, None, None] * k + versine[:, None, None] * (k @ k))
 
 
+def axial_vectors(matrices: FloatArray) -> FloatArray:
+    """Return v (n, 3) of the antisymmetric parts [v]x of matrices (n, 3, 3).
+
+    Of a rotation it is the axis times the sine of the angle.
+    """
+    return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
+
+
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
     """Return the vectors (n, 3) of small rotations (n, 3, 3), the inverse of `exp_rotations`.
 
     Angles below a quarter turn.
     """
-    part = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    part = axial_vectors(rotations)
     sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
     longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
     return np.asarray(part * longer[:, None])
+
+
+def turns_about_z(rotations: FloatArray) -> FloatArray:
+    """Return the angles (n,) of the turns about z that are nearest to rotations (n, 3, 3)."""
+    return np.arctan2(
+        rotations[:, 1, 0] - rotations[:, 0, 1], rotations[:, 0, 0] + rotations[:, 1, 1]
+    )
 
 
 def chained(steps: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from magcal_ros.core.geometry.rotations import (
     minimal_rotation,
     rotation_about,
     rotation_from_rpy,
+    rotation_vectors,
     rpy_from_rotation,
     skew,
 )
@@ -140,18 +141,10 @@ class Motion:
         """
         if len(self.time) < 2:
             return np.zeros((len(self.time), 3))
-        mean = self._step_rates()
+        back = self.attitude[:-1] @ np.swapaxes(self.attitude[1:], 1, 2)
+        mean = rotation_vectors(back) / np.diff(self.time)[:, None]
         padded = np.pad(mean, ((2, 2), (0, 0)), mode="reflect", reflect_type="odd")
         return np.asarray((7.0 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 12.0)
-
-    def _step_rates(self) -> FloatArray:
-        """Return the mean rate over each step, shape (n - 1, 3)."""
-        between = self.attitude[1:] @ np.swapaxes(self.attitude[:-1], 1, 2)
-        # between = exp(-[w]x dt), whose antisymmetric part is -[w]x dt, shortened to its sine
-        part = 0.5 * (between[:, [1, 2, 0], [2, 0, 1]] - between[:, [2, 0, 1], [1, 2, 0]])
-        sine = np.minimum(np.linalg.norm(part, axis=1), 1.0)
-        longer = np.where(sine > 1e-9, np.arcsin(sine) / np.maximum(sine, 1e-9), 1.0)
-        return np.asarray(part * (longer / np.diff(self.time))[:, None])
 
 
 def turn(
