@@ -12,6 +12,7 @@ from magcal_ros.core.geometry.conics import Conic
 from magcal_ros.core.geometry.planes import Plane
 from magcal_ros.core.methods.design_tip.options import Options
 from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
+from magcal_ros.core.samples.coverage import Coverage
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,7 @@ class FieldCircle:
     @property
     def arc(self) -> float:
         """Radians of the circle without its largest gap."""
-        phases = np.sort(np.angle(self.phasor))
-        gaps = np.append(np.diff(phases), phases[0] + 2.0 * np.pi - phases[-1])
-        return float(2.0 * np.pi - gaps.max())
+        return Coverage.of(np.angle(self.phasor)).arc
 
     def flipped(self) -> FieldCircle:
         """Return the same circle with the opposite normal."""

@@ -13,8 +13,10 @@ from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.planes import plane_normal
+from magcal_ros.core.geometry.rotations import turns_about_z
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.window import Window
 
 
@@ -137,15 +139,12 @@ def seen_arc(block: TurnBlock) -> float:
 
     The turn minus its largest hole; a hole of a few samples' spacing is none.
     """
-    attitude = block.place.state.attitude[block.weighting.inliers]
-    angle = np.arctan2(attitude[:, 1, 0] - attitude[:, 0, 1], attitude[:, 0, 0] + attitude[:, 1, 1])
+    angle = turns_about_z(block.place.state.attitude[block.weighting.inliers])
+    seen = Coverage.of(angle)
     if len(angle) < 2:
-        return 0.0
-    ordered = np.sort(np.mod(angle, 2.0 * math.pi))
-    holes = np.append(np.diff(ordered), ordered[0] + 2.0 * math.pi - ordered[-1])
-    largest = float(holes.max())
-    usual = (2.0 * math.pi - largest) / (len(ordered) - 1)
-    return 2.0 * math.pi if largest < 4.0 * usual else 2.0 * math.pi - largest
+        return seen.arc
+    usual = seen.arc / (len(angle) - 1)
+    return 2.0 * math.pi if seen.gap < 4.0 * usual else seen.arc
 
 
 def check_solution(
