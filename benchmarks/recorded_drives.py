@@ -21,8 +21,9 @@ from recordings import DEFAULT, recordings_in
 from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.keeping.candidates import difference, heading_sigma
+from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.smoothing.log import log_of
@@ -104,7 +105,7 @@ def score(drive: Drive, calibration: Calibration | None) -> float:
 
 def _tell(name: str, drive: Drive, begun: Calibration | None, story: DriveStory) -> bool:
     before, after = score(drive, begun), score(drive, story.ended)
-    said = math.degrees(heading_sigma(story.ended)) if story.ended else math.nan
+    said = math.degrees(predicted_heading_sigma(story.ended)) if story.ended else math.nan
     first = next((at for at, made in story.decisions if made.calibration is not None), math.nan)
     made = " ".join(each.verb.value for _, each in story.decisions)
     is_worse = after > before + WORSE

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.keeping.candidates import difference, heading_sigma
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
 from magcal_ros.files.atomic import FileTrouble, write_atomically
@@ -126,7 +127,7 @@ def _cells(calibration: Calibration | None) -> str:
     why = evidence.reasons[0] if evidence.method == "smoother" and evidence.reasons else ""
     cells = (
         "driving" if evidence.method == "smoother" else evidence.method,
-        f"±{math.degrees(heading_sigma(calibration)):.1f}°",
+        f"±{math.degrees(predicted_heading_sigma(calibration)):.1f}°",
         f"{x:.1f}, {y:.1f}, {z:.1f}",
         why or evidence.summary,
     )

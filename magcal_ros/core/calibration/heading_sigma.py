@@ -6,17 +6,17 @@ import math
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import field_in_enu, unit
+from magcal_ros.core.geometry.attitude import field_in_enu, unit, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.samples.window import Window
 
 CHECKED_TILT = math.radians(10.0)
 HEADINGS = 24
-UP: FloatArray = np.array([0.0, 0.0, 1.0])
 
 
 def common_figures(estimate: Estimate) -> dict[Figure, float]:
@@ -51,7 +51,7 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
     return figures
 
 
-def predicted_heading_sigma(estimate: Estimate, tilt: float) -> float:
+def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
     """Return the yaw's standard deviation from the covariance of the twelve numbers.
 
     Parameters
@@ -88,15 +88,27 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
     ndarray, shape (24, 12), or (96, 12) on slopes
     """
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
-    yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
-    poses = np.array([rotation_from_rpy(r, p, y).T for r, p in leanings for y in yaws])
-    return yaw_jacobian(correction, poses @ UP, poses @ field_enu)
+    poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])
+    return yaw_jacobian(correction, poses[:, :, 2], poses @ field_enu)
 
 
-def level_poses() -> FloatArray:
-    """Return attitudes ENU to body on the level at all headings, shape (24, 3, 3)."""
+def headings_apart(
+    right: Correction, other: Correction, strength: float, inclination: float
+) -> FloatArray:
+    """Return yaw by another correction less by the right one over level headings, (24,), radians.
+
+    In a field of so many tesla and radians.
+    """
+    poses = _all_headings()
+    up, field = poses[:, :, 2], poses @ field_in_enu(strength, inclination)
+    seen = yaw_from_up_and_field(up, other.apply(right.undo(field)))
+    return wrap_angle(seen - yaw_from_up_and_field(up, field))
+
+
+def _all_headings(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
+    """Return attitudes ENU to body at all headings, shape (24, 3, 3)."""
     yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)
-    return np.array([rotation_from_rpy(0.0, 0.0, yaw).T for yaw in yaws])
+    return np.array([rotation_from_rpy(roll, pitch, yaw).T for yaw in yaws])
 
 
 def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:

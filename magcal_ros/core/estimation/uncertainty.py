@@ -16,12 +16,14 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.soft_iron_doubt import Doubt
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import field_in_enu
 
 SWING = np.array([p.ROLL, p.PITCH])
 STEP = 1e-4
@@ -86,6 +88,20 @@ def correction_jacobian(shared: Globals, mounting: FloatArray, scale: float) -> 
     jacobian[:9, p.MATRIX_PARAMETERS] = moves.reshape(len(moves), 9).T
     jacobian[9:, p.HARD_IRON] = scale * np.eye(3)
     return jacobian
+
+
+def heading_by_twelve(
+    shared: Globals, mounting: FloatArray, scale: float, tilt: float = 0.0
+) -> FloatArray:
+    """Return the derivative of the yaw by the twelve numbers, as `heading_jacobian` does."""
+    field = field_in_enu(scale * shared.strength, shared.inclination)
+    return heading_jacobian(correction_from(shared, mounting, scale), field, tilt)
+
+
+def level_heading_by_globals(fit: Fit, scale: float) -> FloatArray:
+    """Return the derivative of the level yaw by all parameters, shape (24, 18)."""
+    by_twelve = heading_by_twelve(fit.shared, fit.mounting, scale)
+    return np.asarray(by_twelve @ correction_jacobian(fit.shared, fit.mounting, scale))
 
 
 def bend_of_hard_iron(

@@ -12,18 +12,18 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.calibration.heading_sigma import (
+    HEADINGS,
+    headings_apart,
+    predicted_heading_sigma,
+)
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import field_in_enu, yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 
 if TYPE_CHECKING:
     from magcal_ros.core.smoothing.fit import DriveFit
 
-HEADINGS = 24
-UP: FloatArray = np.array([0.0, 0.0, 1.0])
 METHOD = "smoother"
 
 
@@ -160,23 +160,12 @@ def candidate_of(
     )
 
 
-def heading_sigma(calibration: Calibration) -> float:
-    """Return the heading's sigma on the level that a calibration promises, radians."""
-    field = field_in_enu(calibration.strength, calibration.inclination)
-    by_numbers = heading_jacobian(calibration.correction, field, 0.0)
-    return rms_sigma(by_numbers, calibration.covariance)
-
-
 def swing(old: Correction, new: Correction, strength: float, dip: float) -> FloatArray:
     """Return yaw by the old less by the new one over headings of the new, (24,), radians.
 
     The constant is taken off: no drive shows it.
     """
-    yaw = np.arange(HEADINGS) * (math.tau / HEADINGS)
-    poses = np.array([rotation_from_rpy(0.0, 0.0, angle).T for angle in yaw])
-    body = poses @ field_in_enu(strength, dip)
-    seen = yaw_from_up_and_field(poses @ UP, old.apply(new.undo(body)))
-    turn = np.exp(1j * (seen - yaw))
+    turn = np.exp(1j * headings_apart(new, old, strength, dip))
     return np.asarray(np.angle(turn / turn.mean()))
 
 
@@ -185,7 +174,7 @@ def is_another(
 ) -> bool:
     """Whether a candidate differs from what is in force by more than both are uncertain."""
     apart = difference(in_force, candidate.calibration)
-    return apart > tuning.differs * math.hypot(candidate.sigma, heading_sigma(in_force))
+    return apart > tuning.differs * math.hypot(candidate.sigma, predicted_heading_sigma(in_force))
 
 
 def difference(old: Calibration, new: Calibration) -> float:

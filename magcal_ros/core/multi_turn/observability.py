@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.information import inverse_information
 from magcal_ros.core.estimation.model import Evaluation, Samples, State, about_z, predict
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.solver import Fit
-from magcal_ros.core.estimation.uncertainty import correction_from, correction_jacobian
+from magcal_ros.core.estimation.uncertainty import correction_jacobian, heading_by_twelve
 from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
 from magcal_ros.core.multi_turn.result import Advice, Shown
 
@@ -41,9 +40,7 @@ def heading_jacobians(
     shared: Globals, mounting: FloatArray, scale: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the derivative of the yaw by the twelve numbers: level (24, 12), tilted (96, 12)."""
-    correction = correction_from(shared, mounting, scale)
-    field = field_in_enu(scale * shared.strength, shared.inclination)
-    level, tilted = (heading_jacobian(correction, field, tilt) for tilt in (0.0, TILT))
+    level, tilted = (heading_by_twelve(shared, mounting, scale, tilt) for tilt in (0.0, TILT))
     return level, tilted
 
 

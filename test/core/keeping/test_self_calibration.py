@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.keeping.candidates import (
     DriveCandidate,
     Kind,
     difference,
-    heading_sigma,
 )
 from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.jobs import Findings, run
@@ -80,7 +80,7 @@ FAR = (6e-6, 0.0, 0.0)
 def test_headings_differ_by_the_iron_over_the_level_field():
     apart = difference(calibration(), calibration((0.5e-6, 0.0, 0.0)))
     assert apart == pytest.approx(0.5e-6 / LEVEL / math.sqrt(2.0), rel=0.05)
-    assert heading_sigma(calibration(sigma=0.02)) == pytest.approx(0.02, rel=0.1)
+    assert predicted_heading_sigma(calibration(sigma=0.02)) == pytest.approx(0.02, rel=0.1)
 
 
 def test_two_windows_that_agree_begin_where_nothing_was_in_force():

@@ -8,16 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.estimation.free_attitude import FreeBlock
 from magcal_ros.core.estimation.model import Evaluation, predict
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.solver import Fit
-from magcal_ros.core.estimation.uncertainty import correction_from, correction_jacobian
+from magcal_ros.core.estimation.uncertainty import heading_by_twelve, level_heading_by_globals
 from magcal_ros.core.estimation.weighting import Weights
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 
@@ -62,7 +61,7 @@ def measure_figures(
     """
     block, shared = fit.block, fit.shared
     weighting = block.weighting
-    jacobian = _level_heading_jacobian(fit, scale)
+    jacobian = heading_by_twelve(shared, fit.mounting, scale)
     residual = block.place.prediction.field_residual[weighting.inliers]
     level = abs(shared.strength * math.cos(shared.inclination))
     figures = {
@@ -98,10 +97,8 @@ def _unseen_soft_iron(fit: Fit, knowledge: Knowledge, scale: float) -> dict[Figu
     if fit.prior.has_soft_iron or not prior.has_soft_iron:
         return {}
     freed = replace(_with_free_attitudes(fit), prior=prior)
-    by_global = _level_heading_jacobian(fit, scale) @ correction_jacobian(
-        fit.shared, fit.mounting, scale
-    )
-    return {Figure.HEADING_SIGMA_SOFT_IRON: rms_sigma(by_global, freed.covariance)}
+    sigma = rms_sigma(level_heading_by_globals(fit, scale), freed.covariance)
+    return {Figure.HEADING_SIGMA_SOFT_IRON: sigma}
 
 
 def _with_free_attitudes(fit: Fit) -> Fit:
@@ -112,13 +109,6 @@ def _with_free_attitudes(fit: Fit) -> Fit:
     noise = replace(block.weighting.noise, wobble=block.wobble)
     weighting = replace(block.weighting, noise=noise)
     return fit.with_blocks([FreeBlock(block.place, weighting, own=block.own)])
-
-
-def _level_heading_jacobian(fit: Fit, scale: float) -> FloatArray:
-    """Return the derivative of the level heading by the twelve numbers, shape (24, 12)."""
-    correction = correction_from(fit.shared, fit.mounting, scale)
-    field = field_in_enu(scale * fit.shared.strength, fit.shared.inclination)
-    return heading_jacobian(correction, field, 0.0)
 
 
 def _split_half(fit: Fit, scale: float) -> float:
@@ -134,8 +124,7 @@ def _split_half(fit: Fit, scale: float) -> float:
         if move is None:
             return math.nan
         steps.append(move.step[len(free.block.own) :])
-    jacobian = correction_jacobian(fit.shared, fit.mounting, scale)[:, fit.free]
-    gap = _level_heading_jacobian(fit, scale) @ jacobian @ (steps[0] - steps[1])
+    gap = level_heading_by_globals(fit, scale)[:, fit.free] @ (steps[0] - steps[1])
     return float(np.sqrt(np.mean(gap**2)))
 
 
