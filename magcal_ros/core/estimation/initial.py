@@ -17,7 +17,11 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import Circle, fit_circle_robustly
 from magcal_ros.core.geometry.planes import plane_normal
-from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
+from magcal_ros.core.geometry.rotations import (
+    minimal_rotation,
+    roll_pitch_between,
+    rotation_from_rpy,
+)
 from magcal_ros.core.knowledge import ReferenceField
 
 UP: FloatArray = np.array([0.0, 0.0, 1.0])
@@ -64,7 +68,7 @@ def starts(samples: Samples, reference: ReferenceField, scale: float, sense: flo
     found: list[State] = []
     for axis in axes(samples.up):
         normal = circle.normal * math.copysign(1.0, sense * float(circle.normal @ axis))
-        for roll, pitch in installations(axis, normal):
+        for roll, pitch in roll_pitch_between(axis, normal, or_nearest=True):
             turn = _turn_angles(points, circle, axis, roll, pitch)
             found.extend(_with_dips(samples, circle, normal, axis, (roll, pitch), turn, field))
     level = _level_start(samples, points, field)
@@ -78,27 +82,6 @@ def axes(up: FloatArray) -> list[FloatArray]:
     if variances[1] < GUESS.visible_cone * max(variances[0], GUESS.thinnest_cone**2):
         return [mean]
     return [mean, normal * math.copysign(1.0, float(normal @ mean))]
-
-
-def installations(axis: FloatArray, normal: FloatArray) -> list[tuple[float, float]]:
-    """Return every (roll, pitch) whose installation takes `axis` to `normal`.
-
-    With the pose `Ry(pitch) Rx(roll)`, `Rx(roll) normal = Ry(pitch)^T axis`: roll keeps the
-    x component, which gives pitch, and then turns what is left about x. Where noise leaves no
-    solution the nearest is returned.
-    """
-    reach = math.hypot(axis[0], axis[2])
-    phase = math.atan2(axis[2], axis[0])
-    opening = math.acos(min(1.0, max(-1.0, normal[0] / max(reach, 1e-9))))
-    found = []
-    for pitch in (opening - phase, -opening - phase):
-        pitch = math.remainder(pitch, 2.0 * math.pi)
-        if abs(pitch) > math.pi / 2 + 1e-9:
-            continue
-        level = rotation_from_rpy(0.0, pitch).T @ axis
-        roll = math.atan2(level[2], level[1]) - math.atan2(normal[2], normal[1])
-        found.append((math.remainder(roll, 2.0 * math.pi), pitch))
-    return found if opening > 1e-6 else found[:1]
 
 
 def _turn_angles(

@@ -152,6 +152,42 @@ def rpy_from_rotation(pose: FloatArray) -> tuple[float, float, float]:
     return roll, pitch, yaw
 
 
+def roll_pitch_between(
+    axis: FloatArray, normal: FloatArray, *, or_nearest: bool = False
+) -> list[tuple[float, float]]:
+    """Return every (roll, pitch) whose pose, transposed, takes `axis` to `normal`.
+
+    With the pose Ry(pitch) Rx(roll), Rx(roll) normal = Ry(pitch)^T axis: roll keeps the
+    x component, which gives pitch, and then turns what is left about x.
+
+    Parameters
+    ----------
+    axis, normal : ndarray, shape (3,)
+        Unit, in parent and in child.
+    or_nearest : bool
+        Where noise leaves no solution, return the nearest instead of none.
+
+    Returns
+    -------
+    list of (float, float)
+        None, one or two pairs in radians, |pitch| at most 90°.
+    """
+    reach = float(normal[0]) / max(math.hypot(axis[0], axis[2]), 1e-9)
+    if abs(reach) > 1.0 + 1e-9 and not or_nearest:
+        return []
+    phase = math.atan2(axis[2], axis[0])
+    opening = math.acos(min(1.0, max(-1.0, reach)))
+    found = []
+    for pitch in (opening - phase, -opening - phase):
+        pitch = math.remainder(pitch, math.tau)
+        if abs(pitch) > 0.5 * math.pi + 1e-9:
+            continue
+        level = rotation_from_rpy(0.0, pitch).T @ axis
+        roll = math.atan2(level[2], level[1]) - math.atan2(normal[2], normal[1])
+        found.append((math.remainder(roll, math.tau), pitch))
+    return found if opening > 1e-6 else found[:1]
+
+
 def rotation_from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray | None:
     """Return the rotation of a quaternion of any length, shape (3, 3); None if it has none."""
     size = math.sqrt(x * x + y * y + z * z + w * w)

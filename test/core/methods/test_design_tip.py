@@ -17,11 +17,9 @@ from tip_turns import QUIET, distance, level_turn, ramp_turn, refusal, rms_deg
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.planes import PlaneFit
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.rotations import roll_pitch_between, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.methods.design_tip import Options, fit
-from magcal_ros.core.methods.design_tip.installation import roll_pitch_between
-from magcal_ros.core.methods.design_tip.tip_frame import passive_rotation
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
@@ -81,7 +79,7 @@ class TestConventions:
     def test_its_rotation_is_the_urdf_pose_with_the_pitch_negated(self):
         flip = np.diag([1.0, -1.0, -1.0])
         expected = flip @ rotation_from_rpy(0.3, -0.2).T @ flip
-        np.testing.assert_allclose(passive_rotation(0.3, 0.2), expected, atol=1e-15)
+        np.testing.assert_allclose(rotation_from_rpy(0.3, 0.2).T, expected, atol=1e-15)
 
     def test_the_axis_points_up(self):
         robot = QUIET
@@ -94,7 +92,7 @@ class TestConventions:
         axis = rng.standard_normal(3)
         axis /= np.linalg.norm(axis)
         roll, pitch = rng.uniform(-1.5, 1.5, 2)
-        found = roll_pitch_between(axis, passive_rotation(roll, pitch) @ axis)
+        found = roll_pitch_between(axis, rotation_from_rpy(roll, pitch).T @ axis)
         assert min(math.hypot(r - roll, p - pitch) for r, p in found) < 1e-7
 
     def test_closed_form_admits_that_there_is_none(self):

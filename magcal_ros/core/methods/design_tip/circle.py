@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,8 +11,9 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.conics import Conic
 from magcal_ros.core.geometry.planes import Plane
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.methods.design_tip.options import Options
-from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples
 from magcal_ros.core.samples.coverage import Coverage
 
 
@@ -136,7 +138,7 @@ def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
 def derotation(normal: FloatArray) -> FloatArray:
     """Return the tip's matrix of roll and pitch whose third column is `normal`, shape (3, 3)."""
     x, y, z = (float(v) for v in normal)
-    return passive_rotation(np.arctan2(y, z), -np.arcsin(np.clip(x, -1.0, 1.0)))
+    return rotation_from_rpy(math.atan2(y, z), -math.asin(min(1.0, max(-1.0, x)))).T
 
 
 def _refuse_unreliable(plane: Plane, conic: Conic, raw: FloatArray) -> None:

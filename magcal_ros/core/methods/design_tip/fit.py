@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
-from magcal_ros.core.geometry.rotations import rotation_angle
+from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.design_tip.axial_field import BelievedField, believe
@@ -21,7 +21,7 @@ from magcal_ros.core.methods.design_tip.circle import FieldCircle, fit_field_cir
 from magcal_ros.core.methods.design_tip.installation import Candidate, find_candidates
 from magcal_ros.core.methods.design_tip.options import Options
 from magcal_ros.core.methods.design_tip.reliability import TipSolution, measure_figures
-from magcal_ros.core.methods.design_tip.tip_frame import TipSamples, enter, leave, passive_rotation
+from magcal_ros.core.methods.design_tip.tip_frame import TipSamples, enter, leave
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
 
@@ -178,11 +178,9 @@ def _choose(
 
 
 def _refuse_rival(chosen: Candidate, rival: Candidate) -> None:
-    between = passive_rotation(chosen.roll, chosen.pitch).T @ passive_rotation(
-        rival.roll, rival.pitch
-    )
+    own, other = (rotation_from_rpy(each.roll, each.pitch) for each in (chosen, rival))
     is_same_size = rival.angle - chosen.angle < TUNING.rival_margin
-    if is_same_size and rotation_angle(between) > TUNING.rival_distance:
+    if is_same_size and rotation_angle(own @ other.T) > TUNING.rival_distance:
         raise Refusal(
             Reason.AMBIGUOUS,
             "Two installations of the magnetometer of the same size explain this turn. Turn about "

@@ -9,10 +9,14 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_angle
+from magcal_ros.core.geometry.rotations import (
+    roll_pitch_between,
+    rotation_angle,
+    rotation_from_rpy,
+)
 from magcal_ros.core.methods.design_tip.axis import TurnAxis
 from magcal_ros.core.methods.design_tip.circle import FieldCircle
-from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, passive_rotation
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples
 
 
 @dataclass(frozen=True)
@@ -61,40 +65,7 @@ class Candidate:
     @property
     def angle(self) -> float:
         """Radians of the whole installation."""
-        return rotation_angle(passive_rotation(self.roll, self.pitch))
-
-
-def roll_pitch_between(axis: FloatArray, normal: FloatArray) -> list[tuple[float, float]]:
-    """Solve Rx(roll) Ry(pitch) axis = normal in closed form.
-
-    The first row, u_x cos(pitch) - u_z sin(pitch) = n_x, gives pitch = ±acos(n_x/ρ) - atan2(u_z,
-    u_x) with ρ = hypot(u_x, u_z); roll then turns the other two components onto the normal's.
-
-    Parameters
-    ----------
-    axis, normal : ndarray, shape (3,)
-        Unit, in body and in sensor axes.
-
-    Returns
-    -------
-    list of (float, float)
-        None, one or two pairs of roll and pitch in radians, |pitch| < 90°.
-    """
-    lever = math.hypot(float(axis[0]), float(axis[2]))
-    reach = float(normal[0]) / lever if lever > 0.0 else math.inf
-    if abs(reach) > 1.0 + 1e-9:
-        return []
-    phase = math.atan2(float(axis[2]), float(axis[0]))
-    opening = math.acos(min(1.0, max(-1.0, reach)))
-    solutions = []
-    for turn in {opening, -opening}:
-        pitch = math.remainder(turn - phase, 2.0 * math.pi)
-        if abs(pitch) >= math.pi / 2.0:
-            continue
-        _, y, z = passive_rotation(0.0, pitch) @ axis
-        roll = math.atan2(z, y) - math.atan2(float(normal[2]), float(normal[1]))
-        solutions.append((math.remainder(roll, 2.0 * math.pi), pitch))
-    return solutions
+        return rotation_angle(rotation_from_rpy(self.roll, self.pitch))
 
 
 def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) -> list[Candidate]:
@@ -131,7 +102,7 @@ def find_candidates(samples: TipSamples, axis: TurnAxis, circle: FieldCircle) ->
     sense = _sense(samples, axis, circle)
     circles = [c for s, c in ((1, circle), (-1, circle.flipped())) if sense in (0, s)]
     found = [
-        Candidate(roll, pitch, c, _gravity_dot_field(passive_rotation(roll, pitch), axis, c))
+        Candidate(roll, pitch, c, _gravity_dot_field(rotation_from_rpy(roll, pitch).T, axis, c))
         for c in circles
         for roll, pitch in roll_pitch_between(axis.direction, c.normal)
     ]

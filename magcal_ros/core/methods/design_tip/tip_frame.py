@@ -63,12 +63,6 @@ def enter(window: Window, mounting: Mounting) -> TipSamples:
     )
 
 
-def passive_rotation(roll: float, pitch: float) -> FloatArray:
-    """Return the tip's Rx(roll) Ry(pitch), from body to sensor axes, shape (3, 3)."""
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
-    return np.array([[cp, 0.0, -sp], [sr * sp, cr, sr * cp], [cr * sp, -sr, cr * cp]])
-
-
 def leave(
     roll: float, pitch: float, centre: FloatArray, mounting: Mounting
 ) -> tuple[Correction, Installation]:
