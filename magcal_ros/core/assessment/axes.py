@@ -13,13 +13,14 @@ from magcal_ros.core.geometry.rotations import rpy_from_rotation
 from magcal_ros.core.geometry.signed_axes import (
     is_mirrored,
     likely_slip,
+    rank_of,
     signed_permutations,
     spoken,
 )
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import FIELD, UP
-from magcal_ros.core.samples.stretch import stretch_of
+from magcal_ros.core.samples.stretch import Stretch, stretch_of
 from magcal_ros.core.samples.window import Window
 
 
@@ -243,7 +244,7 @@ def find_axes(
             window.angular_rate,
         )
     )
-    if np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max() < tuning.least_turn:
+    if most_turned(stretch) < tuning.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
@@ -270,20 +271,28 @@ def _decide(
 ) -> AxesFound:
     given = int(np.argmax([np.array_equal(each, AS_THEY_SHOULD_BE) for each in axes]))
     best = int(np.argmin(misfit))
-    dip = knowledge.reference.inclination
-    dip_known = not dip.is_unknown and abs(dip.value) > tuning.least_dip
-    pose = knowledge.mounting.pose
+    dip_known, pose = dip_is_known(knowledge, tuning), knowledge.mounting.pose
     if rms[best] > tuning.worst_fit:
         return AxesFound(np.zeros((0, 3, 3)), False, pose, dip_known)
     times = tuning.times_lifted if lifted else tuning.times
     upside_down = misfit[given] - misfit[_opposite(given)] > tuning.wrong
     plainly = rms[given] > times * rms[best] or (lifted and upside_down)
     wrong = misfit[given] > tuning.wrong and plainly
-    order = {axes.tobytes(): rank for rank, axes in enumerate(signed_permutations())}
     remaining = [k for k in range(len(axes)) if misfit[k] < tuning.remains]
     remaining = [k for k in remaining if not (wrong and k == given)]
-    remaining.sort(key=lambda k: (misfit[k] > tuning.likely, order[(axes[k] + 0.0).tobytes()]))
+    remaining.sort(key=lambda k: (misfit[k] > tuning.likely, rank_of(axes[k])))
     return AxesFound(axes[remaining], not wrong, pose, dip_known)
+
+
+def most_turned(stretch: Stretch) -> float:
+    """Return how far apart the most distant attitudes are, roughly, radians."""
+    return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())
+
+
+def dip_is_known(knowledge: Knowledge, tuning: AxesTuning = TUNING) -> bool:
+    """Return whether the reference field tells axes from their opposites."""
+    dip = knowledge.reference.inclination
+    return not dip.is_unknown and abs(dip.value) > tuning.least_dip
 
 
 def _opposite(k: int) -> int:

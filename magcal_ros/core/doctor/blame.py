@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import LIFT, AxesFound
+from magcal_ros.core.assessment.axes import LIFT, AxesFound, dip_is_known
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations, spoken
+from magcal_ros.core.geometry.signed_axes import is_mirrored, rank_of, spoken, swapped
 from magcal_ros.core.knowledge import Knowledge
 
 STANDARD = np.eye(3)
@@ -137,12 +136,8 @@ def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
 
 
 def _order(explanations: Explanations, k: int) -> tuple[bool, int, int]:
-    every = [axes.tobytes() for axes in signed_permutations() + 0.0]
-    own = [
-        every.index((axes + 0.0).tobytes())
-        for axes in (explanations.gyro[k], explanations.field[k])
-    ]
-    return bool(explanations.misfit[k] > AXES.likely), own[0], own[1]
+    gyro, field = (rank_of(axes[k]) for axes in (explanations.gyro, explanations.field))
+    return bool(explanations.misfit[k] > AXES.likely), gyro, field
 
 
 def _all_agree(
@@ -153,7 +148,7 @@ def _all_agree(
     contrary: BoolArray,
 ) -> Blame:
     candidates = _field_candidates(explanations, remains, given)
-    axes = AxesFound(candidates, True, knowledge.mounting.pose, _dip_known(knowledge))
+    axes = AxesFound(candidates, True, knowledge.mounting.pose, dip_is_known(knowledge))
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
@@ -179,11 +174,6 @@ def _field_candidates(explanations: Explanations, remains: BoolArray, given: int
     return explanations.field[kept] if kept else np.zeros((0, 3, 3))
 
 
-def _dip_known(knowledge: Knowledge) -> bool:
-    dip = knowledge.reference.inclination
-    return not dip.is_unknown and abs(dip.value) > AXES.least_dip
-
-
 def _accused(
     explanations: Explanations,
     fewest: list[int],
@@ -200,7 +190,9 @@ def _accused(
         for sensor in sensors:
             if sensor == "magnetometer":
                 candidates = _distinct(explanations.field[ways])
-                axes = AxesFound(candidates, False, knowledge.mounting.pose, _dip_known(knowledge))
+                axes = AxesFound(
+                    candidates, False, knowledge.mounting.pose, dip_is_known(knowledge)
+                )
                 words.append((sensor, axes.said))
             elif sensor == "gyro":
                 words.append((sensor, _gyro_words(_distinct(explanations.gyro[ways]), tuning)))
@@ -249,13 +241,8 @@ def gyro_slip(axes: FloatArray) -> str:
         flipped = [name for name, sign in zip("xyz", np.diag(axes), strict=True) if sign < 0.0]
         verb = "has" if len(flipped) == 1 else "have"
         return f"{' and '.join(flipped)} {verb} the wrong sign"
-    if np.all(axes >= 0.0):
-        swapped = [
-            (i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]
-        ]
-        if swapped:
-            i, j = swapped[0]
-            return f"{'xyz'[i]} and {'xyz'[j]} are swapped"
+    if exchanged := swapped(axes):
+        return exchanged
     parts = []
     for name, row in zip("xyz", axes, strict=True):
         along = int(np.argmax(np.abs(row)))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.axes import TUNING as AXES
-from magcal_ros.core.assessment.axes import inclination_misfit
+from magcal_ros.core.assessment.axes import inclination_misfit, most_turned
 from magcal_ros.core.doctor.gravity_turns import gravity_misfit
 from magcal_ros.core.doctor.log_stretch import LogStretch, stretch_of_log
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -158,7 +158,7 @@ def explain(
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or _turned(part.stretch) < tuning.least_turn:
+    if part is None or most_turned(part.stretch) < tuning.least_turn:
         return None
     senses = _against_the_field(part.stretch, proper, tuning.fit)
     for _ in range(tuning.looks):
@@ -257,8 +257,3 @@ def _signed(
         part,
         found,
     )
-
-
-def _turned(stretch: Stretch) -> float:
-    """Return how far apart the most distant attitudes are, roughly, radians."""
-    return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 from magcal_ros.core.geometry.rotations import rotation_angle
 
 DIRECTIONS = (("forward", "backward"), ("left", "right"), ("up", "down"))
 """Of the body's axes, positive and negative (REP-103)."""
 
 
+@cache
 def signed_permutations() -> FloatArray:
     """Return all matrices that only swap axes and turn their signs, shape (48, 3, 3).
 
@@ -24,7 +26,12 @@ def signed_permutations() -> FloatArray:
         for order in itertools.permutations(range(3))
         for signs in itertools.product((1.0, -1.0), repeat=3)
     ]
-    return np.array(sorted(found, key=_strangeness))
+    return frozen_array(sorted(found, key=_strangeness), (48, 3, 3), "axes")
+
+
+def rank_of(axes: FloatArray) -> int:
+    """Return the place of axes (3, 3) among the signed permutations."""
+    return int(np.flatnonzero((signed_permutations() == axes).all(axis=(1, 2)))[0])
 
 
 def is_mirrored(axes: FloatArray) -> bool:
@@ -41,12 +48,19 @@ def spoken(axes: FloatArray) -> str:
     return ", ".join(words)
 
 
+def swapped(axes: FloatArray) -> str:
+    """Say which of the axes (3, 3) are swapped and else right; empty where that is not all."""
+    pairs = [(i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]]
+    if not pairs or np.any(axes < 0.0):
+        return ""
+    i, j = pairs[0]
+    return f"{'xyz'[i]} and {'xyz'[j]} are swapped"
+
+
 def likely_slip(axes: FloatArray) -> str:
     """Return what a driver most likely did to make axes (3, 3) that are mirrored."""
-    swapped = [(i, j) for i, j in itertools.combinations(range(3), 2) if axes[i, j] and axes[j, i]]
-    if swapped and np.all(axes >= 0.0):
-        i, j = swapped[0]
-        return f"{'xyz'[i]} and {'xyz'[j]} are swapped in the driver"
+    if exchanged := swapped(axes):
+        return f"{exchanged} in the driver"
     turned = [np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)) @ axes for axis in range(3)]
     likely = "xyz"[min(range(3), key=lambda axis: _strangeness(turned[axis]))]
     return f"one axis has the wrong sign in the driver, most likely {likely}"
