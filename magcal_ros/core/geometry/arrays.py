@@ -7,6 +7,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from magcal_ros.core.errors import Reason, Refusal
+
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
 IntArray: TypeAlias = npt.NDArray[np.int64]
@@ -44,6 +46,28 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
         raise ValueError(f"{name} holds a value that is not finite")
     array.setflags(write=False)
     return array
+
+
+def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
+    """Return the centroid (d,) of points (n, d), and the points about it.
+
+    Raises
+    ------
+    Refusal
+        If a point is not finite, or if there are fewer than `shape` needs.
+    """
+    if not np.isfinite(points).all():
+        raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
+    if len(points) < least:
+        words = f"A {shape} needs {least} points, not {len(points)}. Collect more samples."
+        raise Refusal(Reason.TOO_FEW_SAMPLES, words)
+    centroid = points.mean(axis=0)
+    return centroid, points - centroid
+
+
+def interpolated(moments: FloatArray, time: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return rows (n, d) of `time` at the moments (m,), linear between them, shape (m, d)."""
+    return np.column_stack([np.interp(moments, time, column) for column in rows.T])
 
 
 def runs(flags: BoolArray) -> list[tuple[int, int]]:

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 
 @dataclass(frozen=True)
@@ -177,24 +177,15 @@ class _Frame:
 
     @classmethod
     def of(cls, points: FloatArray, least: int) -> _Frame:
-        if not np.isfinite(points).all():
-            raise Refusal(
-                Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting."
-            )
-        if len(points) < least:
-            raise Refusal(
-                Reason.TOO_FEW_SAMPLES,
-                f"This curve needs {least} points, not {len(points)}. Collect more samples.",
-            )
-        centroid = points.mean(axis=0)
-        values = np.linalg.svd(points - centroid, compute_uv=False) / math.sqrt(len(points))
+        centroid, moved = centred(points, least, "curve")
+        values = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
         if values[1] <= CONICS.thinnest * values[0] or values[0] == 0.0:
             raise Refusal(
                 Reason.FIELD_ON_A_LINE,
                 "The samples lie on a line or on one point. Turn further round.",
             )
         size = float(np.hypot(values[0], values[1]))
-        return cls((points - centroid) / size, centroid, size)
+        return cls(moved / size, centroid, size)
 
     def conic(self, a: float, b: float, c: float, d: float, e: float, f: float) -> Conic:
         """Return the ellipse a x² + b y² + 2c xy + 2d x + 2e y + f = 0 of the moved points."""

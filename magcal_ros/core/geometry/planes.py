@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 
 @dataclass(frozen=True)
@@ -104,8 +104,8 @@ def _fit_least_squares(points: FloatArray) -> Plane:
     Noise across the other two axes is taken for signal, so a thin cloud pulls the normal towards
     that axis (regression dilution).
     """
-    centre, centred = _centred(points)
-    scatter = centred.T @ centred / len(points)
+    centre, moved = centred(points, 3, "plane")
+    scatter = moved.T @ moved / len(points)
     _refuse_degenerate(np.sqrt(np.maximum(np.linalg.eigvalsh(scatter), 0.0)), centre)
     minors = [np.linalg.det(np.delete(np.delete(scatter, k, 0), k, 1)) for k in range(3)]
     main = int(np.argmax(minors))
@@ -121,16 +121,16 @@ def _fit_eigen(points: FloatArray) -> Plane:
     The singular vectors of the centred points are the eigenvectors of their scatter, found
     without squaring the numbers.
     """
-    centre, centred = _centred(points)
-    values, axes = np.linalg.svd(centred, full_matrices=False)[1:]
+    centre, moved = centred(points, 3, "plane")
+    values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
     _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-    return Plane(axes[2], centre, centred.T @ centred / len(points), len(points))
+    return Plane(axes[2], centre, moved.T @ moved / len(points), len(points))
 
 
 def _fit_eigen_simple(points: FloatArray) -> Plane:
     """Fit as `_fit_eigen` does from six running sums, as a microcontroller would."""
-    centre, centred = _centred(points)
-    scatter = centred.T @ centred / len(points)
+    centre, moved = centred(points, 3, "plane")
+    scatter = moved.T @ moved / len(points)
     values, axes = np.linalg.eigh(scatter)
     order = np.argsort(values)
     _refuse_degenerate(np.sqrt(np.maximum(values[order], 0.0)), centre)
@@ -169,20 +169,6 @@ _FITS: dict[PlaneFit, Callable[[FloatArray], Plane]] = {
     PlaneFit.EIGEN: _fit_eigen,
     PlaneFit.EIGEN_SIMPLE: _fit_eigen_simple,
 }
-
-
-def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    if not np.isfinite(points).all():
-        raise Refusal(
-            Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting a plane."
-        )
-    if len(points) < 3:
-        raise Refusal(
-            Reason.TOO_FEW_SAMPLES,
-            f"A plane needs three points, not {len(points)}. Collect more samples.",
-        )
-    centre = points.mean(axis=0)
-    return centre, points - centre
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,12 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
         For too few points, a plane, numbers not finite, or a surface that is no ellipsoid.
     """
     least = {QuadricFit.ROTATED: 9, QuadricFit.ALIGNED: 6, QuadricFit.SPHERE: 4}[shape]
-    centroid, size = _frame(points, least)
-    moved = (points - centroid) / size
+    centroid, moved = centred(points, least, "surface")
+    spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
+    if spread[2] <= QUADRICS.thinnest * spread[0]:
+        raise _planar()
+    size = float(np.linalg.norm(spread))
+    moved /= size
     design = np.column_stack([_quadratic_columns(moved, shape), 2.0 * moved])
     solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(points)), rcond=1e-10)
     if rank < design.shape[1]:
@@ -116,21 +120,6 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
     if np.linalg.det(axes) < 0.0:
         axes = -axes
     return Ellipsoid(centroid + size * centre, size * np.sqrt(squares), axes)
-
-
-def _frame(points: FloatArray, least: int) -> tuple[FloatArray, float]:
-    if not np.isfinite(points).all():
-        raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")
-    if len(points) < least:
-        raise Refusal(
-            Reason.TOO_FEW_SAMPLES,
-            f"This surface needs {least} points, not {len(points)}. Collect more samples.",
-        )
-    centroid = points.mean(axis=0)
-    spread = np.linalg.svd(points - centroid, compute_uv=False) / math.sqrt(len(points))
-    if spread[2] <= QUADRICS.thinnest * spread[0]:
-        raise _planar()
-    return centroid, float(np.linalg.norm(spread))
 
 
 def _quadratic_columns(points: FloatArray, shape: QuadricFit) -> FloatArray:
