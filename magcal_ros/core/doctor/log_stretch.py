@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.stretch import Stretch, field_size
@@ -85,7 +85,8 @@ def stretch_of_log(
     width = (span[1] - span[0]) / count
     force = _mean_around(time, _integral(time, log.force[imu]), moment, width)
     angle, bend = (
-        _at(time, path, moment) for path in (turned, _integral(time, np.cross(turned, rate)))
+        interpolated(moment, time, path)
+        for path in (turned, _integral(time, np.cross(turned, rate)))
     )
     step = np.diff(angle, axis=0)
     size = field_size(field)
@@ -133,14 +134,11 @@ def _integral(time: FloatArray, values: FloatArray) -> FloatArray:
     return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(steps, axis=0)])
 
 
-def _at(time: FloatArray, path: FloatArray, moment: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(moment, time, path[:, k]) for k in range(path.shape[1])])
-
-
 def _mean_around(
     time: FloatArray, path: FloatArray, moment: FloatArray, width: float
 ) -> FloatArray:
     """Return means over `width` seconds around each moment, from an integral."""
     low = np.maximum(moment - 0.5 * width, time[0])
     high = np.minimum(moment + 0.5 * width, time[-1])
-    return np.asarray((_at(time, path, high) - _at(time, path, low)) / (high - low)[:, None])
+    gained = interpolated(high, time, path) - interpolated(low, time, path)
+    return np.asarray(gained / (high - low)[:, None])

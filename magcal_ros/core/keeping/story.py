@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.decisions import Decision, Verb
@@ -222,8 +222,7 @@ def path_along(
     )
     known = np.isfinite(speed)
     if fixes is not None:
-        stamps, east, north = fixes.T
-        place = np.column_stack([np.interp(time, stamps, east), np.interp(time, stamps, north)])
+        place = interpolated(time, fixes[:, 0], fixes[:, 1:])
     else:
         yaw = yaw_from_up_and_field(up, field)
         steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * KEEPING.map_every)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.core.simulation.coloured import exponential_noise
 from magcal_ros.core.simulation.travel import Travel
@@ -103,12 +103,14 @@ class Receiver:
         """Return the fixes of a drive, and the velocities where it tells them."""
         stamps = np.arange(truth.time[0] + 0.37, truth.time[-1], 1.0 / self.rate)
         moments = stamps - self.delay
-        place = _between(moments, truth.time, truth.position)
+        place = interpolated(moments, truth.time, truth.position)
         bent, is_bent = self._bends(len(stamps), rng)
         drift = exponential_noise(rng, len(stamps), 1.0 / self.rate, self.drift_lasts)
         place = place + self.drift * drift + bent
         place = place + self.noise * rng.standard_normal(place.shape)
-        velocity = _between(moments, truth.time, np.gradient(truth.position, truth.period, axis=0))
+        velocity = interpolated(
+            moments, truth.time, np.gradient(truth.position, truth.period, axis=0)
+        )
         size = self.speed_noise * np.where(is_bent, 5.0, 1.0)[:, None]
         velocity = velocity + size * rng.standard_normal(velocity.shape)
         since = stamps - truth.time[0]
@@ -134,8 +136,3 @@ class Receiver:
             bent[rows] = self.bend * rng.standard_normal(2)
             is_bent[rows] = True
         return bent, is_bent
-
-
-def _between(moments: FloatArray, time: FloatArray, rows: FloatArray) -> FloatArray:
-    """Interpolate columns (n, 2) of `time` at moments (m,), shape (m, 2)."""
-    return np.column_stack([np.interp(moments, time, rows[:, axis]) for axis in range(2)])

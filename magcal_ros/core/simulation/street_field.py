@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 
 
 @dataclass(frozen=True)
@@ -81,9 +81,8 @@ class StreetField:
         steps = np.hypot(*np.diff(places, axis=0).T)
         metres = np.r_[0.0, np.cumsum(steps)]
         marks = np.arange(0.0, metres[-1] + self.streets.spacing, self.streets.spacing)
-        way = np.column_stack([np.interp(marks, metres, places[:, axis]) for axis in range(2)])
-        field = self.at(way)
-        return np.column_stack([np.interp(metres, marks, field[:, axis]) for axis in range(3)])
+        field = self.at(interpolated(marks, metres, places))
+        return interpolated(metres, marks, field)
 
 
 def _waves(reach: float, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
