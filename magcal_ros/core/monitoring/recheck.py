@@ -20,7 +20,12 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, yaw_from_up_and_field
 from magcal_ros.core.monitoring.gyro_compass import gyro_compass
-from magcal_ros.core.monitoring.recheck_chance import chances, check_beside_chance, own_swings
+from magcal_ros.core.monitoring.recheck_chance import (
+    chances,
+    check_beside_chance,
+    own_swings,
+    sectors,
+)
 from magcal_ros.core.monitoring.recheck_drive import iron_added
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
@@ -134,7 +139,7 @@ def _chances(
         Figure.DIP_SPREAD: dip,
     }
     visit = ((window.time - window.time[0]) / tuning.visit).astype(np.int64)
-    around = _sectors(heading, tuning.bins)
+    around = sectors(heading, tuning.bins)
     own = own_swings(calibration, unit(up.mean(axis=0)))
     most = {b.figure: tuning.own_share * b.warn / b.scale for b in tuning.bounds}
     return chances(seen, visit, around, swing, own, most, tuning.bins)
@@ -146,11 +151,6 @@ def _parts(field: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray, F
     rise = np.sum(field * up, axis=1)
     level = np.sqrt(np.maximum(size**2 - rise**2, 0.0))
     return size, level, np.arctan2(-rise, level)
-
-
-def _sectors(heading: FloatArray, bins: int) -> IntArray:
-    """Return the sector of each heading, shape (n,)."""
-    return np.asarray((np.mod(heading, math.tau) * (bins / math.tau)).astype(np.int64) % bins)
 
 
 def _summary(verdict: Verdict) -> str:
@@ -228,7 +228,7 @@ def figures(
     """
     field = correction.apply(window.field)
     size, level, dip = _parts(field, up)
-    around = _sectors(heading, tuning.bins)
+    around = sectors(heading, tuning.bins)
 
     def spread(values: FloatArray) -> float:
         return _spread(values, around, tuning.bins)

@@ -56,9 +56,14 @@ def chances(
     return found
 
 
+def sectors(heading: FloatArray, bins: int) -> IntArray:
+    """Return the sector of each heading, shape (n,)."""
+    return np.asarray((np.mod(heading, math.tau) * (bins / math.tau)).astype(np.int64) % bins)
+
+
 def _unrepeated(swing: GyroSwing, bins: int) -> float:
     """Return the RMS of compass less gyro about its mean at each heading, radians."""
-    sector = (np.mod(swing.heading, math.tau) * (bins / math.tau)).astype(np.int64) % bins
+    sector = sectors(swing.heading, bins)
     count = np.maximum(np.bincount(sector, minlength=bins), 1)
     middle = np.bincount(sector, swing.deviation, bins) / count
     return math.sqrt(float(np.mean((swing.deviation - middle[sector]) ** 2)))

@@ -27,6 +27,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.monitoring.gyro_compass import compass_less_gyro
+from magcal_ros.core.monitoring.recheck_chance import sectors
 from magcal_ros.core.monitoring.watch_tuning import WatchTuning
 from magcal_ros.core.samples.coverage import Coverage
 
@@ -99,8 +100,7 @@ def what_lacks(records: FloatArray, tuning: WatchTuning) -> str:
     """Say what the records do not show yet; empty if they are enough to judge swings."""
     if len(records) < 2:
         return "the robot has not driven yet"
-    yaw = np.mod(records[:, 1], math.tau)
-    seen = len(np.unique((yaw * (tuning.sectors / math.tau)).astype(int)))
+    seen = len(np.unique(sectors(records[:, 1], tuning.sectors)))
     if seen < tuning.fewest_sectors or Coverage.of(records[:, 1]).gap > tuning.widest_hole:
         return f"not enough headings: {seen} of {tuning.sectors} sectors of heading were driven"
     if len(records) < tuning.fewest_records or np.ptp(records[:, 0]) < tuning.shortest_span:
