@@ -14,6 +14,7 @@ from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import TravelSample
@@ -88,12 +89,10 @@ def recorded_course(
         elif isinstance(sample, FieldSample):
             if streams.add_field(sample):
                 up.add_field(sample.stamp, sample.field)
-                moment = up.at(sample.stamp, STREAMS.max_gap)
-                field = compass.correct(sample.field)
-                if moment is not None:
-                    heading = compass.heading(field, moment.direction, moment.variance)
-                    if heading is not None:
-                        travelling.add_yaw(heading.yaw)
+                beside = up.at(sample.stamp, STREAMS.max_gap)
+                heading = Moment.of(compass, sample, beside, None).heading
+                if heading is not None:
+                    travelling.add_yaw(heading.yaw)
         else:
             travelling.add_travel(sample)
     course = travelling.fit_course()
