@@ -28,17 +28,12 @@ class _Cell:
     metres: float = 0.0
     first: int = 0
 
-    def add(self, chord: Chord, order: int) -> None:
-        """Take a chord; `order` counts all chords."""
-        if not self.count:
-            self.first = order
-        self.gap += cmath.exp(1j * chord.gap)
-        self.course += cmath.exp(1j * chord.course)
-        self.east += chord.east
-        self.north += chord.north
-        self.variance += chord.sigma**2
-        self.metres += chord.metres
-        self.count += 1
+    @classmethod
+    def of(cls, chord: Chord, order: int) -> _Cell:
+        """Return the cell of one chord; `order` counts all chords."""
+        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
+        place = chord.east, chord.north
+        return cls(gap, course, *place, chord.sigma**2, 1, chord.metres, order)
 
     def join(self, other: _Cell) -> None:
         """Take what another cell holds."""
@@ -112,7 +107,7 @@ class CourseCells:
         """Take a chord."""
         self.chords += 1
         key = self._key(chord.east, chord.north, chord.course)
-        self._cells.setdefault(key, _Cell()).add(chord, self.chords)
+        self._cells.setdefault(key, _Cell()).join(_Cell.of(chord, self.chords))
         while len(self._cells) > self._tuning.most_cells:
             self._coarsen()
 
