@@ -160,10 +160,8 @@ class DisturbanceDetector:
         across : float
             Squared departure of the level field across north, over the squared strength.
         """
-        assert self._mean is not None
         tuning, old = self.tuning, self.amplitude_variance
-        strength = self._mean[0] / max(self._calibrated.strength, 1e-9) - 1.0
-        dip = self._mean[1] - self._calibrated.inclination
+        strength, dip = self._off(self._calibrated)
         most = tuning.largest_step**2 * old
         seen = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
         seen = (seen + min(across, most)) / 3.0
@@ -182,19 +180,21 @@ class DisturbanceDetector:
 
     def _distance(self, expected: Expected, tilt_variance: float) -> float:
         """Return how far the mean is from a field, in sigmas."""
-        assert self._mean is not None
-        strength = self._mean[0] / max(expected.strength, 1e-9) - 1.0
-        dip = self._mean[1] - expected.inclination
+        strength, dip = self._off(expected)
         common = self._noise + self.amplitude_variance
         of_strength = self.tuning.strength**2 + common
         of_dip = self.tuning.dip**2 + common + tilt_variance
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
+    def _off(self, expected: Expected) -> tuple[float, float]:
+        """Return how far the mean is from a field: strength, relative, and dip, radians."""
+        assert self._mean is not None
+        strength, dip = self._mean
+        return strength / max(expected.strength, 1e-9) - 1.0, dip - expected.inclination
+
     def _note(self, stamp: float, yaw: float) -> bool:
         """Write down the disturbance; returns whether it has lasted long enough."""
-        assert self._mean is not None
-        strength = self._mean[0] / max(self._expected.strength, 1e-9) - 1.0
-        dip = self._mean[1] - self._expected.inclination
+        strength, dip = self._off(self._expected)
         last = self.last
         if self._disturbed_since is None or last is None:
             self._disturbed_since = stamp
@@ -209,6 +209,7 @@ class DisturbanceDetector:
             accepts,
         )
         if accepts:
+            assert self._mean is not None
             self._expected = Expected(*self._mean)
             self._disturbed_since = None
         return accepts
