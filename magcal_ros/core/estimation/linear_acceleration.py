@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from magcal_ros.core.estimation.effect_choice import gyro_block, propagated, with_effects_that_show
 from magcal_ros.core.estimation.effects import Effect
@@ -208,7 +209,8 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
     bad = bad and shown < ACCELERATION.overwhelming
     chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
-    doubts = [min(_doubt(cost - costs[chosen]), 0.5) for cost in costs]
+    # How likely each explanation is beside the chosen one, by what it costs more.
+    doubts = [min(float(expit(0.5 * (costs[chosen] - cost))), 0.5) for cost in costs]
     if favour * shown <= 0.0 or abs(shown) <= ACCELERATION.clear:
         doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
     gaps = [
@@ -220,11 +222,6 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     if chosen == pull and path.bias_in_sigmas(gyro_block(fits[pull]).errors) > ACCELERATION.bias:
         chosen = BAD
     return Explanation(fits[chosen], max(gaps, default=0.0))
-
-
-def _doubt(cost: float) -> float:
-    """Return how likely an explanation is beside one that costs so much less."""
-    return 1.0 / (1.0 + math.exp(min(0.5 * cost, 50.0)))
 
 
 def _lean(pulled: Fit) -> float:

@@ -9,10 +9,10 @@ their mixture about the simpler one (Hoeting et al., "Bayesian model averaging",
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import expit
 
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.prior import SOFT_IRON_INDICES, Prior
@@ -118,7 +118,7 @@ class Look:
         if gain < rule.chance:
             return 0.0
         against = self.occam + rule.prior_odds - gain
-        likely = 1.0 / (1.0 + math.exp(min(0.5 * against, 50.0)))
+        likely = float(expit(-0.5 * against))
         return likely if likely > rule.least_probability else 0.0
 
 
