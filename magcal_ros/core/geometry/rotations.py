@@ -108,9 +108,7 @@ def chained(steps: FloatArray) -> FloatArray:
 
 def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
     """Turn by each of `angle` (n,) radians about the unit vector `axis`; shape (n, 3, 3)."""
-    k = skew(axis)
-    s, c = np.sin(angle)[:, None, None], (1.0 - np.cos(angle))[:, None, None]
-    return np.asarray(np.eye(3) + s * k + c * (k @ k))
+    return exp_rotations(angle[:, None] * axis)
 
 
 def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray:
