@@ -72,9 +72,7 @@ class Blame:
     explained: bool
 
 
-def blame(
-    explanations: Explanations, knowledge: Knowledge, told: Told, tuning: BlameTuning = TUNING
-) -> Blame:
+def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame:
     """Name the sensors whose axes err, or may err.
 
     Parameters
@@ -85,18 +83,17 @@ def blame(
         For the mounting that is known, and whether the inclination is.
     told : Told
         What a person did: an explanation that says otherwise is none.
-    tuning : BlameTuning, optional
     """
     best = explanations.best
     if explanations.rms[best] > AXES.worst_fit:
         finding = wrong("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,), best, None, False)
     misfit = explanations.misfit
-    remains = misfit < tuning.remains
+    remains = misfit < TUNING.remains
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, told)
-    if misfit[given] < tuning.wrong:
+    if misfit[given] < TUNING.wrong:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -106,7 +103,7 @@ def blame(
     least = min(len(rank[k]) for k in left)
     fewest = [k for k in left if len(rank[k]) == least]
     fewest.sort(key=lambda k: _order(explanations, k))
-    return _accused(explanations, fewest, rank, knowledge, tuning)
+    return _accused(explanations, fewest, rank, knowledge)
 
 
 def _contrary(explanations: Explanations, told: Told) -> BoolArray:
@@ -179,7 +176,6 @@ def _accused(
     fewest: list[int],
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
-    tuning: BlameTuning,
 ) -> Blame:
     """Write a line for every sensor that errs, or of which one errs."""
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
@@ -195,9 +191,9 @@ def _accused(
                 )
                 words.append((sensor, axes.said))
             elif sensor == "gyro":
-                words.append((sensor, _gyro_words(_distinct(explanations.gyro[ways]), tuning)))
+                words.append((sensor, _gyro_words(_distinct(explanations.gyro[ways]))))
             else:
-                words.append((sensor, _force_words(_distinct(explanations.gyro[ways]), tuning)))
+                words.append((sensor, _force_words(_distinct(explanations.gyro[ways]))))
     either = len(culprits) > 1
     names = " or ".join(" and ".join(sensors) for sensors in culprits)
     evidence = f"contradicted by the other sensors: {names}"
@@ -220,15 +216,15 @@ def _distinct(axes: FloatArray) -> FloatArray:
     return np.array(kept)
 
 
-def _gyro_words(candidates: FloatArray, tuning: BlameTuning) -> str:
-    said = "; or ".join(gyro_slip(axes) for axes in candidates[: tuning.most_named])
-    left = len(candidates) - tuning.most_named
+def _gyro_words(candidates: FloatArray) -> str:
+    said = "; or ".join(gyro_slip(axes) for axes in candidates[: TUNING.most_named])
+    left = len(candidates) - TUNING.most_named
     more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
     return f"the gyro's axes are not the accelerometer's: {said}{more}; mend it in the driver"
 
 
-def _force_words(candidates: FloatArray, tuning: BlameTuning) -> str:
-    said = "; or ".join(spoken(axes.T) for axes in candidates[: tuning.most_named])
+def _force_words(candidates: FloatArray) -> str:
+    said = "; or ".join(spoken(axes.T) for axes in candidates[: TUNING.most_named])
     return (
         "gyro and magnetometer agree and the accelerometer does not: in their axes the "
         f"accelerometer's are {said}; mend them in the driver"

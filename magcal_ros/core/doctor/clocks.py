@@ -43,28 +43,28 @@ class ClockTuning:
     longest: float = 7200.0
 
 
-def on_one_clock(
-    log: SensorLog, tuning: ClockTuning = ClockTuning()
-) -> tuple[SensorLog, tuple[Finding, ...]]:
+TUNING = ClockTuning()
+
+
+def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
     """Return the log with the field's stamps on the IMU's clock, and a line where they were not.
 
     Parameters
     ----------
     log : SensorLog
         Finite numbers, increasing stamps, at least two samples of each.
-    tuning : ClockTuning, optional
     """
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))
-    if min(ends) - max(starts) < tuning.shared * shorter:
+    if min(ends) - max(starts) < TUNING.shared * shorter:
         # What was recorded together began together, roughly.
         off = float(starts[1] - starts[0])
         log = replace(log, field_time=log.field_time - off)
-        rest = _apart(log, tuning)
+        rest = _apart(log)
         log = replace(log, field_time=log.field_time - rest)
         return log, (_line(off + rest),)
-    off = _apart(log, tuning)
+    off = _apart(log)
     if not off:
         return log, ()
     return replace(log, field_time=log.field_time - off), (_line(off),)
@@ -76,13 +76,13 @@ def _line(off: float) -> Finding:
     return wrong("clocks", "stamps: clocks", evidence, ONE_CLOCK)
 
 
-def _apart(log: SensorLog, tuning: ClockTuning) -> float:
+def _apart(log: SensorLog) -> float:
     """Return by how many seconds the field turns later than the gyro; zero for a mere latency."""
     first = min(log.imu_time[0], log.field_time[0])
     last = max(log.imu_time[-1], log.field_time[-1])
-    if not log.has_gyro or last - first > tuning.longest:
+    if not log.has_gyro or last - first > TUNING.longest:
         return 0.0
-    edges = np.arange(first, last + tuning.step, tuning.step)
+    edges = np.arange(first, last + TUNING.step, TUNING.step)
     gyro = np.linalg.norm(block_means(log.imu_time, log.rate, edges), axis=1)
     field = block_means(log.field_time, log.field, edges)
     moved = np.zeros(len(gyro))
@@ -93,8 +93,8 @@ def _apart(log: SensorLog, tuning: ClockTuning) -> float:
         return 0.0
     size = 2 * len(one)
     alike = np.fft.irfft(np.conj(np.fft.rfft(one, size)) * np.fft.rfft(two, size), size) / power
-    lag = np.fft.fftfreq(size, 1.0 / size) * tuning.step
-    near = float(alike[np.abs(lag) <= tuning.least].max())
+    lag = np.fft.fftfreq(size, 1.0 / size) * TUNING.step
+    near = float(alike[np.abs(lag) <= TUNING.least].max())
     best = int(np.argmax(alike))
-    plain = alike[best] > max(tuning.alike, near + tuning.better)
+    plain = alike[best] > max(TUNING.alike, near + TUNING.better)
     return float(lag[best]) if plain else 0.0

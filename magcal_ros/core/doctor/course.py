@@ -81,9 +81,7 @@ class AxesInUse:
     compass: Calibration
 
 
-def axes_in_use(
-    explanations: Explanations, k: int, knowledge: Knowledge, tuning: AxesYawTuning = TUNING
-) -> AxesInUse | None:
+def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> AxesInUse | None:
     """Return the compass that an explanation makes; None where the movement shows none.
 
     Parameters
@@ -94,7 +92,6 @@ def axes_in_use(
         Which one.
     knowledge : Knowledge
         Its mounting was taken off.
-    tuning : AxesYawTuning, optional
     """
     axes, state, sigma = (
         values[k] for values in (explanations.field, explanations.parameters, explanations.sigma)
@@ -103,7 +100,7 @@ def axes_in_use(
         return None
     up = explanations.part.stretch.up[0]
     level = float(np.linalg.norm(np.cross(state[FIELD], up)))
-    if not float(sigma[IRON].max()) < tuning.iron * level:
+    if not float(sigma[IRON].max()) < TUNING.iron * level:
         return None
     size = explanations.part.stretch.size
     to_axes = axes.T @ knowledge.mounting.to_body
@@ -121,7 +118,7 @@ def axes_in_use(
 
 
 def course_findings(
-    used: AxesInUse, seen: CourseSeen, tuning: AxesYawTuning = TUNING
+    used: AxesInUse, seen: CourseSeen
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
     """Return the lines, and the mounting that mends the yaw where it is wrong.
 
@@ -131,20 +128,19 @@ def course_findings(
         With which the course was compared.
     seen : CourseSeen
         What came of it.
-    tuning : AxesYawTuning, optional
     """
     lines = []
-    knows_imu = seen.imu_sigma < tuning.vague
+    knows_imu = seen.imu_sigma < TUNING.vague
     if knows_imu:
-        lines.append(_imu_yaw(seen, tuning))
-    if not seen.sigma < tuning.vague:
+        lines.append(_imu_yaw(seen))
+    if not seen.sigma < TUNING.vague:
         return [*lines, not_shown("field_yaw", NAME, LONGER)], None
     quarters = round(seen.gap / (0.5 * math.pi))
     evidence = (
         f"the compass is {math.degrees(seen.gap):+.0f} ± {math.degrees(seen.sigma):.0f}° off the "
         "course"
     )
-    if not quarters % 4 or abs(seen.gap - 0.5 * math.pi * quarters) > tuning.near:
+    if not quarters % 4 or abs(seen.gap - 0.5 * math.pi * quarters) > TUNING.near:
         return [*lines, looked_at("field_yaw", NAME, evidence)], None
     axes = np.rint(used.axes @ rotation_from_rpy(0.0, 0.0, -0.5 * math.pi * quarters))
     mount = mount_of(axes, used.pose)
@@ -159,7 +155,7 @@ def course_findings(
     return [*lines, wrong("field_yaw", NAME, evidence, either)], None
 
 
-def _imu_yaw(seen: CourseSeen, tuning: AxesYawTuning) -> Finding:
+def _imu_yaw(seen: CourseSeen) -> Finding:
     degrees = math.degrees(seen.imu_yaw)
     evidence = (
         f"looks {abs(degrees):.0f} ± {math.degrees(seen.imu_sigma):.0f}° to the "
@@ -169,5 +165,5 @@ def _imu_yaw(seen: CourseSeen, tuning: AxesYawTuning) -> Finding:
         f"turn the IMU's axes in the driver or its joint in the URDF by {degrees:.0f}° about z, or "
         f"set `vehicle_yaw_deg: {degrees:.0f}.0`"
     )
-    is_off = abs(seen.imu_yaw) > tuning.near
+    is_off = abs(seen.imu_yaw) > TUNING.near
     return looked_at("imu_yaw", "IMU: yaw in the vehicle", evidence, remedy * is_off)

@@ -57,7 +57,6 @@ def reference_findings(
     k: int,
     knowledge: Knowledge,
     up_is_down: bool | None = False,
-    tuning: PlaceTuning = TUNING,
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
     size = explanations.part.stretch.size
@@ -66,7 +65,7 @@ def reference_findings(
     strength = float(np.linalg.norm(vector)) * size
     off = float(np.linalg.norm(sigma[FIELD])) * size
     name, why = "field: at this place", "lift the nose by 20° while it turns"
-    if off > tuning.vague * strength:
+    if off > TUNING.vague * strength:
         return [not_shown("reference", name, why)]
     along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
     dip = -math.asin(max(-1.0, min(1.0, along)))
@@ -80,11 +79,11 @@ def reference_findings(
     if not believed.strength.is_unknown:
         spread = math.hypot(off, believed.strength.sigma)
         apart = abs(strength - believed.strength.value)
-        if apart > max(tuning.strength * believed.strength.value, tuning.sigmas * spread):
+        if apart > max(TUNING.strength * believed.strength.value, TUNING.sigmas * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        if abs(dip - believed.inclination.value) > max(tuning.inclination, tuning.sigmas * spread):
+        if abs(dip - believed.inclination.value) > max(TUNING.inclination, TUNING.sigmas * spread):
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
         f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
@@ -95,9 +94,7 @@ def reference_findings(
     return [looked_at("reference", name, evidence, remedy)]
 
 
-def motors_finding(
-    log: SensorLog, explanations: Explanations, k: int, tuning: PlaceTuning = TUNING
-) -> Finding:
+def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Finding:
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     Parameters
@@ -108,7 +105,6 @@ def motors_finding(
         What explains the axes, the bias and the hard iron.
     k : int
         Which explanation.
-    tuning : PlaceTuning, optional
     """
     name = "field: motors"
     state = explanations.parameters[k]
@@ -117,9 +113,9 @@ def motors_finding(
     time = log.field_time - state[LAG]
     iron = state[IRON] * explanations.part.stretch.size
     steps, spread = [], []
-    for moment, sign in _starts_and_stops(log, rate, tuning):
+    for moment, sign in _starts_and_stops(log, rate):
         since = sign * (time - moment)
-        low, high = ((since >= a) & (since <= b) for a, b in (tuning.before, tuning.after))
+        low, high = ((since >= a) & (since <= b) for a, b in (TUNING.before, TUNING.after))
         if min(low.sum(), high.sum()) < 4:
             continue
         still, moving = field[low], field[high]
@@ -142,13 +138,11 @@ def motors_finding(
         "drivers and battery wires, and twist each pair of wires"
     )
     return looked_at(
-        "motors", name, evidence, remedy * (size > max(tuning.motors, tuning.sigmas * 1.7 * off))
+        "motors", name, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
     )
 
 
-def _starts_and_stops(
-    log: SensorLog, rate: FloatArray, tuning: PlaceTuning
-) -> list[tuple[float, float]]:
+def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:
     """Return the moments in which the robot begins to turn (+1) and those in which it stops (-1).
 
     About its up: a hand that lifts the nose is no motor.
@@ -158,13 +152,13 @@ def _starts_and_stops(
     width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
     about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
     speed = np.abs(np.convolve(about, np.ones(width) / width, "same"))
-    found, resting, edge = [], bool(speed[0] < tuning.still), 0
+    found, resting, edge = [], bool(speed[0] < TUNING.still), 0
     for row in range(1, len(time)):
-        if speed[row] < tuning.still:
+        if speed[row] < TUNING.still:
             if not resting:
                 found.append((float(time[row]), -1.0))
             resting, edge = True, row
-        elif speed[row] > tuning.moves and resting:
+        elif speed[row] > TUNING.moves and resting:
             found.append((float(time[edge]), 1.0))
             resting = False
     return found

@@ -35,9 +35,10 @@ class GravityTurnsTuning:
     rounds: int = 3
 
 
-def gravity_misfit(
-    stretch: Stretch, ways: FloatArray, tuning: GravityTurnsTuning = GravityTurnsTuning()
-) -> FloatArray:
+TUNING = GravityTurnsTuning()
+
+
+def gravity_misfit(stretch: Stretch, ways: FloatArray) -> FloatArray:
     """Return how much worse than the best each way explains gravity's changes, chi-square (k,).
 
     A body that turns by a small angle d sees up change by -d x up.
@@ -48,11 +49,10 @@ def gravity_misfit(
         The movement.
     ways : ndarray, shape (k, 3, 3)
         Rows are the gyro's axes in the accelerometer's.
-    tuning : GravityTurnsTuning, optional
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
-    last = np.searchsorted(seconds, seconds + tuning.span)
+    last = np.searchsorted(seconds, seconds + TUNING.span)
     first = np.flatnonzero(last < len(seconds))
     last = last[first]
     if len(first) < 4:
@@ -68,10 +68,10 @@ def gravity_misfit(
     drift = -middle * (seconds[last] - seconds[first])[:, None, None]
     design = np.concatenate([np.broadcast_to(drift, (count, n, 3, 3)), moved[..., None]], axis=3)
     target = seen - moved
-    prior = np.diag([tuning.bias**-2.0] * 3 + [tuning.scale**-2.0])
+    prior = np.diag([TUNING.bias**-2.0] * 3 + [TUNING.scale**-2.0])
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
-    for _ in range(tuning.rounds):
+    for _ in range(TUNING.rounds):
         weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
         rows = design * weight[..., None, None]
         normal = np.einsum("knia,knib->kab", rows, design) + prior
@@ -79,7 +79,7 @@ def gravity_misfit(
         left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
         typical = np.sqrt(np.median(left, axis=1) / 2.37)
         cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
-        sigma = max(float(typical[np.argmin(cost)]), tuning.floor)
+        sigma = max(float(typical[np.argmin(cost)]), TUNING.floor)
     cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
     cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
     return np.asarray(cost - cost.min())

@@ -79,11 +79,10 @@ class Latency:
 
 
 TUNING = LatencyTuning()
+EACH_SAMPLE = LogStretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
-def field_latency(
-    log: SensorLog, explanations: Explanations, k: int, tuning: LatencyTuning = TUNING
-) -> Latency | None:
+def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
     """Return the field's latency by one explanation; None where there are too few samples.
 
     Parameters
@@ -94,24 +93,21 @@ def field_latency(
         What explains the axes, the bias and the hard iron.
     k : int
         Which explanation.
-    tuning : LatencyTuning, optional
     """
     state = explanations.parameters[k : k + 1].copy()
     before = float(state[0, LAG])
-    part = stretch_of_log(log, before, _each_sample(tuning))
+    part = stretch_of_log(log, before, EACH_SAMPLE)
     if part is None:
         return None
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= explanations.part.stretch.size / part.stretch.size
     axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    fit = AlignmentFit(part.stretch, axes, tuning.field, gyro)
-    found = _fitted(fit, state, part, log, None, tuning)
+    fit = AlignmentFit(part.stretch, axes, TUNING.field, gyro)
+    found = _fitted(fit, state, part, log, None)
     return Latency(before + found.lag, found.sigma)
 
 
-def force_latency(
-    log: SensorLog, explanations: Explanations, k: int, tuning: LatencyTuning = TUNING
-) -> Latency | None:
+def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
     """Return the accelerometer's latency, of which only what leans gravity shows anything.
 
     Takes the same as `field_latency`.
@@ -120,23 +116,19 @@ def force_latency(
     gyro, before = explanations.gyro[k : k + 1], 0.0
     found: Latency | None = None
     for _ in range(WEIGHED.looks):
-        part = stretch_of_log(gravity, before, _each_sample(tuning))
+        part = stretch_of_log(gravity, before, EACH_SAMPLE)
         if part is None:
             break
-        fit = AlignmentFit(part.stretch, np.eye(3)[None], tuning.force, gyro, with_up=False)
-        state = fit.descend(fit.start(), tuning.force.start_noise, tuning.steps)
+        fit = AlignmentFit(part.stretch, np.eye(3)[None], TUNING.force, gyro, with_up=False)
+        state = fit.descend(fit.start(), TUNING.force.start_noise, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        more = _fitted(fit, state, part, log, tuning.lever / part.stretch.size * lever, tuning)
+        more = _fitted(fit, state, part, log, TUNING.lever / part.stretch.size * lever)
         found = Latency(before + more.lag, more.sigma)
         if abs(more.lag) < WEIGHED.settled:
             break
         before = found.lag
     return found
-
-
-def _each_sample(tuning: LatencyTuning) -> LogStretchTuning:
-    return LogStretchTuning(fewest=tuning.most, most=tuning.most)
 
 
 def _fitted(
@@ -145,15 +137,14 @@ def _fitted(
     part: LogStretch,
     log: SensorLog,
     lever: FloatArray | None,
-    tuning: LatencyTuning,
 ) -> Latency:
     """Fit the latency with all that looks like it; `lever` (n, 3, 3) is of unit prior."""
     for _ in range(2):
         noise = fit.noise(state, 0)
-        state = fit.descend(state, noise, tuning.steps)
+        state = fit.descend(state, noise, TUNING.steps)
     attitude, moved = fit.propagate(state)
     residual = fit.residuals(state)[0][0]
-    walked = fit.field_turned(state, attitude, _walk(attitude, part.time, log, tuning))
+    walked = fit.field_turned(state, attitude, _walk(attitude, part.time, log))
     parts = [fit.field_jacobian(state, attitude, moved)[0], walked[0]]
     if lever is not None:
         parts.append(lever)
@@ -163,8 +154,8 @@ def _fitted(
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
     pull = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
-    for _ in range(tuning.rounds):
-        variance = _noise_around(left, part.time, tuning)
+    for _ in range(TUNING.rounds):
+        variance = _noise_around(left, part.time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         rows = (design * weight[:, None, None]).reshape(-1, count)
@@ -172,15 +163,15 @@ def _fitted(
         step = np.linalg.solve(information, rows.T @ residual.ravel() - pull)
         left = residual - design @ step
     covariance = np.linalg.inv(information)
-    off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), tuning.least)
+    off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)
     return Latency(float(state[0, LAG] + step[LAG]), off)
 
 
-def _noise_around(left: FloatArray, time: FloatArray, tuning: LatencyTuning) -> FloatArray:
+def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
     """Return the variance per axis around each moment, shape (n,): who moves is shaken."""
     power = np.sum(left**2, axis=1)
     usual = float(np.median(power))
-    width = max(1, int(tuning.shaken / max(float(np.median(np.diff(time))), 1e-4)))
+    width = max(1, int(TUNING.shaken / max(float(np.median(np.diff(time))), 1e-4)))
     calm = np.minimum(power, 20.0 * usual)
     near = np.convolve(calm, np.ones(width), "same") / np.convolve(
         np.ones_like(calm), np.ones(width), "same"
@@ -188,16 +179,14 @@ def _noise_around(left: FloatArray, time: FloatArray, tuning: LatencyTuning) -> 
     return np.asarray(np.maximum(near, 0.3 * usual) / 3.0)
 
 
-def _walk(
-    attitude: FloatArray, time: FloatArray, log: SensorLog, tuning: LatencyTuning
-) -> FloatArray:
+def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:
     """Return what each step of the gyro's random walk turns, of unit prior, (1, n, 3, m)."""
     span = float(time[-1] - time[0])
-    count = int(np.clip(span / tuning.walk_step, 1, tuning.walk_steps))
+    count = int(np.clip(span / TUNING.walk_step, 1, TUNING.walk_steps))
     seconds = span / count
     done = np.clip((time[:, None] - time[0]) / seconds - np.arange(count), 0.0, 1.0)
     period = float(np.median(np.diff(log.imu_time)))
     noise = float(white_noise(log.rate).max()) * math.sqrt(period)
-    size = math.hypot(noise, tuning.walk) * math.sqrt(seconds)
+    size = math.hypot(noise, TUNING.walk) * math.sqrt(seconds)
     each = size * attitude[..., None] * done[None, :, None, None, :]
     return np.asarray(each.reshape(*attitude.shape[:3], -1))

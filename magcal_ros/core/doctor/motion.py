@@ -111,9 +111,7 @@ class MotionFound:
     explained: bool = False
 
 
-def compare(
-    prepared: CleanLog, knowledge: Knowledge, told: Told = Told(), tuning: MotionTuning = TUNING
-) -> MotionFound:
+def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> MotionFound:
     """Compare accelerometer, gyro and field.
 
     Parameters
@@ -124,7 +122,6 @@ def compare(
         Its mounting is taken off; its inclination helps.
     told : Told
         What a person did.
-    tuning : MotionTuning, optional
     """
     log = prepared.log
     if not log.has_gyro:
@@ -134,7 +131,7 @@ def compare(
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
-    given, factor = _explained(body, rate_factors(part.stretch), knowledge, tuning)
+    given, factor = _explained(body, rate_factors(part.stretch), knowledge)
     if given is None:
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
     body = replace(body, rate=factor * body.rate)
@@ -146,12 +143,12 @@ def compare(
     findings = [_unit(factor), *stands.findings, *blamed.findings]
     if blamed.explained:
         findings += _gyro_errors(
-            explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped, tuning
+            explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped
         )
         if prepared.restamped:
             findings.append(not_shown("latency", "field: latency", NO_BURSTS))
         else:
-            findings += _latencies(body, explanations, blamed.chosen, tuning)
+            findings += _latencies(body, explanations, blamed.chosen)
     return MotionFound(
         tuple(findings),
         blamed.axes,
@@ -164,7 +161,7 @@ def compare(
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...], knowledge: Knowledge, tuning: MotionTuning
+    log: SensorLog, factors: tuple[float, ...], knowledge: Knowledge
 ) -> tuple[Explanations | None, float]:
     """Explain the movement with the unit of the gyro that fits best, a known one if it can be."""
     inclination = knowledge.reference.inclination
@@ -174,7 +171,7 @@ def _explained(
     if not found or (1.0 in factors and ways[factors.index(1.0)][0] is None):
         return None, factors[0]
     least = min(rms for _, _, rms in found)
-    return next((way, f) for way, f, rms in found if rms <= tuning.alike * least)
+    return next((way, f) for way, f, rms in found if rms <= TUNING.alike * least)
 
 
 def _field_moves(stretch: Stretch) -> bool:
@@ -209,7 +206,6 @@ def _gyro_errors(
     factor: float,
     rest: Rest | None,
     restamped: bool,
-    tuning: MotionTuning,
 ) -> list[Finding]:
     state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
     if not np.isfinite(sigma).all():
@@ -221,8 +217,8 @@ def _gyro_errors(
     bias = explanations.gyro[chosen] @ state[BIAS] / (1.0 + state[SCALE])
     spread = explanations.gyro[chosen] ** 2 @ sigma[BIAS] ** 2
     off = math.sqrt(float(spread.max()))
-    if rest is not None and rest.is_certain and off > tuning.vague[0]:
-        bias, off = rest.rate, tuning.at_rest
+    if rest is not None and rest.is_certain and off > TUNING.vague[0]:
+        bias, off = rest.rate, TUNING.at_rest
     size = float(np.linalg.norm(bias))
     words = ", ".join(f"{math.degrees(value):.2f}" for value in bias)
     evidence = f"({words}) ± {math.degrees(off):.2f} °/s"
@@ -232,45 +228,43 @@ def _gyro_errors(
         f"({as_published}) from its rates"
     )
     found = []
-    too_large = size > max(tuning.bias, tuning.sigmas * off)
+    too_large = size > max(TUNING.bias, TUNING.sigmas * off)
     # A vehicle's accelerations look like a bias while it turns: a rest must bear it out.
-    if off > tuning.vague[0] or (too_large and not _borne_out(rest, bias, tuning)):
+    if off > TUNING.vague[0] or (too_large and not _borne_out(rest, bias)):
         found.append(not_shown("gyro_bias", "gyro: bias", FULL_TURN))
     else:
         found.append(looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large))
     scale, off = float(state[SCALE]), float(sigma[SCALE])
     if restamped:
         return [*found, not_shown("rate_scale", "gyro: scale", NO_BURSTS)]
-    if off > tuning.vague[1]:
+    if off > TUNING.vague[1]:
         return [*found, not_shown("rate_scale", "gyro: scale", f"within {off:.1%}; {FULL_TURN}")]
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     remedy = f"multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
-    too_large = abs(scale) > max(tuning.scale, tuning.sigmas * off)
+    too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
     return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
 
 
-def _borne_out(rest: Rest | None, bias: FloatArray, tuning: MotionTuning) -> bool:
+def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
     if rest is None:
         return False
     size = float(np.linalg.norm(bias))
-    return float(np.linalg.norm(rest.rate - bias)) < max(tuning.bias, tuning.borne_out * size)
+    return float(np.linalg.norm(rest.rate - bias)) < max(TUNING.bias, TUNING.borne_out * size)
 
 
-def _latencies(
-    log: SensorLog, explanations: Explanations, chosen: int, tuning: MotionTuning
-) -> list[Finding]:
+def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
     field, force = (
         measured
-        if measured is not None and measured.sigma < max(vague, abs(measured.lag) / tuning.plain)
+        if measured is not None and measured.sigma < max(vague, abs(measured.lag) / TUNING.plain)
         else None
         for measured, vague in (
-            (field_latency(log, explanations, chosen), tuning.vague[2]),
-            (force_latency(log, explanations, chosen), tuning.vague[3]),
+            (field_latency(log, explanations, chosen), TUNING.vague[2]),
+            (force_latency(log, explanations, chosen), TUNING.vague[3]),
         )
     )
-    field_lag, force_lag = _significant(field, tuning), _significant(force, tuning)
-    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < tuning.lag:
+    field_lag, force_lag = _significant(field), _significant(force)
+    if field_lag * force_lag > 0.0 and abs(field_lag - force_lag) < TUNING.lag:
         of_field = of_force = (
             f"field and accelerometer agree that the gyro is {field_lag * 1e3:.0f} ms ahead: stamp "
             "it when it measures, and give it the accelerometer's low-pass filter"
@@ -294,9 +288,9 @@ def _latencies(
     ]
 
 
-def _significant(latency: Latency | None, tuning: MotionTuning) -> float:
+def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(tuning.lag, tuning.sigmas * latency.sigma):
+    if latency is None or abs(latency.lag) < max(TUNING.lag, TUNING.sigmas * latency.sigma):
         return 0.0
     return latency.lag
 

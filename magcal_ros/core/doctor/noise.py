@@ -28,6 +28,9 @@ class NoiseTuning:
     rate: float = 0.3
 
 
+TUNING = NoiseTuning()
+
+
 def white_noise(values: FloatArray) -> FloatArray:
     """Return the standard deviation of each column (n, d) about a smooth course.
 
@@ -38,9 +41,7 @@ def white_noise(values: FloatArray) -> FloatArray:
     return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / math.sqrt(6.0))
 
 
-def noise_findings(
-    log: SensorLog, factor: float = 1.0, tuning: NoiseTuning = NoiseTuning()
-) -> list[Finding]:
+def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
     """Look at the scatter of both sensors; each stream has three samples or more.
 
     Parameters
@@ -49,7 +50,6 @@ def noise_findings(
         The cleaned streams.
     factor : float
         What makes rad/s of the gyro's numbers.
-    tuning : NoiseTuning, optional
     """
     field = float(white_noise(log.field).max())
     words = (
@@ -57,11 +57,11 @@ def noise_findings(
         "wires"
     )
     evidence = f"{field * 1e6:.2f} µT per sample"
-    found = [looked_at("field_noise", "field: noise", evidence, words * (field > tuning.field))]
+    found = [looked_at("field_noise", "field: noise", evidence, words * (field > TUNING.field))]
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
         words = "the gyro is noisy: look at its range, its low-pass filter and how it is mounted"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
-        found.append(looked_at("imu_noise", "IMU: noise", evidence, words * (rate > tuning.rate)))
+        found.append(looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate)))
     return found

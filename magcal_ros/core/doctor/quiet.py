@@ -36,6 +36,9 @@ class QuietTuning:
     field: float = 0.008
 
 
+TUNING = QuietTuning()
+
+
 @dataclass(frozen=True, eq=False)
 class Rest:
     """The longest rest.
@@ -52,40 +55,39 @@ class Rest:
     is_certain: bool
 
 
-def longest_rest(log: SensorLog, tuning: QuietTuning = QuietTuning()) -> Rest | None:
+def longest_rest(log: SensorLog) -> Rest | None:
     """Return the longest rest; None if there was none.
 
     Parameters
     ----------
     log : SensorLog
         Finite numbers, increasing stamps, rates in rad/s.
-    tuning : QuietTuning, optional
     """
     begin = max(float(log.imu_time[0]), float(log.field_time[0]))
     end = min(float(log.imu_time[-1]), float(log.field_time[-1]))
-    count = int((end - begin) / tuning.block)
-    if count < tuning.blocks:
+    count = int((end - begin) / TUNING.block)
+    if count < TUNING.blocks:
         return None
-    edges: FloatArray = begin + tuning.block * np.arange(count + 1, dtype=np.float64)
+    edges: FloatArray = begin + TUNING.block * np.arange(count + 1, dtype=np.float64)
     rate, force = (block_means(log.imu_time, values, edges) for values in (log.rate, log.force))
     field = block_means(log.field_time, log.field, edges)
-    per_block = max(len(log.field) * tuning.block / max(end - begin, 1e-9), 1.0)
+    per_block = max(len(log.field) * TUNING.block / max(end - begin, 1e-9), 1.0)
     noise = np.median(np.abs(np.diff(log.field, axis=0))) / 0.95 / math.sqrt(per_block)
     size = float(np.median(np.linalg.norm(log.field, axis=1)))
     gravity = float(np.median(np.linalg.norm(log.force, axis=1)))
     stays = (
-        (_step(rate) < tuning.rate)
-        & (_step(force) < tuning.lean * gravity)
-        & (_step(field) < tuning.field * size + 4.0 * float(noise))
+        (_step(rate) < TUNING.rate)
+        & (_step(force) < TUNING.lean * gravity)
+        & (_step(field) < TUNING.field * size + 4.0 * float(noise))
     )
-    found = [run for run in runs(stays) if run[1] - run[0] >= tuning.blocks - 1]
+    found = [run for run in runs(stays) if run[1] - run[0] >= TUNING.blocks - 1]
     if not found:
         return None
     first, last = max(found, key=lambda run: run[1] - run[0])
     # A slow turn passes from block to block; over the whole of a rest it shows.
     moved = float(np.linalg.norm(field[last] - field[first]))
-    turned = float(np.linalg.norm(rate[first : last + 1].sum(axis=0))) * tuning.block
-    limit = tuning.field * size + 4.0 * float(noise)
+    turned = float(np.linalg.norm(rate[first : last + 1].sum(axis=0))) * TUNING.block
+    limit = TUNING.field * size + 4.0 * float(noise)
     would = 0.3 * size * min(turned, 1.0)
     if moved > limit + would:
         return None
