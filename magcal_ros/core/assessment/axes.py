@@ -215,9 +215,7 @@ def _signed(degrees: int) -> int:
     return degrees - 360 if degrees > 180 else degrees
 
 
-def find_axes(
-    window: Window, knowledge: Knowledge = Knowledge(), tuning: AxesTuning = TUNING
-) -> AxesFound | None:
+def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound | None:
     """Weigh all 48 ways in which the axes may lie.
 
     Parameters
@@ -227,14 +225,13 @@ def find_axes(
     knowledge : Knowledge, optional
         Its mounting is taken off first. Its inclination only tells apart what the gyro cannot: a
         field and its opposite.
-    tuning : AxesTuning, optional
 
     Returns
     -------
     AxesFound or None
         None where there is no gyro or too little movement to say anything.
     """
-    if window.angular_rate is None or len(window) < tuning.fewest:
+    if window.angular_rate is None or len(window) < TUNING.fewest:
         return None
     stretch = stretch_of(
         Window(
@@ -244,7 +241,7 @@ def find_axes(
             window.angular_rate,
         )
     )
-    if most_turned(stretch) < tuning.least_turn:
+    if most_turned(stretch) < TUNING.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
@@ -252,13 +249,13 @@ def find_axes(
     found = align(stretch, proper)
     dip = knowledge.reference.inclination
     pulls = np.array(
-        [[inclination_misfit(found, k, s, dip, tuning) for k in range(24)] for s in (1.0, -1.0)]
+        [[inclination_misfit(found, k, s, dip) for k in range(24)] for s in (1.0, -1.0)]
     )
     axes = np.concatenate([proper, -proper])
     misfit = np.concatenate([found.misfit, found.misfit]) + pulls.ravel()
     misfit -= misfit.min()
     rms = np.concatenate([found.rms, found.rms])
-    return _decide(axes, misfit, rms, found.tilt_spread > tuning.lift, knowledge, tuning)
+    return _decide(axes, misfit, rms, found.tilt_spread > TUNING.lift, knowledge)
 
 
 def _decide(
@@ -267,20 +264,19 @@ def _decide(
     rms: FloatArray,
     lifted: bool,
     knowledge: Knowledge,
-    tuning: AxesTuning,
 ) -> AxesFound:
     given = int(np.argmax([np.array_equal(each, AS_THEY_SHOULD_BE) for each in axes]))
     best = int(np.argmin(misfit))
-    dip_known, pose = dip_is_known(knowledge, tuning), knowledge.mounting.pose
-    if rms[best] > tuning.worst_fit:
+    dip_known, pose = dip_is_known(knowledge), knowledge.mounting.pose
+    if rms[best] > TUNING.worst_fit:
         return AxesFound(np.zeros((0, 3, 3)), False, pose, dip_known)
-    times = tuning.times_lifted if lifted else tuning.times
-    upside_down = misfit[given] - misfit[_opposite(given)] > tuning.wrong
+    times = TUNING.times_lifted if lifted else TUNING.times
+    upside_down = misfit[given] - misfit[_opposite(given)] > TUNING.wrong
     plainly = rms[given] > times * rms[best] or (lifted and upside_down)
-    wrong = misfit[given] > tuning.wrong and plainly
-    remaining = [k for k in range(len(axes)) if misfit[k] < tuning.remains]
+    wrong = misfit[given] > TUNING.wrong and plainly
+    remaining = [k for k in range(len(axes)) if misfit[k] < TUNING.remains]
     remaining = [k for k in remaining if not (wrong and k == given)]
-    remaining.sort(key=lambda k: (misfit[k] > tuning.likely, rank_of(axes[k])))
+    remaining.sort(key=lambda k: (misfit[k] > TUNING.likely, rank_of(axes[k])))
     return AxesFound(axes[remaining], not wrong, pose, dip_known)
 
 
@@ -289,10 +285,10 @@ def most_turned(stretch: Stretch) -> float:
     return float(np.ptp(np.cumsum(stretch.turn + stretch.coning, axis=0), axis=0).max())
 
 
-def dip_is_known(knowledge: Knowledge, tuning: AxesTuning = TUNING) -> bool:
+def dip_is_known(knowledge: Knowledge) -> bool:
     """Return whether the reference field tells axes from their opposites."""
     dip = knowledge.reference.inclination
-    return not dip.is_unknown and abs(dip.value) > tuning.least_dip
+    return not dip.is_unknown and abs(dip.value) > TUNING.least_dip
 
 
 def _opposite(k: int) -> int:
@@ -300,9 +296,7 @@ def _opposite(k: int) -> int:
     return (k + 24) % 48
 
 
-def inclination_misfit(
-    found: Alignment, k: int, sign: float, dip: Belief, tuning: AxesTuning = TUNING
-) -> float:
+def inclination_misfit(found: Alignment, k: int, sign: float, dip: Belief) -> float:
     """Return the chi-square of a candidate's inclination against the reference.
 
     Parameters
@@ -315,10 +309,9 @@ def inclination_misfit(
         -1 where the opposite of all its axes is meant.
     dip : Belief
         The reference inclination; one that is not known weighs nothing.
-    tuning : AxesTuning, optional
     """
     given_up = not np.isfinite(found.covariance[k]).all()
-    if dip.is_unknown or abs(dip.value) < tuning.least_dip or given_up:
+    if dip.is_unknown or abs(dip.value) < TUNING.least_dip or given_up:
         return 0.0
     state = found.parameters[k]
     up = state[UP] / np.linalg.norm(state[UP])
@@ -329,9 +322,9 @@ def inclination_misfit(
     slope = (up - along * field / size) / size / level
     variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
     # The gyro's own wandering looks like a small tilt, which shows nothing of the field.
-    variance += (tuning.attitude_error / max(found.tilt_spread, 1e-6)) ** 2
+    variance += (TUNING.attitude_error / max(found.tilt_spread, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
-    if variance > tuning.vaguest_dip**2:
+    if variance > TUNING.vaguest_dip**2:
         return 0.0
-    allowed = tuning.dip_sigma**2 + dip.sigma**2
+    allowed = TUNING.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)

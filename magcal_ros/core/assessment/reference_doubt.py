@@ -41,14 +41,14 @@ class DoubtTuning:
     shown: float = 10.0
 
 
+TUNING = DoubtTuning()
+
+
 def check_reference(
-    estimate: Estimate,
-    figures: Mapping[Figure, float],
-    knowledge: Knowledge,
-    tuning: DoubtTuning = DoubtTuning(),
+    estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
 ) -> Check | None:
     """Weigh the hard iron along the turn's axis; None where more than the reference shows it."""
-    if not knowledge.reference.is_complete or _is_shown(estimate, figures, tuning):
+    if not knowledge.reference.is_complete or _is_shown(estimate, figures):
         return None
     axial_field = -estimate.strength * math.sin(estimate.inclination)
     correction = estimate.correction
@@ -56,14 +56,14 @@ def check_reference(
     own, other = abs(axial), abs(axial + 2.0 * axial_field)
     words = f"hard iron along the turn's axis, by the reference field, {_microtesla(own)}"
     found = Grade.EXCELLENT
-    if own > tuning.noticeable * estimate.strength and own > tuning.several * other:
+    if own > TUNING.noticeable * estimate.strength and own > TUNING.several * other:
         found = Grade.WARN
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
             "reference.inclination_deg (positive where the field points down, as in the north), or "
             "turn on ramps"
         )
-    elif own > tuning.field * estimate.strength:
+    elif own > TUNING.field * estimate.strength:
         found = Grade.WARN
         words += (
             f", more than the field itself ({_microtesla(estimate.strength)}): check "
@@ -72,7 +72,7 @@ def check_reference(
     return Check(Figure.AXIAL_IRON, Aspect.CONFIDENCE, found, words)
 
 
-def _is_shown(estimate: Estimate, figures: Mapping[Figure, float], tuning: DoubtTuning) -> bool:
+def _is_shown(estimate: Estimate, figures: Mapping[Figure, float]) -> bool:
     """Whether the samples would contradict the other sign by themselves."""
     if Figure.INSTALLATION_YAW_SIGMA in figures or Figure.SPHERE_EXTENT in figures:
         return True
@@ -81,7 +81,7 @@ def _is_shown(estimate: Estimate, figures: Mapping[Figure, float], tuning: Doubt
     noise = math.hypot(estimate.noise_field, axial_field * estimate.noise_up)
     independent = count / max(figures.get(Figure.KAPPA, 1.0), 1.0)
     swing = 2.0 * axial_field * wobble * math.sqrt(2.0 * independent)
-    return swing > tuning.shown * noise
+    return swing > TUNING.shown * noise
 
 
 def _microtesla(value: float) -> str:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
-from magcal_ros.core.assessment.reference_doubt import DoubtTuning, check_reference
+from magcal_ros.core.assessment.reference_doubt import check_reference
 from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOUNDS
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
@@ -38,8 +38,6 @@ class VerdictTuning:
 
     Parameters
     ----------
-    bounds, drive_bounds : tuple of Bound
-        The bounds of the grades of a turn and of a drive, the weightiest first.
     chance, chance_with_soft_iron : float
         Heading sigmas of the whole turn by which its halves may differ; a half hardly shows
         iron.
@@ -75,12 +73,8 @@ class VerdictTuning:
         How far the accelerometer's length may be off gravity: excellent, good; beyond it warns.
     reasons : int
         How many reasons a summary names.
-    doubt : DoubtTuning
-        When the reference field may be the wrong one.
     """
 
-    bounds: tuple[Bound, ...] = TURN_BOUNDS
-    drive_bounds: tuple[Bound, ...] = DRIVE_BOUNDS
     chance: float = 3.0
     chance_with_soft_iron: float = 8.0
     allowed_sigmas: float = 2.0
@@ -97,7 +91,9 @@ class VerdictTuning:
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
     reasons: int = 2
-    doubt: DoubtTuning = field(default_factory=DoubtTuning)
+
+
+TUNING = VerdictTuning()
 
 
 @dataclass(frozen=True)
@@ -183,12 +179,7 @@ NOT_CONVERGED = (
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
-def judge(
-    estimate: Estimate,
-    knowledge: Knowledge,
-    window: Window | None = None,
-    tuning: VerdictTuning = VerdictTuning(),
-) -> Verdict:
+def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
     """Weigh an estimate.
 
     Parameters
@@ -199,26 +190,25 @@ def judge(
         What it was told beforehand.
     window : Window, optional
         The samples; without them gravity is not checked.
-    tuning : VerdictTuning
 
     Returns
     -------
     Verdict
     """
-    figures = judged_figures(estimate, tuning)
+    figures = judged_figures(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
-        if axis_share(window) < tuning.one_axis:
+        if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
-        elif estimate.arc > tuning.nearly_full:
+        elif estimate.arc > TUNING.nearly_full:
             figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
     is_drive = Figure.HEADINGS_DRIVEN in figures
-    bounds = tuning.drive_bounds if is_drive else tuning.bounds
-    checks = [_check(b, figures, knowledge, tuning) for b in bounds if b.figure in figures]
-    doubt = check_reference(estimate, figures, knowledge, tuning.doubt)
+    bounds = DRIVE_BOUNDS if is_drive else TURN_BOUNDS
+    checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
+    doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:
         checks.append(doubt)
-    checks.append(_check_strength(estimate.strength, knowledge, tuning))
+    checks.append(_check_strength(estimate.strength, knowledge))
     if Figure.GYRO_CARRIED in figures:
         holds = figures[Figure.GYRO_CARRIED] > 0.0
         checks.append(_check_flag(Figure.GYRO_CARRIED, holds, GYRO_EXPLAINS, GYRO_CONTRADICTS))
@@ -226,13 +216,13 @@ def judge(
         holds = figures[Figure.NOT_CONVERGED] == 0.0
         checks.append(_check_flag(Figure.NOT_CONVERGED, holds, CONVERGED, NOT_CONVERGED))
     if window is not None:
-        checks.append(_check_gravity(window, tuning))
-    not_shown = _not_shown(estimate, figures, knowledge, tuning, has_gyro=has_gyro)
+        checks.append(_check_gravity(window))
+    not_shown = _not_shown(estimate, figures, knowledge, has_gyro=has_gyro)
     verdict = Verdict(tuple(checks), not_shown, "")
-    return replace(verdict, summary=_summary(verdict, estimate, figures, tuning))
+    return replace(verdict, summary=_summary(verdict, estimate, figures))
 
 
-def judged_figures(estimate: Estimate, tuning: VerdictTuning) -> dict[Figure, float]:
+def judged_figures(estimate: Estimate) -> dict[Figure, float]:
     """Return every figure that can be graded; SI units."""
     figures = {
         Figure.ARC: estimate.arc,
@@ -241,38 +231,36 @@ def judged_figures(estimate: Estimate, tuning: VerdictTuning) -> dict[Figure, fl
     }
     figures |= common_figures(estimate) | dict(estimate.figures)
     with_iron = figures.get(Figure.HEADING_SIGMA_SOFT_IRON, 0.0)
-    if with_iron > tuning.several * figures[Figure.HEADING_SIGMA]:
+    if with_iron > TUNING.several * figures[Figure.HEADING_SIGMA]:
         figures[Figure.UNSEEN_SOFT_IRON] = with_iron
     return figures
 
 
-def _check(
-    bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge, tuning: VerdictTuning
-) -> Check:
+def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
     """Grade one figure; what chance or the reference's own uncertainty explains does not count."""
     figure = figures[bound.figure]
-    if bound.after_full and figures[Figure.AXIS_LEAN] > tuning.on_its_side:
+    if bound.after_full and figures[Figure.AXIS_LEAN] > TUNING.on_its_side:
         bound = replace(bound, remedy=Z_NOT_UP)
-    elif bound.after_full and figures[Figure.ARC] > tuning.nearly_full:
+    elif bound.after_full and figures[Figure.ARC] > TUNING.nearly_full:
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
         pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
-        if pull**2 > tuning.mostly_pull * figure**2:
+        if pull**2 > TUNING.mostly_pull * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:
-        bound = replace(bound, good=tuning.weighed_pull_deg)
+        bound = replace(bound, good=TUNING.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
         # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
         with_iron = figures.get(Figure.SOFT_IRON)
-        sigmas = tuning.chance_with_soft_iron if with_iron else tuning.chance
+        sigmas = TUNING.chance_with_soft_iron if with_iron else TUNING.chance
         chance = sigmas * figures[Figure.HEADING_SIGMA]
         excess = math.sqrt(max(figure**2 - chance**2, 0.0))
         note = f", of which chance may be {shown(chance * DEGREES)}°"
         return bound.check(figure, excess=excess, note=note)
     if bound.figure is Figure.RADIUS_MISFIT:
-        allowed = tuning.allowed_sigmas * _radius_sigma(knowledge)
+        allowed = TUNING.allowed_sigmas * _radius_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
     return bound.check(figure)
@@ -295,16 +283,16 @@ def refuse(refusal: Refusal) -> Verdict:
     return Verdict(checks, (), f"Refused: {words.rstrip('.')}.")
 
 
-def _check_strength(strength: float, knowledge: Knowledge, tuning: VerdictTuning) -> Check:
+def _check_strength(strength: float, knowledge: Knowledge) -> Check:
     microtesla = strength * 1e6
-    low, high = tuning.earths_field_ut
+    low, high = TUNING.earths_field_ut
     if not knowledge.reference.is_complete:
         # Where nothing is known, one turn can but guess it.
-        low, high = low / tuning.guessed, high * tuning.guessed
+        low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
     words = f"field strength {microtesla:.1f} µT"
     if grade is Grade.WARN:
-        least, most = tuning.beyond_iron_ut
+        least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
         hint = likely_field_unit(strength)
         words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
@@ -316,10 +304,10 @@ def _check_flag(figure: Figure, holds: bool, good: str, bad: str) -> Check:
     return Check(figure, Aspect.QUALITY, grade, good if holds else bad)
 
 
-def _check_gravity(window: Window, tuning: VerdictTuning) -> Check:
+def _check_gravity(window: Window) -> Check:
     size = float(np.median(np.linalg.norm(window.specific_force, axis=1)))
     misfit = abs(size / STANDARD_GRAVITY - 1.0)
-    excellent, good = tuning.gravity_misfits
+    excellent, good = TUNING.gravity_misfits
     grade = Grade.EXCELLENT if misfit <= excellent else Grade.GOOD
     words = f"acceleration at rest {size:.3g} m/s²"
     if not misfit <= good:
@@ -333,7 +321,6 @@ def _not_shown(
     estimate: Estimate,
     figures: Mapping[Figure, float],
     knowledge: Knowledge,
-    tuning: VerdictTuning,
     *,
     has_gyro: bool,
 ) -> tuple[str, ...]:
@@ -343,7 +330,7 @@ def _not_shown(
     elif Figure.INSTALLATION_YAW_SIGMA not in figures:
         found.append(NO_YAW)
     level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
-    least, times = tuning.costly
+    least, times = TUNING.costly
     if tilted > times * level and tilted > least:
         known = knowledge.reference.is_complete
         found.append(
@@ -358,13 +345,11 @@ def _not_shown(
     return tuple(found)
 
 
-def _summary(
-    verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float], tuning: VerdictTuning
-) -> str:
+def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, float]) -> str:
     grades = f"quality {verdict.quality.value}, confidence {verdict.confidence.value}"
     where = _drive_in_words(figures)
     if not verdict.accepted:
-        return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED, tuning)}."
+        return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED)}."
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
     words = (
         f"{grades}: heading ±{figures[Figure.HEADING_SIGMA] * DEGREES:.2f}° on the level, "
@@ -377,8 +362,8 @@ def _summary(
         if Figure.INSTALLATION_YAW_SIGMA in figures:
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
-    warnings = _reasons(verdict, Grade.WARN, tuning)
-    rough = " roughly" if figures[Figure.HEADING_SIGMA] > tuning.rough else ""
+    warnings = _reasons(verdict, Grade.WARN)
+    rough = " roughly" if figures[Figure.HEADING_SIGMA] > TUNING.rough else ""
     return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
 
 
@@ -393,8 +378,8 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
     return f" from {took} of ordinary driving, {way}{seen}"
 
 
-def _reasons(verdict: Verdict, grade: Grade, tuning: VerdictTuning) -> str:
+def _reasons(verdict: Verdict, grade: Grade) -> str:
     """Return the first reasons for a grade: the table holds the weightiest first."""
     words = [check.words for check in verdict.checks if check.grade is grade]
-    more = len(words) - tuning.reasons
-    return "; ".join(words[: tuning.reasons]) + (f"; and {more} more" if more > 0 else "")
+    more = len(words) - TUNING.reasons
+    return "; ".join(words[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")

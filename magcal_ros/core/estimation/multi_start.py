@@ -69,9 +69,7 @@ class Found:
     rival_gap: float
 
 
-def search(
-    guesses: list[State], samples: Samples, prior: Prior, options: MultiStart = MULTI_START
-) -> Found:
+def search(guesses: list[State], samples: Samples, prior: Prior) -> Found:
     """Follow every guess a little, the best of them to their optimum, and choose.
 
     Among rivals the smaller installation error wins.
@@ -81,7 +79,7 @@ def search(
     Refusal
         If no guess led anywhere.
     """
-    few = max(1, -(-len(samples) // options.sketch_samples))
+    few = max(1, -(-len(samples) // MULTI_START.sketch_samples))
     sketch = samples.take(slice(None, None, few))
     weighting = Weighting(FIRST_NOISE, Weights.ones(len(sketch)))
     followed = []
@@ -98,25 +96,23 @@ def search(
             "no installation and hard iron fit these samples; check the axes and repeat the turn",
         )
     followed.sort(key=lambda pair: pair[0])
-    fits = _distinct_optima([shared for _, shared in followed], samples, prior, options)
-    return _choose(fits, options)
+    fits = _distinct_optima([shared for _, shared in followed], samples, prior)
+    return _choose(fits)
 
 
-def _distinct_optima(
-    guesses: list[Globals], samples: Samples, prior: Prior, options: MultiStart
-) -> list[Fit]:
-    enough = thinned(samples, options.samples)
+def _distinct_optima(guesses: list[Globals], samples: Samples, prior: Prior) -> list[Fit]:
+    enough = thinned(samples, MULTI_START.samples)
     weighting = Weighting(FIRST_NOISE, Weights.ones(len(enough)))
     fits: list[Fit] = []
     tried: list[Globals] = []
     for guess in guesses:
-        if len(tried) == options.kept:
+        if len(tried) == MULTI_START.kept:
             break
-        if any(_distance(guess, other) < options.apart for other in tried):
+        if any(_distance(guess, other) < MULTI_START.apart for other in tried):
             continue
         tried.append(guess)
         fit = refined(Fit((FreeBlock.seated_at(guess, enough, weighting),), prior), ANNEALING)
-        if not any(_distance(fit.shared, other.shared) < options.same for other in fits):
+        if not any(_distance(fit.shared, other.shared) < MULTI_START.same for other in fits):
             fits.append(fit)
     return fits
 
@@ -127,10 +123,10 @@ def _distance(one: Globals, other: Globals) -> float:
     return max(turn, float(np.abs(one.hard_iron - other.hard_iron).max()))
 
 
-def _choose(fits: list[Fit], options: MultiStart) -> Found:
+def _choose(fits: list[Fit]) -> Found:
     costs = [_soft_evidence(fit) for fit in fits]
     factor = fits[int(np.argmin(costs))].block.weighting.inefficiency
-    limit = min(costs) + options.rival * factor
+    limit = min(costs) + MULTI_START.rival * factor
     rivals = [fit for fit, cost in zip(fits, costs, strict=True) if cost < limit]
     rivals.sort(key=lambda fit: rotation_angle(fit.shared.installation))
     if not rivals:

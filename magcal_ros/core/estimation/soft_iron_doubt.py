@@ -102,24 +102,23 @@ class Look:
     step: FloatArray
     covariance: FloatArray
 
-    def needed(self, most: float, rule: SoftIronRule = RULE) -> float:
+    def needed(self, most: float) -> float:
         """Return by how much chi-square must fall, per independent sample, for it to be fitted."""
-        return min(max(self.occam + rule.prior_odds, rule.least_fall), most)
+        return min(max(self.occam + RULE.prior_odds, RULE.least_fall), most)
 
-    def probability(self, gain: float, rule: SoftIronRule = RULE) -> float:
+    def probability(self, gain: float) -> float:
         """Return how likely soft iron is although it was left out.
 
         Parameters
         ----------
         gain : float
             Fall of chi-square, per independent sample, that the fit with soft iron found.
-        rule : SoftIronRule
         """
-        if gain < rule.chance:
+        if gain < RULE.chance:
             return 0.0
-        against = self.occam + rule.prior_odds - gain
+        against = self.occam + RULE.prior_odds - gain
         likely = float(expit(-0.5 * against))
-        return likely if likely > rule.least_probability else 0.0
+        return likely if likely > RULE.least_probability else 0.0
 
 
 def look_for_soft_iron(covariance: FloatArray, gradient: FloatArray, prior: Prior) -> Look:

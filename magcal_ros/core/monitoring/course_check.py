@@ -31,23 +31,20 @@ class CourseCheckTuning:
 
     Parameters
     ----------
-    once, twice : Bound
-        Of the swing once around, which is hard iron, and twice around, which is soft iron.
     clear : float
         Sigmas that count.
     sectors : int
         Courses, of eight, that must have been driven.
     """
 
-    once: Bound = SWING_ONCE
-    twice: Bound = SWING_TWICE
     clear: float = 4.0
     sectors: int = 4
 
 
-def check_by_course(
-    course: CourseOffset | None, tuning: CourseCheckTuning | None = None
-) -> tuple[Check, ...]:
+TUNING = CourseCheckTuning()
+
+
+def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
     """Grade a calibration by course; empty before enough courses were driven.
 
     Parameters
@@ -55,16 +52,14 @@ def check_by_course(
     course : CourseOffset or None
         Compass against course under the calibration in force, of a vehicle that goes where it
         looks.
-    tuning : CourseCheckTuning, optional
-        What is taken for granted.
     """
-    tuning = tuning or CourseCheckTuning()
-    if course is None or course.sectors < tuning.sectors:
+    if course is None or course.sectors < TUNING.sectors:
         return ()
     checks = []
-    for order, bound in ((1, tuning.once), (2, tuning.twice)):
+    # Once around is hard iron, twice around soft iron.
+    for order, bound in ((1, SWING_ONCE), (2, SWING_TWICE)):
         swing, sigmas = course.swing(order)
-        counts = swing if sigmas > tuning.clear else 0.0
+        counts = swing if sigmas > TUNING.clear else 0.0
         note = f" (± {math.degrees(swing / max(sigmas, 1e-9)):.1f}°)"
         checks.append(bound.check(swing, excess=counts, note=note))
     return tuple(checks)
