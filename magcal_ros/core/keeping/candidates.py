@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     HEADINGS,
@@ -92,10 +91,7 @@ class CourseSwing:
 
 def course_gain(old: Calibration, new: DriveCandidate, course: CourseSwing) -> float:
     """Return by how much of chi-square a candidate explains what course says of the old one."""
-    calibration = new.calibration
-    swung = swing(
-        old.correction, calibration.correction, calibration.strength, calibration.inclination
-    )
+    swung = swing(old, new.calibration)
     # The old compass reads the true yaw and its swing; its course is the yaw less the offset.
     way = np.arange(HEADINGS) * (math.tau / HEADINGS) - course.offset
     rows = np.column_stack([np.cos(way), np.sin(way), np.cos(2.0 * way), np.sin(2.0 * way)])
@@ -160,12 +156,13 @@ def candidate_of(
     )
 
 
-def swing(old: Correction, new: Correction, strength: float, dip: float) -> FloatArray:
+def swing(old: Calibration, new: Calibration) -> FloatArray:
     """Return yaw by the old less by the new one over headings of the new, (24,), radians.
 
     The constant is taken off: no drive shows it.
     """
-    turn = np.exp(1j * headings_apart(new, old, strength, dip))
+    apart = headings_apart(new.correction, old.correction, new.strength, new.inclination)
+    turn = np.exp(1j * apart)
     return np.asarray(np.angle(turn / turn.mean()))
 
 
@@ -179,5 +176,4 @@ def is_another(
 
 def difference(old: Calibration, new: Calibration) -> float:
     """Return the RMS over headings by which two calibrations differ, radians."""
-    swung = swing(old.correction, new.correction, new.strength, new.inclination)
-    return math.sqrt(float(np.mean(swung**2)))
+    return math.sqrt(float(np.mean(swing(old, new) ** 2)))
