@@ -132,9 +132,8 @@ def _fit_eigen_simple(points: FloatArray) -> Plane:
     centre, moved = centred(points, 3, "plane")
     scatter = moved.T @ moved / len(points)
     values, axes = np.linalg.eigh(scatter)
-    order = np.argsort(values)
-    _refuse_degenerate(np.sqrt(np.maximum(values[order], 0.0)), centre)
-    return Plane(axes[:, order[0]], centre, scatter, len(points))
+    _refuse_degenerate(np.sqrt(np.maximum(values, 0.0)), centre)
+    return Plane(axes[:, 0], centre, scatter, len(points))
 
 
 class PlaneFit(str, Enum):
