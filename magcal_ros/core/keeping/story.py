@@ -5,7 +5,6 @@ The same streams, up, speed and machine as in the node; fits are done at once.
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.travelling import Travelling
+from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
@@ -24,13 +23,9 @@ from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import (
-    PositionSample,
-    TravelSample,
-)
+from magcal_ros.core.samples.travel_samples import PositionSample, TravelSample
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
-from magcal_ros.core.up import UpFollower
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,12 +107,9 @@ class DriveTeller:
         machine: SelfCalibration | None = None,
     ) -> None:
         self._knowledge, self._begun, self._now = knowledge, calibration, calibration
-        self.streams = Streams(STREAMS.max_gap)
-        self._up = UpFollower()
-        self._travelling = Travelling()
+        self._streams = Streams(STREAMS.max_gap)
         self._machine = machine or SelfCalibration(Mode.APPLY)
         self._machine.put_in_force(calibration)
-        self._own: Triple | None = None
         self._points: list[_Point] = []
         self._fixes: list[PositionSample] = []
         self._decisions: list[tuple[float, Decision]] = []
@@ -127,20 +119,12 @@ class DriveTeller:
         self, readings: Iterable[ImuSample | FieldSample | None], travel: Iterable[TravelSample]
     ) -> None:
         """Take everything: readings in their order, travel by stamp."""
-        sensors = (reading for reading in readings if reading is not None)
-        for sample in heapq.merge(sensors, travel, key=lambda each: each.stamp):
-            if isinstance(sample, ImuSample):
-                if self.streams.add_imu(sample):
-                    bias = self._up.gyro_bias.rate
-                    self._own = self._travelling.add_imu(sample, bias)
-                    self._up.add(sample, self._own)
-            elif isinstance(sample, FieldSample):
-                if self.streams.add_field(sample):
-                    self._take_field(sample)
-            else:
-                self._travelling.add_travel(sample)
-                if isinstance(sample, PositionSample):
-                    self._fixes.append(sample)
+        ways = list(travel)
+        self._fixes = [each for each in ways if isinstance(each, PositionSample)]
+        companion = Companion(ways, self._streams)
+        for sample in companion.along(readings):
+            if isinstance(sample, FieldSample):
+                self._take_field(sample, companion)
 
     def story(self) -> DriveStory:
         """Return what became of it."""
@@ -155,20 +139,18 @@ class DriveTeller:
             self._path(),
         )
 
-    def _take_field(self, sample: FieldSample) -> None:
-        self._up.add_field(sample.stamp, sample.field)
-        imu = self.streams.newest_imu
+    def _take_field(self, sample: FieldSample, companion: Companion) -> None:
+        imu = self._streams.newest_imu
         if imu is None or not math.isfinite(imu.rate[0]):
             return
         if math.isnan(self._first):
             self._first = sample.stamp
         self._last = sample.stamp
-        track = self._travelling.speedometer.track
-        speed = math.nan if track is None else track.last
+        speed = companion.speed
         x, y, z = imu.force
-        a, b, c = self._own or (0.0, 0.0, 0.0)
+        a, b, c = companion.own
         force = (x - a, y - b, z - c)
-        up = self._up.newest
+        up = companion.up.newest
         due = self._points[-1].stamp + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
             self._points.append(_Point(sample.stamp, sample.field, up, speed))

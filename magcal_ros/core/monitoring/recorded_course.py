@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,15 +9,14 @@ from typing import Any
 
 from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
-from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import TravelSample
-from magcal_ros.core.up import UpFollower
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,22 +77,14 @@ def recorded_course(
     travel : iterable
         What receiver and wheels said, by stamp.
     """
-    streams, up, travelling = Streams(STREAMS.max_gap), UpFollower(), Travelling()
-    compass = Compass(calibration)
-    sensors = (reading for reading in readings if reading is not None)
-    for sample in heapq.merge(sensors, travel, key=lambda each: each.stamp):
-        if isinstance(sample, ImuSample):
-            if streams.add_imu(sample):
-                up.add(sample, travelling.add_imu(sample, up.gyro_bias.rate))
-        elif isinstance(sample, FieldSample):
-            if streams.add_field(sample):
-                up.add_field(sample.stamp, sample.field)
-                beside = up.at(sample.stamp, STREAMS.max_gap)
-                heading = Moment.of(compass, sample, beside, None).heading
-                if heading is not None:
-                    travelling.add_yaw(heading.yaw)
-        else:
-            travelling.add_travel(sample)
+    companion, compass = Companion(travel, Streams(STREAMS.max_gap)), Compass(calibration)
+    travelling = companion.travelling
+    for sample in companion.along(readings):
+        if isinstance(sample, FieldSample):
+            up = companion.up.at(sample.stamp, STREAMS.max_gap)
+            heading = Moment.of(compass, sample, up, None).heading
+            if heading is not None:
+                travelling.add_yaw(heading.yaw)
     course = travelling.fit_course()
     if course is None:
         return None
