@@ -35,6 +35,9 @@ SETTLE = 0.8
 """Seconds of the robot's time until what is published speaks of a new pose alone. The yaw comes
 without a stamp, and on a busy machine later than the attitude that has one."""
 
+QUIET = 0.01
+"""Seconds in which nothing more is heard once the queues are empty."""
+
 
 class Rehearsal:
     """Drives a simulated robot and calls the node's services.
@@ -142,6 +145,13 @@ class Rehearsal:
             if left <= 0.0:
                 return
 
+    def _hear_out(self) -> None:
+        """Take what still lies in the queues: yaws carry no stamp, and some are of before."""
+        heard = -1
+        while heard < len(self.yaws):
+            heard = len(self.yaws)
+            self._spin_until(time.monotonic() + QUIET)
+
     def calibrate(
         self,
         show: Callable[[dict[str, Any]], None] = lambda _: None,
@@ -177,6 +187,7 @@ class Rehearsal:
             # By the stamps of the answers: a busy machine may be behind by any time.
             settled = self.ride.stamp + SETTLE
             self.run(PATIENCE, stop=lambda: self._answered >= settled)
+            self._hear_out()
             self.yaws.clear()
             self.run(PATIENCE, stop=lambda: len(self.yaws) >= SAMPLES_PER_HEADING)
             if not self.yaws:
