@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_ros.core.calibrate import predicted_sigma
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, runs
 from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
@@ -234,18 +234,14 @@ def turning_span(drive: Drive) -> tuple[float, float] | None:
     half = 0.5 * TURNING_MEAN
     ahead, behind = (np.interp(time + way, time, drive.gyro_yaw) for way in (half, -half))
     turning = np.abs(ahead - behind) > TURNING_RATE * TURNING_MEAN
-    longest = max(_runs(turning), key=lambda run: time[run[1]] - time[run[0]], default=None)
+    found = [(begin, end - 1) for begin, end in runs(turning)]
+    longest = max(found, key=lambda run: time[run[1]] - time[run[0]], default=None)
     if longest is None:
         return None
     first, last = float(time[longest[0]]), float(time[longest[1]])
     turned = abs(float(drive.gyro_yaw[longest[1]] - drive.gyro_yaw[longest[0]]))
     covers = last - first > 0.95 * (time[-1] - time[0])
     return None if turned < math.tau or covers else (first, last)
-
-
-def _runs(mask: BoolArray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(int)))
-    return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
 
 
 def _live_window(

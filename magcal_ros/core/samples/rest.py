@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array, runs
 
 
 @dataclass(frozen=True)
@@ -232,8 +232,7 @@ class _Blocks:
 
 def _runs(stays: BoolArray) -> list[tuple[int, int]]:
     """Return first block and end of every stretch in which each block stays with the next ones."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], stays, [False]]).astype(int)))
-    return [(int(a), int(b) + TUNING.at_least - 1) for a, b in edges.reshape(-1, 2)]
+    return [(first, end + TUNING.at_least - 1) for first, end in runs(stays)]
 
 
 def _chord(rates: FloatArray, radius: float) -> float:

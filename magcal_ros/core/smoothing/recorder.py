@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
@@ -173,10 +173,9 @@ class DriveRecorder:
 
     def _bias_at(self, time: FloatArray) -> FloatArray:
         """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
-        rates = np.array([rest.rate for rest in self._rested])
         # One before any movement was when that began.
         clocks = np.maximum([rest.clock for rest in self._rested], time[0] if len(time) else 0.0)
-        return np.column_stack([np.interp(time, clocks, rates[:, k]) for k in range(3)])
+        return interpolated(time, clocks, np.array([rest.rate for rest in self._rested]))
 
     def _close(self) -> bool:
         """End a row, and a chunk of them now and then."""
