@@ -21,12 +21,17 @@ class FieldStillness:
     ----------
     tuning : RestTuning
         What is taken for granted.
+
+    Attributes
+    ----------
+    mean : tuple of float
+        The field of the moment, averaged over some tenths of a second.
     """
 
     def __init__(self, tuning: RestTuning) -> None:
         self._tuning = tuning
         self._stamp = -math.inf
-        self._last = self._mean = ZERO
+        self._last = self.mean = ZERO
         self._noise = 0.0
         self._begin()
 
@@ -45,11 +50,11 @@ class FieldStillness:
         seconds = stamp - self._stamp
         self._stamp = stamp
         if not 0.0 < seconds < self._tuning.field_lasts:
-            self._mean, self._noise = field, 0.0
+            self.mean, self._noise = field, 0.0
             self._begin()
         else:
             share = min(1.0, seconds / self._tuning.field_mean)
-            self._mean = between(self._mean, field, share)
+            self.mean = between(self.mean, field, share)
             # Half the square of a difference is the noise.
             square = distance(field, self._last) ** 2 / 6.0
             self._noise += 0.2 * share * (square - self._noise)
@@ -76,7 +81,7 @@ class FieldStillness:
         if not seconds > 2.0 * self._tuning.field_mean:
             return None
         bound = self._tuning.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
-        change = distance(self._mean, self._first)
+        change = distance(self.mean, self._first)
         noise = self._tuning.clear * math.sqrt(2.0 * self._noise / self._first_count)
         if change + noise < bound:
             return False

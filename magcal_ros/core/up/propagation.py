@@ -11,6 +11,7 @@ from magcal_ros.core.geometry.vec3 import Triple, distance, dot, length, propaga
 from magcal_ros.core.up.field_stillness import FieldStillness
 from magcal_ros.core.up.filter import UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
+from magcal_ros.core.up.shaken_rest import ShakenRest
 from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
 from magcal_ros.core.up.up_tuning import UpTuning
 
@@ -80,6 +81,7 @@ class GyroPropagation:
         self.variance = math.inf
         self.check = GyroCheck(tuning.check)
         self.field = FieldStillness(tuning.rest)
+        self._shaken = ShakenRest(tuning.shaken)
         self._filter = UpFilter(tuning.filter)
         self._noise = tuning.propagation.starting_noise**2
         self._rate_noise = tuning.propagation.starting_rate_noise**2
@@ -95,6 +97,7 @@ class GyroPropagation:
         self._block = Block()
         self._spell = SteadySpell(self.tuning.rest)
         self.field.begin()
+        self._shaken.forget()
         self._is_still = self.is_settled = False
         self.check.restart()
         self.up = force
@@ -175,6 +178,7 @@ class GyroPropagation:
             self._learn(means, doubt, noise)
         if not self._is_rest_seen and doubt is None:
             self._guess_rest(means.force, noise, block.count)
+        self._look_for_shaken_rest(means)
         self._take_over()
 
     def _turn_doubt(self) -> float | None:
@@ -212,6 +216,19 @@ class GyroPropagation:
         floor = self.tuning.rest.length_floor
         self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))
         self._is_rest_seen = True
+
+    def _look_for_shaken_rest(self, means: BlockMeans) -> None:
+        """Learn bias and up from a robot that stands and is shaken."""
+        if not self.field.is_heard(self._stamp):
+            self._shaken.forget()
+            return
+        shown = self._shaken.add(means, self.field.mean)
+        following, tuning = self._filter, self.tuning
+        if shown is None or self.is_settled or length(shown.rate) > tuning.filter.largest_bias:
+            return
+        following.observe_bias(np.array(shown.rate), shown.variance, None)
+        following.begin(np.array(shown.force), tuning.shaken.up**2, tuning.filter.steady_sigma(0.0))
+        following.forget_acceleration(self._acceleration_sigma(means.rate))
 
     def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
         """Until the robot was seen at rest, take its length while it turns for that at rest."""

@@ -142,6 +142,33 @@ class RestTuning:
 
 
 @dataclass(frozen=True)
+class ShakenRestTuning:
+    """When a robot stands although its engine shakes it.
+
+    Parameters
+    ----------
+    span, spans : float, int
+        Seconds that are averaged, and how many averages must agree.
+    force, rate : float
+        g and rad/s by which each may be off their mean.
+    field : float
+        The same of the raw field, as a share of it.
+    sigma : float
+        rad/s per axis, of the bias at the least: a turn that the field does not show.
+    up : float
+        g, of the mean force as up.
+    """
+
+    span: float = 1.0
+    spans: int = 4
+    force: float = 0.015
+    rate: float = math.radians(0.5)
+    field: float = 0.004
+    sigma: float = math.radians(0.1)
+    up: float = 0.01
+
+
+@dataclass(frozen=True)
 class PropagationTuning:
     """How messages are gathered for the filter.
 
@@ -235,6 +262,7 @@ class UpTuning:
 
     filter: FilterTuning = field(default_factory=FilterTuning)
     rest: RestTuning = field(default_factory=RestTuning)
+    shaken: ShakenRestTuning = field(default_factory=ShakenRestTuning)
     propagation: PropagationTuning = field(default_factory=PropagationTuning)
     check: GyroCheckTuning = field(default_factory=GyroCheckTuning)
     levelling: LevellingTuning = field(default_factory=LevellingTuning)
