@@ -226,9 +226,13 @@ class GyroPropagation:
         following, tuning = self._filter, self.tuning
         if shown is None or self.is_settled or length(shown.rate) > tuning.filter.largest_bias:
             return
-        following.observe_bias(np.array(shown.rate), shown.variance, None)
-        following.begin(np.array(shown.force), tuning.shaken.up**2, tuning.filter.steady_sigma(0.0))
-        following.forget_acceleration(self._acceleration_sigma(means.rate))
+        # A slow turn about up would hardly move the field by more than what passes by does.
+        axis = np.array(unit_triple(shown.force))
+        following.observe_bias(np.array(shown.rate), shown.variance, axis)
+        sigma, up = tuning.shaken.up, following.up.tolist()
+        if distance(unit_triple(shown.force), unit_triple(up)) > tuning.rest.clear * sigma:
+            following.begin(np.array(shown.force), sigma**2, tuning.filter.steady_sigma(0.0))
+            following.forget_acceleration(self._acceleration_sigma(means.rate))
 
     def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
         """Until the robot was seen at rest, take its length while it turns for that at rest."""

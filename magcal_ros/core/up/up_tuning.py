@@ -154,16 +154,16 @@ class ShakenRestTuning:
     field : float
         The same of the raw field, as a share of it.
     sigma : float
-        rad/s per axis, of the bias at the least: a turn that the field does not show.
+        rad/s per axis across up, of the bias at the least.
     up : float
         g, of the mean force as up.
     """
 
     span: float = 1.0
     spans: int = 4
-    force: float = 0.015
+    force: float = 0.007
     rate: float = math.radians(0.5)
-    field: float = 0.004
+    field: float = 0.012
     sigma: float = math.radians(0.1)
     up: float = 0.01
 
