@@ -30,7 +30,7 @@ from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
@@ -217,7 +217,7 @@ def motors(size: float, *, signed: bool = False) -> Spoil:
 def late(seconds: float) -> Spoil:
     def spoil(_: np.random.Generator, scene: Scene) -> Scene:
         time, raw = scene.window.time, scene.window.field
-        moved = np.column_stack([np.interp(time - seconds, time, raw[:, k]) for k in range(3)])
+        moved = interpolated(time - seconds, time, raw)
         return with_field(scene, moved - raw)
 
     return spoil

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -77,8 +77,11 @@ class Window:
 
     def take(self, rows: BoolArray | IntArray) -> Window:
         """Return the window of the chosen rows, a mask or increasing indices."""
-        rate = None if self.angular_rate is None else self.angular_rate[rows]
-        force = self.specific_force[rows]
-        turned = None if self.turned is None else self.turned[rows]
-        time, field, rests = self.time[rows], self.field[rows], self.rests
-        return Window(time, field, force, rate, turned, rests, self.sigma_before)
+        return replace(
+            self,
+            time=self.time[rows],
+            field=self.field[rows],
+            specific_force=self.specific_force[rows],
+            angular_rate=None if self.angular_rate is None else self.angular_rate[rows],
+            turned=None if self.turned is None else self.turned[rows],
+        )

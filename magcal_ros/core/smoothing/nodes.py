@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry.rotations import exp_rotations, turns_about_z
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
@@ -179,7 +179,7 @@ def yaw_steps(time: FloatArray, rate: FloatArray, level: FloatArray) -> FloatArr
     """Return by how much body x turned about up from each sample to the next, shape (m - 1,)."""
     vectors = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
     step = level[1:] @ exp_rotations(-vectors) @ np.swapaxes(level[:-1], 1, 2)
-    return np.asarray(-np.arctan2(step[:, 1, 0] - step[:, 0, 1], step[:, 0, 0] + step[:, 1, 1]))
+    return -turns_about_z(step)
 
 
 def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:

@@ -78,7 +78,7 @@ class UpFollower:
         """The same where a rest has shown it; None before any."""
         bias = self.gyro_bias
         sigma = math.sqrt(bias.variance)
-        if sigma > self._tuning.filter.rested_bias or not self.is_propagated:
+        if sigma > self._tuning.filter.seen_at_rest or not self.is_propagated:
             return None
         return GyroAtRest(bias.rate, sigma)
 

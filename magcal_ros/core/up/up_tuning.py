@@ -22,8 +22,8 @@ class FilterTuning:
     bias_sigma : float
         rad/s per axis. A gyro's bias before it was seen at rest; cheap gyros reach 0.09 (5°/s),
         which is learnt as soon as the robot rests.
-    rested_bias : float
-        rad/s about up, where only a rest shows it: it has been seen if it is known so well.
+    seen_at_rest : float
+        rad/s. A bias about up that is known so well was seen at rest: nothing else shows it.
     bias_walk : float
         rad/s per root second.
     largest_bias : float
@@ -56,7 +56,7 @@ class FilterTuning:
 
     unknown: float = 1.0
     bias_sigma: float = 0.006
-    rested_bias: float = 0.002
+    seen_at_rest: float = 0.002
     bias_walk: float = 1e-4
     largest_bias: float = 0.16
     angle_walk: float = 3e-4
