@@ -121,7 +121,17 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
-    """Open a recording: those topics and that part of it which the options name."""
+    """Open a recording: those topics and that part of it which the options name.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be read.
+    Misuse
+        If the topics or the span are not clear.
+    """
+    if not options.start < options.stop:
+        raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
     return open_recording(recording, **chosen, **span)
@@ -137,8 +147,6 @@ def gather(options: argparse.Namespace, mounting: Mounting, recording: Path) -> 
     Misuse
         If the topics or the span are not clear.
     """
-    if not options.start < options.stop:
-        raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     with opened(options, recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
         gathering.take(watched(source, sys.stderr), source.travel())

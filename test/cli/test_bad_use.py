@@ -125,6 +125,15 @@ def test_a_rate_that_is_none_is_misuse(call, folder, rate):
     assert call("replay", str(folder), f"--rate={rate}").returncode == Exit.USAGE
 
 
+@pytest.mark.parametrize("command", ["fit", "doctor", "drive"])
+def test_a_span_that_ends_before_it_begins_is_misuse(call, folder, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    done = call(command, str(folder), "--from", "9", "--to", "3")
+    assert done.returncode == Exit.USAGE
+    assert b"--from 9 must come before --to 3" in done.stderr
+    assert is_one_line(done)
+
+
 class TestRos:
     @pytest.fixture(autouse=True)
     def ros(self):
