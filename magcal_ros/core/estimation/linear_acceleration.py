@@ -164,22 +164,35 @@ def _by_rests(start: Fit, plain: Fit) -> Explanation:
     none, pull = (propagated_evidence(fit, factor) for fit in (plain, pulled))
     if none < pull + ACCELERATION.needed:
         return Explanation(plain)
-    own = _leans_at_rest(pulled)
-    return Explanation(plain if own else pulled, own_lean=own)
+    share, sigma = _own_share(pulled)
+    own = share > 0.5
+    leaning = propagated(start, path.turned(_own_lean(pulled)), start.prior)
+    neglected = math.hypot(1.0 - share if own else share, sigma)
+    gap = min(neglected, 1.0) * heading_gap(leaning, pulled)
+    return Explanation(plain if own else pulled, gap, own_lean=own)
 
 
-def _leans_at_rest(pulled: Fit) -> bool:
-    """Return whether most of a pull is there at rest, where nothing pulls."""
+def _own_share(pulled: Fit) -> tuple[float, float]:
+    """Return which share of a pull is there at rest, where nothing pulls, and its sigma.
+
+    The gyro carries up from the turn to the rest, and what it drifts by, it loses. What it leaves
+    open is left to what is usual of accelerometers and vehicles.
+    """
     block = gyro_block(pulled)
     shared, path = block.place.state.shared, block.path
-    shares = []
+    size = _lean(pulled)
+    leans = []
     for rest in path.rests:
         row = 0 if rest.is_before else -1
         body = shared.body_axis @ block.place.state.attitude[row] @ shared.world_axis.T
         upright = rest.relative @ path.relative[row].T @ body[:, 2]
         lean = unit(rest.seen.force) - upright
-        shares.append(float(lean @ block.acceleration))
-    return float(np.mean(shares)) > 0.5 * float(block.acceleration @ block.acceleration)
+        leans.append(float(lean @ block.acceleration) / size)
+    walked = block.drift * math.sqrt(path.knots * path.spacing / 3.0 / len(leans))
+    lost = math.hypot(walked, _chance_of_mean(block))
+    weights = np.array([lost, ACCELERATION.own_lean, _able(block)]) ** -2.0
+    own = weights @ [float(np.mean(leans)), 0.0, size] / weights.sum()
+    return float(np.clip(own / size, 0.0, 1.0)), 1.0 / (size * math.sqrt(weights.sum()))
 
 
 def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
@@ -272,12 +285,16 @@ def _cost_of_own_lean(leaning: Fit, pulled: Fit) -> float:
 def _cost_of_pull(fit: Fit) -> float:
     """Return what a pull costs: it follows the rate, and who is pulled is jolted, too."""
     block = gyro_block(fit)
-    able = max(ACCELERATION.jolted * _jolts(block), ACCELERATION.least_pull)
-    able = min(able, block.path.known.acceleration)
     pull = block.path.found(block.errors, Effect.PULL)
     size, amiss = (float(np.linalg.norm(pull[rows])) for rows in (MEAN, AMISS))
     unlike = amiss / (ACCELERATION.amiss * max(size, 1e-6))
-    return _cost_of_lean(size, able) + unlike**2 + _cost_of_bias(fit)
+    return _cost_of_lean(size, _able(block)) + unlike**2 + _cost_of_bias(fit)
+
+
+def _able(block: GyroBlock) -> float:
+    """Return by how much a robot that is jolted so may be pulled, over gravity: one sigma."""
+    able = max(ACCELERATION.jolted * _jolts(block), ACCELERATION.least_pull)
+    return min(able, block.path.known.acceleration)
 
 
 def _jolts(block: GyroBlock) -> float:
@@ -381,10 +398,15 @@ def _is_strained(plain: Fit) -> bool:
     counted = block.weighting.weights.sample
     count = max(float(counted.sum()), 1.0)
     mean = float(np.linalg.norm(counted @ block.place.prediction.up_residual)) / count
-    chance = block.weighting.noise.up * np.sqrt(block.weighting.inefficiency / count)
     return bool(
         block.path.bias_in_sigmas(block.errors) > ACCELERATION.bias
-        or mean > ACCELERATION.stray * chance
+        or mean > ACCELERATION.stray * _chance_of_mean(block)
         or block.drift > ACCELERATION.drift * DRIFT.usual
         or block.weighting.inefficiency > ACCELERATION.inefficiency
     )
+
+
+def _chance_of_mean(block: GyroBlock) -> float:
+    """Return the sigma that chance leaves to the mean of up's residuals, radians."""
+    count = max(float(block.weighting.weights.sample.sum()), 1.0)
+    return block.weighting.noise.up * math.sqrt(block.weighting.inefficiency / count)

@@ -153,6 +153,12 @@ class UpFilter:
         spread = shown @ gain_rows[3:6] + noise
         self._correct(gain_rows, spread, shown @ (rate - self.state[3:6]))
 
+    def admit_bias(self, rate: FloatArray) -> None:
+        """Allow for a bias that lies further off than what was known of it."""
+        gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
+        if float(gap @ gap) > self.tuning.implausible**2 * float(np.trace(own)):
+            own += IDENTITY * float(gap @ gap)
+
     def bound_bias(self) -> None:
         """Keep the bias within what a gyro can have."""
         size = length(self.state[3:6].tolist())

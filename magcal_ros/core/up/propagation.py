@@ -227,8 +227,9 @@ class GyroPropagation:
         if shown is None or self.is_settled or length(shown.rate) > tuning.filter.largest_bias:
             return
         # A slow turn about up would hardly move the field by more than what passes by does.
-        axis = np.array(unit_triple(shown.force))
-        following.observe_bias(np.array(shown.rate), shown.variance, axis)
+        axis, rate = np.array(unit_triple(shown.force)), np.array(shown.rate)
+        following.admit_bias(rate)
+        following.observe_bias(rate, shown.variance, axis)
         sigma, up = tuning.shaken.up, following.up.tolist()
         if distance(unit_triple(shown.force), unit_triple(up)) > tuning.rest.clear * sigma:
             following.begin(np.array(shown.force), sigma**2, tuning.filter.steady_sigma(0.0))

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.follower import UpFollower
+from magcal_ros.core.up.up_tuning import FilterTuning
+
+UNUSUAL = 3.0
+"""Sigmas of what is expected of a gyro beyond which its bias is taken off first."""
 
 
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -41,42 +48,47 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
 def propagated_up(window: Window) -> FloatArray:
     """Return up at each sample, unit vectors in body axes, shape (n, 3).
 
-    What the past and the future of a sample say of its up is averaged by their variances.
+    What the past and the future of a sample say of its up is averaged by their variances. What
+    the past has come to know of the gyro's bias holds for both.
 
     Parameters
     ----------
     window : Window
         Without a gyro its accelerometer alone gives up.
     """
-    if window.angular_rate is None or len(window) < 3:
+    rate = window.angular_rate
+    if rate is None or len(window) < 3:
         return unit(window.specific_force)
-    past, past_variance = _followed(
-        window.time, window.field, window.specific_force, window.angular_rate
-    )
-    future, future_variance = (
-        values[::-1]
-        for values in _followed(
-            -window.time[::-1],
-            window.field[::-1],
-            window.specific_force[::-1],
-            -window.angular_rate[::-1],
-        )
-    )
-    return unit(past / past_variance[:, None] + future / future_variance[:, None])
+    past = _followed(window, rate)
+    if length(past.bias) > UNUSUAL * FilterTuning().bias_sigma:
+        # Before it was known, it has led up astray by more than the variance says.
+        rate = rate - past.bias
+        past = _followed(window, rate)
+    future = _followed(window, rate, backwards=True)
+    return unit(past.up / past.variance + (future.up / future.variance)[::-1])
 
 
-def _followed(
-    time: FloatArray, field: FloatArray, force: FloatArray, rate: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return up (n, 3) and its variance (n,) as the past of each sample gives it."""
+class _Followed(NamedTuple):
+    """Up (n, 3) and its variance (n, 1) as the past of each sample gives it; the bias at last."""
+
+    up: FloatArray
+    variance: FloatArray
+    bias: Triple
+
+
+def _followed(window: Window, rate: FloatArray, backwards: bool = False) -> _Followed:
+    way = -1 if backwards else 1
     follower = UpFollower()
     ups, variances = [], []
-    columns = (values.tolist() for values in (time, field, force, rate))
+    columns = (
+        values[::way].tolist()
+        for values in (way * window.time, window.field, window.specific_force, way * rate)
+    )
     for stamp, m, f, w in zip(*columns, strict=True):
         follower.add_field(stamp, tuple(m))
         follower.add(ImuSample(stamp, tuple(f), tuple(w)))
         up = follower.at(stamp, 0.0)
         assert up is not None
         ups.append(up.direction)
-        variances.append(up.variance)
-    return np.array(ups), np.array(variances)
+        variances.append([up.variance])
+    return _Followed(np.array(ups), np.array(variances), follower.gyro_bias.rate)

@@ -19,6 +19,7 @@ from magcal_ros.core.estimation.model import Samples
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -87,6 +88,33 @@ def test_a_gyros_bias_does_no_harm(direction):
     without = error_and_sigma(robot, Window(window.time, window.field, window.specific_force))[0]
     assert error < 1.1 * without + 0.1 * DEGREE
     assert error < 3.0 * sigma
+
+
+def rested(share):
+    """Circles of .1 g, and a rest after them at which the sensor reads a share of that."""
+    robot, window = circles(radius=10.0)
+    lean = share * 10.0 * (math.tau / 20.0) ** 2
+    force = np.array([0.0, lean, math.sqrt(9.81**2 - lean**2)])
+    still = RestBeside(
+        3.0, window.field[-1], 1e-8, force, np.zeros(3), 2e-4, window.time[-1], np.eye(3)
+    )
+    return robot, replace(window, rests=(still,))
+
+
+@pytest.mark.parametrize(("share", "is_pulled"), [(0.0, True), (1.0, False)])
+def test_a_rest_tells_whose_the_lean_is(share, is_pulled):
+    figures = error_and_sigma(*rested(share))[2].figures
+    assert (figures[Figure.STEADY_PULL] > 0.05) == is_pulled
+    assert figures[Figure.GYRO_GAP] < 0.6 * DEGREE
+
+
+def test_a_rest_that_tells_half_of_it_leaves_a_doubt():
+    """Whichever is taken for the whole, the other half is wrong."""
+    estimates = [error_and_sigma(*rested(share)) for share in (0.45, 0.55)]
+    gap = error_and_sigma(*rested(1.0))[0]
+    for _, sigma, estimate in estimates:
+        assert estimate.figures[Figure.GYRO_GAP] == pytest.approx(0.45 * gap, rel=0.3)
+        assert sigma > 0.4 * gap
 
 
 def test_what_cannot_be_told_apart_has_a_large_sigma():

@@ -1,7 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    UP_ENU,
+    Motion,
+    Robot,
+    measure,
+    smooth_wobble,
+    turn,
+)
 from magcal_ros.core.up import propagated_up, relative_attitudes
 
 
@@ -31,3 +41,19 @@ def test_without_a_gyro_the_accelerometer_is_all_there_is():
     motion = turn()
     window = measure(Robot(), motion, np.random.default_rng(3))
     assert away_deg(propagated_up(window), motion) < 1.2
+
+
+def test_a_large_bias_that_a_rest_has_shown_holds_for_what_comes_after_it():
+    """The past learns it at rest; what begins at a stop in the end has hardly seen any."""
+    circling = turn(arc=6.0 * np.pi, samples=1500, duration=60.0)
+    first, last = circling.attitude[0], circling.attitude[-1]
+    ways = [np.broadcast_to(first, (500, 3, 3)), circling.attitude]
+    ways.append(np.broadcast_to(last, (20, 3, 3)))
+    attitude = np.concatenate(ways)
+    motion = Motion(np.arange(len(attitude)) * 0.04, attitude)
+    robot = Robot(noise_rate=1e-3, gyro_bias=np.array([4.0, -3.0, 1.0]) * DEGREE)
+    window = measure(robot, motion, np.random.default_rng(2), gyro=True)
+    pull = np.zeros((len(attitude), 3))
+    pull[500:2000, 1] = 1.2
+    pulled = replace(window, specific_force=window.specific_force + pull)
+    assert away_deg(propagated_up(pulled), motion) < 0.2
