@@ -1,10 +1,12 @@
 """Cars in circles against the course of their GPS; skipped where the recordings are not at hand."""
 
 import math
+from dataclasses import replace
 
 import pytest
-from recorded_truth import peers, read_drive, windows
+from recorded_truth import asked_on_the_way, peers, read_drive, windows
 
+from magcal_ros.core.assessment.axes import find_axes
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
@@ -73,3 +75,14 @@ def test_a_car_that_sways_is_not_refused_for_its_axes(recording):
         verdict = calibrate(window, drive.knowledge).verdict
         assert "axes_disagree" not in {check.key for check in verdict.checks}
         assert verdict.accepted
+
+
+@pytest.mark.nightly
+def test_a_bias_that_a_rest_has_excluded_does_not_make_axes_wrong(recording):
+    """A distorted place looks like other axes and a gyro that is off by three degrees a second."""
+    drive = read_drive(recording("car_neu2023_huang"), None)
+    _, (_, asked) = asked_on_the_way(drive, 120.0)
+    assert isinstance(asked, Window)
+    forgotten = replace(asked, sigma_before=math.inf)
+    found = [find_axes(window, drive.knowledge) for window in (forgotten, asked)]
+    assert [each.right for each in found] == [False, True]
