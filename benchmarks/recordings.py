@@ -3,7 +3,8 @@
 Each row is a window of a recording: the verdict, the promised heading sigma, the heading's RMS and
 median against the truth, what five usual methods reach with the same samples and the same up, and
 what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
-the best of the five, chosen afterwards. Headings are scored on the whole recording.
+the best of the five, chosen afterwards. Headings are scored on the whole recording. With
+`--changed` other sensors have recorded the same drive (`changed_recordings.py`; `all` of them).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from changed_recordings import CHANGES, changed
 from recorded_truth import Drive, Score, asked_on_the_way, peers, read_drive, windows
 
 from magcal_ros.core.assessment.verdict import Grade
@@ -76,17 +78,21 @@ def main() -> None:
     parser.add_argument("--reference", type=float, nargs=2, metavar=("UT", "DIP_DEG"))
     parser.add_argument("--window", default="", help="whole, circles, live or drive")
     parser.add_argument("--asked-every", type=float, metavar="SECONDS", help="as the node, instead")
+    parser.add_argument("--changed", choices=[*CHANGES, "all"], help="by other sensors")
     parser.add_argument("--reasons", action="store_true", help="print each verdict's summary")
     arguments = parser.parse_args()
-    lines = []
-    print(HEADER)
-    for folder in recordings_in(arguments.folders):
-        if arguments.only in folder.name:
+    folders = [f for f in recordings_in(arguments.folders) if arguments.only in f.name]
+    ways = CHANGES if arguments.changed == "all" else [arguments.changed]
+    for way in ways:
+        lines = []
+        print(HEADER if way is None else f"{way}\n{HEADER}")
+        for folder in folders:
             drive = read_drive(folder, arguments.reference)
+            drive = drive if way is None else changed(drive, way)
             for line in run(drive, arguments.window, arguments.asked_every):
                 print(row(line) + (f"\n    {line.why}" if arguments.reasons else ""), flush=True)
                 lines.append(line)
-    print(summary(lines))
+        print(summary(lines))
 
 
 def recordings_in(folders: list[Path]) -> list[Path]:
