@@ -160,6 +160,10 @@ STAND_BESIDE = (
     "stand still for three seconds before and after the turn: that shows the gyro's bias, and"
     " whether the robot was pulled outwards"
 )
+ON_THE_SPOT = (
+    "turn on the spot: a robot that drives is pulled to one side, and without a gyro that looks"
+    " like a roll of the magnetometer"
+)
 NOT_COMPARED = (
     "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
     " checked, because "
@@ -246,16 +250,19 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.HEADING_SIGMA:
         pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
         if pull**2 > TUNING.mostly_pull * figure**2:
-            bound = replace(bound, remedy=STAND_BESIDE)
+            has_gyro = Figure.GYRO_GAP in figures
+            bound = replace(bound, remedy=STAND_BESIDE if has_gyro else ON_THE_SPOT)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:
         bound = replace(bound, good=TUNING.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
-        # By chance halves differ by some sigmas of the whole, and these are graded by themselves.
+        # By chance halves differ by some sigmas of the whole, and these are graded by themselves;
+        # what pulls all the way pulls in both.
         with_iron = figures.get(Figure.SOFT_IRON)
         sigmas = TUNING.chance_with_soft_iron if with_iron else TUNING.chance
-        chance = sigmas * figures[Figure.HEADING_SIGMA]
+        alike = figures.get(Figure.POSSIBLE_PULL, 0.0)
+        chance = sigmas * math.sqrt(max(figures[Figure.HEADING_SIGMA] ** 2 - alike**2, 0.0))
         excess = math.sqrt(max(figure**2 - chance**2, 0.0))
         note = f", of which chance may be {shown(chance * DEGREES)}°"
         return bound.check(figure, excess=excess, note=note)

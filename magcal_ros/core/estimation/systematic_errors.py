@@ -17,9 +17,8 @@ import numpy as np
 from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import skew
+from magcal_ros.core.geometry.rotations import skew, turns_about_z
 from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.samples.window import Window
 
 
 @dataclass(frozen=True)
@@ -38,14 +37,19 @@ class Turning:
     spread: float
 
     @classmethod
-    def of(cls, window: Window, arc: float) -> Turning:
-        """Return it by the gyro; without one, by an even turn of `arc` radians."""
-        rate = window.angular_rate
-        if rate is None:
-            even = arc / max(float(np.ptp(window.time)), 1e-3)
-            return cls(even, 0.0)
-        about = rate @ unit(rate.mean(axis=0)) if rate.mean(axis=0).any() else rate[:, 2]
+    def by_gyro(cls, rate: FloatArray) -> Turning:
+        """Return it from turn rates, shape (n, 3)."""
+        mean = rate.mean(axis=0)
+        about = rate @ unit(mean) if mean.any() else rate[:, 2]
         return cls(math.sqrt(float(np.mean(np.sum(rate**2, axis=1)))), float(about.std()))
+
+    @classmethod
+    def by_attitude(cls, time: FloatArray, attitude: FloatArray) -> Turning:
+        """Return it from attitudes (n, 3, 3) at stamps (n,), by the second."""
+        seconds = np.arange(time[0], time[-1] + 1.0)
+        yaw = np.interp(seconds, time, np.unwrap(turns_about_z(attitude)))
+        rate = np.diff(yaw) if len(yaw) > 1 else np.zeros(1)
+        return cls(math.sqrt(float(np.mean(rate**2))), float(np.abs(rate).std()))
 
 
 @dataclass(frozen=True, eq=False)

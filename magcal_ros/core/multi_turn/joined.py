@@ -12,7 +12,7 @@ from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.estimation import parameters as p
-from magcal_ros.core.estimation.systematic_errors import Turning, systematic_covariance
+from magcal_ros.core.estimation.systematic_errors import systematic_covariance
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, Systematics
 from magcal_ros.core.methods.maximum_likelihood.diagnostics import pulls
@@ -80,11 +80,10 @@ def lasting_covariance(
     each = []
     for turn in turns:
         axis = turn.block.place.state.shared.body_axis
-        turning = Turning.of(turn.window, seen_arc(turn.block))
         shared, own = replace(fit.best.shared, body_axis=axis), turn.own_fit
         seen, unseen = own.seen(systematics), own.unseen(systematics)
         mounting, scale = fit.best.mounting, fit.scale
-        each.append(systematic_covariance(shared, mounting, scale, unseen, turning, seen))
+        each.append(systematic_covariance(shared, mounting, scale, unseen, own.turning, seen))
     return np.asarray(np.mean(each, axis=0))
 
 

@@ -104,14 +104,18 @@ def test_a_lever_arm_is_within_sigma():
     assert 0.1 * DEGREE < error < 2.0 * predicted_heading_sigma(estimate, 0.0)
 
 
-def test_a_turning_rate_comes_from_the_gyro_or_from_the_arc():
-    robot = Robot()
-    motion = turn(samples=200, duration=10.0)
-    with_gyro = measure(robot, motion, np.random.default_rng(1), gyro=True)
-    without = Window(with_gyro.time, with_gyro.field, with_gyro.specific_force)
-    expected = pytest.approx(math.tau / 10.0, rel=0.02)
-    assert Turning.of(with_gyro, math.tau).rms == expected
-    assert Turning.of(without, math.tau).rms == expected
+def test_a_turning_rate_comes_from_the_gyro_or_from_the_attitudes():
+    """Two turns after as long a rest, with a gyro and without."""
+    moving = turn(arc=2.0 * math.tau, samples=200, duration=20.0)
+    time = np.arange(400) * 0.1
+    standing = np.broadcast_to(moving.attitude[0], (200, 3, 3))
+    rate = np.zeros((400, 3))
+    rate[200:, 2] = 2.0 * math.tau / 20.0
+    by_gyro = Turning.by_gyro(rate)
+    by_attitude = Turning.by_attitude(time, np.concatenate([standing, moving.attitude]))
+    assert by_gyro.rms == pytest.approx(math.tau / 10.0 / math.sqrt(2.0))
+    assert by_attitude.rms == pytest.approx(by_gyro.rms, rel=0.05)
+    assert by_attitude.spread == pytest.approx(by_gyro.spread, rel=0.05)
 
 
 @pytest.mark.parametrize(("ellipse", "turn"), [(0.0, 0.0), (0.02, 0.006), (0.2, 0.002)])

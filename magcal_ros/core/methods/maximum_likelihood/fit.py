@@ -20,13 +20,15 @@ from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
 from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
-from magcal_ros.core.estimation.linear_acceleration import (
+from magcal_ros.core.estimation.linear_acceleration import jolts
+from magcal_ros.core.estimation.motor_field import motor_field
+from magcal_ros.core.estimation.multi_start import search
+from magcal_ros.core.estimation.possible_pull import (
     doubtful_pull,
     leaning,
     lever_arm_left,
+    pull_without_gyro,
 )
-from magcal_ros.core.estimation.motor_field import motor_field
-from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.prior import prior_from
 from magcal_ros.core.estimation.seating import attitudes_from_vectors
 from magcal_ros.core.estimation.selection import (
@@ -165,12 +167,18 @@ class Solved:
     lever_arm: float = math.inf
     explained: bool = False
 
+    @property
+    def turning(self) -> Turning:
+        """How fast the robot turned."""
+        return _turning(self.window, self.prepared, self.choice.fit.block)
+
     def seen(self, systematics: Systematics) -> Lasting:
         """Return what the residuals show of lasting errors; nothing where none are believed."""
         if systematics.are_none:
             return Lasting()
         if self.swing is None:
-            return Lasting(_radial_stray(self.choice.fit.block), motors=self.motors)
+            stray = _radial_stray(self.choice.fit.block)
+            return Lasting(stray, motors=self.motors, pull=self.doubtful_pull)
         stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
         return Lasting(stray, self.gyro_gap, self.motors, self.doubtful_pull)
 
@@ -194,10 +202,11 @@ class Solved:
         }
         if self.motors is not None:
             figures[Figure.MOTOR_FIELD] = float(np.linalg.norm(self.motors))
-        if self.swing is None:
-            return figures
         block = self.choice.fit.block
         acceleration, dip = np.zeros(3), block.place.state.shared.inclination
+        figures[Figure.POSSIBLE_PULL] = self.doubtful_pull * abs(math.tan(dip))
+        if self.swing is None:
+            return figures
         if isinstance(block, GyroBlock):
             acceleration = block.acceleration
             if Effect.LATENCY in block.path.effects:
@@ -207,7 +216,6 @@ class Solved:
             Figure.GYRO_COMPASS_SWING: self.swing.rms,
             Figure.GYRO_GAP: self.gyro_gap,
             Figure.STEADY_PULL: float(np.linalg.norm(acceleration)),
-            Figure.POSSIBLE_PULL: self.doubtful_pull * abs(math.tan(dip)),
             Figure.SIDEWAYS_PULL: self.pull,
         }
 
@@ -232,7 +240,7 @@ def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
         fit.mounting,
         scale,
         solved.unseen(knowledge.systematics),
-        Turning.of(solved.window, arc),
+        solved.turning,
         solved.seen(knowledge.systematics),
     )
     figures = measure_figures(fit, covariance, knowledge, scale, arc) | solved.figures
@@ -256,12 +264,17 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     if path is None:
         free = free_attitudes(start, with_iron, always=always)
         motors = motor_field(free.fit, None, scale, window.rests)
-        return Solved(prepared, free, found.rival_gap, window, motors=motors)
+        jolted = jolts(free.fit.block, float(np.ptp(window.time)))
+        turning = _turning(window, prepared, free.fit.block).rms
+        doubtful = pull_without_gyro(jolted, turning)
+        return Solved(
+            prepared, free, found.rival_gap, window, motors=motors, doubtful_pull=doubtful
+        )
     choice = propagated_attitudes(start, path, with_iron, always=always)
     gap, lean = choice.gap, leaning(samples, path)
-    turning, lever_arm = Turning.of(window, 0.0).rms, knowledge.systematics.lever_arm
+    block, lever_arm = gyro_block(choice.fit), knowledge.systematics.lever_arm
+    turning = _turning(window, prepared, block).rms
     doubtful = doubtful_pull(lean.at_most, turning, lever_arm) if choice.may_be_pulled else 0.0
-    block = gyro_block(choice.fit)
     # What follows the turn rate is off with the gyro and without, or they would differ by it.
     seated = FreeBlock.seated_at(found.best.shared, block.place.samples, weighting)
     freed = start.with_blocks([seated])
@@ -297,6 +310,14 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         lever_arm=lever_arm_left(lean.apart, turning, lever_arm, path.known.bias),
         explained=explained,
     )
+
+
+def _turning(window: Window, prepared: Prepared, block: TurnBlock) -> Turning:
+    if window.angular_rate is not None:
+        return Turning.by_gyro(window.angular_rate)
+    counted = block.weighting.inliers
+    time = window.time[prepared.first][counted]
+    return Turning.by_attitude(time, block.place.state.attitude[counted])
 
 
 def _radial_stray(block: TurnBlock) -> float:
