@@ -50,6 +50,8 @@ class CalibrateTuning:
         Radians of heading sigma from which a turn gives way to a drive that is more certain.
     clearly : float
         Independent units of minus log likelihood by which a drive contradicts a turn's calibration.
+    jolted : float
+        Radians of jolts (`DriveLog.jolts`) below which who was accepted as turning on the spot did.
     shortest_drive : float
         Seconds of movement below which a window is a turn or nothing.
     pause : float
@@ -58,6 +60,7 @@ class CalibrateTuning:
 
     rough: float = VerdictTuning().rough
     clearly: float = 12.0
+    jolted: float = 0.0085
     shortest_drive: float = 15.0
     pause: float = 1.0
 
@@ -204,12 +207,17 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     if log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
         return turn
     before = turn.estimate if turn.verdict.accepted else None
-    if log.stays if before is not None else _is_refused_for_good(turn, log, knowledge):
+    if _stayed(log) if before is not None else _is_refused_for_good(turn, log, knowledge):
         return turn
     drive = calibrate_drive(log, knowledge)
     if drive.estimate is None or not drive.verdict.accepted:
         return turn
     return drive if before is None or _is_better(drive.estimate, before, log, knowledge) else turn
+
+
+def _stayed(log: DriveLog) -> bool:
+    # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
+    return log.stays or (math.isinf(log.bias_sigma) and log.jolts < TUNING.jolted)
 
 
 def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from honesty_cases import draw_case
+from realistic import by_turn
+from realistic import heading_error as turn_error
 from smoothing.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.assessment.grading import Grade
@@ -106,6 +108,21 @@ def test_a_turn_on_the_spot_that_was_accepted_stays_a_turn():
         turn.estimate, 0.0
     )
     assert drive_instead(turn, log, case.knowledge) is turn
+
+
+def test_a_rough_turn_without_a_jolt_stays_a_turn_though_its_gyro_looks_like_a_pull():
+    """A cheap gyro, no rest: the drive is wrong by 11 degrees and says 3."""
+    scene, known = by_turn("even", "cheap", "open")(10)
+    turn, log = calibrate_by(scene.window, known, TURN), log_of(scene.window)
+    assert turn.verdict.summary.startswith("Calibrated roughly")
+    assert not log.stays
+    drive = calibrate_drive(log, known).estimate
+    sigmas = [predicted_heading_sigma(each, 0.0) for each in (drive, turn.estimate)]
+    assert sigmas[0] < 0.5 * sigmas[1]
+    errors = [turn_error(scene, each.correction) for each in (drive, turn.estimate)]
+    assert errors[0] > 3.0 * sigmas[0]
+    assert errors[1] < 2.0 * sigmas[1]
+    assert drive_instead(turn, log, known) is turn
 
 
 @pytest.mark.parametrize("ned", [False, True], ids=["negative", "NED"])

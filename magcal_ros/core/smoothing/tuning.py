@@ -16,6 +16,8 @@ class SmootherTuning:
         Seconds of samples that make one row of the log of a drive.
     chunk : int
         Rows after which it is asked whether the robot rests.
+    turning : float
+        rad/s from which a robot turns.
     rests, rest_chunks : int
         What is remembered of the gyro: rests, and chunks of each that its mean is over.
     node : float
@@ -128,6 +130,7 @@ class SmootherTuning:
 
     row: float = 0.1
     chunk: int = 10
+    turning: float = math.radians(3.0)
     rests: int = 60
     rest_chunks: int = 60
     node: float = 0.5
