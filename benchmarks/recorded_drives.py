@@ -3,7 +3,8 @@
 Each recording is told again as `magcal drive` does, all of it and its halves: from nothing, and
 with the calibration in force that the smoother finds on all of it, which nothing should replace.
 Where more than six minutes were driven, 10 µT are added after two of them, in four directions.
-Degrees of heading, RMS against the truth on the whole recording, a constant taken off.
+Degrees of heading, RMS against the truth on the whole recording, a constant taken off. With
+`--changed` other sensors have recorded the same drives (`changed_recordings.py`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from changed_recordings import CHANGES, changed
 from recorded_truth import Drive, read_drive
 from recordings import DEFAULT, recordings_in
 
@@ -36,10 +38,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", type=Path, nargs="*", default=[DEFAULT])
     parser.add_argument("--only", default="", help="recordings whose name holds this")
+    parser.add_argument("--changed", choices=[*CHANGES], help="by other sensors")
     arguments = parser.parse_args()
     worse = windows = 0
     for folder in recordings_in(arguments.folders):
         drive = read_drive(folder, None)
+        drive = changed(drive, arguments.changed) if arguments.changed else drive
         if arguments.only not in folder.name or drive.everything.angular_rate is None:
             continue
         _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))

@@ -45,10 +45,13 @@ class Turning:
 
     @classmethod
     def by_attitude(cls, time: FloatArray, attitude: FloatArray) -> Turning:
-        """Return it from attitudes (n, 3, 3) at stamps (n,), by the second."""
-        seconds = np.arange(time[0], time[-1] + 1.0)
-        yaw = np.interp(seconds, time, np.unwrap(turns_about_z(attitude)))
-        rate = np.diff(yaw) if len(yaw) > 1 else np.zeros(1)
+        """Return it from attitudes (n, 3, 3) at stamps (n,), by the second; none from one."""
+        span = float(np.ptp(time)) if len(time) else 0.0
+        if span == 0.0:
+            return cls(0.0, 0.0)
+        moments = np.linspace(time[0], time[-1], max(round(span), 1) + 1)
+        yaw = np.interp(moments, time, np.unwrap(turns_about_z(attitude)))
+        rate = np.diff(yaw) / np.diff(moments)
         return cls(math.sqrt(float(np.mean(rate**2))), float(np.abs(rate).std()))
 
 

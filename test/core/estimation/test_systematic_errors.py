@@ -118,6 +118,12 @@ def test_a_turning_rate_comes_from_the_gyro_or_from_the_attitudes():
     assert by_attitude.spread == pytest.approx(by_gyro.spread, rel=0.05)
 
 
+def test_who_is_seen_once_does_not_turn():
+    for count in (0, 1):
+        nothing = Turning.by_attitude(np.zeros(count), np.tile(np.eye(3), (count, 1, 1)))
+        assert nothing == Turning(0.0, 0.0)
+
+
 @pytest.mark.parametrize(("ellipse", "turn"), [(0.0, 0.0), (0.02, 0.006), (0.2, 0.002)])
 def test_axes_may_be_turned_as_far_as_they_look_crooked_and_soft_iron_may_not(ellipse, turn):
     from magcal_ros.core.estimation.parameters import Globals
