@@ -48,8 +48,8 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
 def propagated_up(window: Window) -> FloatArray:
     """Return up at each sample, unit vectors in body axes, shape (n, 3).
 
-    What the past and the future of a sample say of its up is averaged by their variances. What
-    the past has come to know of the gyro's bias holds for both.
+    What the past and the future of a sample say of its up is averaged by their variances. A bias
+    that is far beyond what is expected of a gyro holds for both as the whole past has shown it.
 
     Parameters
     ----------
