@@ -129,14 +129,26 @@ CHANGES: dict[str, Change] = {
 }
 
 
-def changed(drive: Drive, name: str) -> Drive:
-    """Return a drive as the sensors of one of `CHANGES` would have recorded it."""
+def truth_mirrored(truth: Truth, _: FloatArray) -> Truth:
+    return replace(truth, yaw=-truth.yaw)
+
+
+def truth_backwards(truth: Truth, time: FloatArray) -> Truth:
+    late = 2.0 * LATE if truth.is_course else 0.0
+    turned_around = time[0] + time[-1] - truth.time
+    return replace(truth, time=turned_around[::-1] + late, yaw=truth.yaw[::-1])
+
+
+TRUTHS = {"mirrored": truth_mirrored, "backwards": truth_backwards}
+"""What becomes of the truth over the stamps of a recording; of the other changes nothing."""
+
+
+def changed(drive: Drive, name: str | None) -> Drive:
+    """Return a drive as the sensors of one of `CHANGES` would have recorded it; None as it is."""
+    if name is None:
+        return drive
     recorded, truth = drive.recording, drive.truth
+    if truth is not None and name in TRUTHS:
+        truth = TRUTHS[name](truth, recorded.imu[:, 0])
     imu, field = CHANGES[name](recorded.imu.copy(), recorded.field.copy())
-    if truth is not None and name == "mirrored":
-        truth = replace(truth, yaw=-truth.yaw)
-    if truth is not None and name == "backwards":
-        ends = recorded.imu[0, 0] + recorded.imu[-1, 0]
-        time = (ends - truth.time)[::-1] + (2.0 * LATE if truth.is_course else 0.0)
-        truth = Truth(time, truth.yaw[::-1], truth.is_course)
     return Drive(drive.name, Recording(imu, field), truth, drive.knowledge)

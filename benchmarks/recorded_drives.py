@@ -42,8 +42,7 @@ def main() -> None:
     arguments = parser.parse_args()
     worse = windows = 0
     for folder in recordings_in(arguments.folders):
-        drive = read_drive(folder, None)
-        drive = changed(drive, arguments.changed) if arguments.changed else drive
+        drive = changed(read_drive(folder, None), arguments.changed)
         if arguments.only not in folder.name or drive.everything.angular_rate is None:
             continue
         _tell("from nothing", drive, None, told(drive, None, 0.0, 1.0))

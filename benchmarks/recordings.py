@@ -87,8 +87,7 @@ def main() -> None:
         lines = []
         print(HEADER if way is None else f"{way}\n{HEADER}")
         for folder in folders:
-            drive = read_drive(folder, arguments.reference)
-            drive = drive if way is None else changed(drive, way)
+            drive = changed(read_drive(folder, arguments.reference), way)
             for line in run(drive, arguments.window, arguments.asked_every):
                 print(row(line) + (f"\n    {line.why}" if arguments.reasons else ""), flush=True)
                 lines.append(line)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -58,8 +58,6 @@ class AxesTuning:
         Radians of uncertainty beyond which the seen inclination says nothing.
     least_dip : float
         Radians of inclination from which its sign says something.
-    rested_bias : float
-        rad/s by which a gyro's bias changes after a rest has shown it.
     most_named : int
         Candidates that are written out.
     """
@@ -77,7 +75,6 @@ class AxesTuning:
     attitude_error: float = math.radians(0.5)
     vaguest_dip: float = math.radians(15.0)
     least_dip: float = math.radians(10.0)
-    rested_bias: float = math.radians(0.1)
     most_named: int = 3
 
 
@@ -250,8 +247,7 @@ def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound |
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
     proper = np.array([axes for axes in every if not is_mirrored(axes)])
-    bias = min(FIT.bias, math.hypot(window.bias_sigma, TUNING.rested_bias))
-    found = align(stretch, proper, replace(FIT, bias=bias))
+    found = align(stretch, proper, FIT.after_rest(window.bias_sigma))
     dip = knowledge.reference.inclination
     pulls = np.array(
         [[inclination_misfit(found, k, s, dip) for k in range(24)] for s in (1.0, -1.0)]

@@ -23,7 +23,6 @@ from magcal_ros.core.estimation.gyro_path import GyroPath
 from magcal_ros.core.estimation.heading_gap import heading_gap
 from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.solver import Fit
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import minimal_rotation
 
@@ -169,7 +168,7 @@ def _by_rests(start: Fit, plain: Fit) -> Explanation:
         return Explanation(plain)
     share, sigma = _own_share(pulled)
     own = share > 0.5
-    leaning = propagated(start, path.turned(_own_lean(pulled)), start.prior)
+    leaning = _leaning(start, path, pulled)
     neglected = math.hypot(1.0 - share if own else share, sigma)
     gap = min(neglected, 1.0) * heading_gap(leaning, pulled)
     return Explanation(plain if own else pulled, gap, own_lean=own)
@@ -203,10 +202,7 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     path = gyro_block(plain).path
     gyros = path, path.with_doubtful_gyro()
     pulls = [propagated(start, gyro.with_acceleration(), start.prior) for gyro in gyros]
-    leans = [
-        propagated(start, gyro.turned(_own_lean(pulled)), start.prior)
-        for gyro, pulled in zip(gyros, pulls, strict=True)
-    ]
+    leans = [_leaning(start, *pair) for pair in zip(gyros, pulls, strict=True)]
     biased = propagated(start, gyros[1], start.prior)
     fits = (plain, biased, *leans, *pulls)
     factor = min(fit.block.weighting.inefficiency for fit in fits)
@@ -253,11 +249,12 @@ def _bias_about_up(fit: Fit) -> float:
     return abs(float(block.bias @ unit(block.samples.up.mean(axis=0))))
 
 
-def _own_lean(pulled: Fit) -> FloatArray:
-    """Return the turn from the gyro's axes to those in which the accelerometer does not lean."""
+def _leaning(start: Fit, path: GyroPath, pulled: Fit) -> Fit:
+    """Fit with the gyro's axes turned to where the accelerometer does not lean by a pull."""
     block = gyro_block(pulled)
     up = unit(block.place.samples.up.mean(axis=0))
-    return minimal_rotation(up, unit(up + block.acceleration))
+    turn = minimal_rotation(up, unit(up + block.acceleration))
+    return propagated(start, path.turned(turn), start.prior)
 
 
 def _misfit(fit: Fit, factor: float) -> float:

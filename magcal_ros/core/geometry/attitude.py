@@ -21,6 +21,11 @@ def unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
+def level_part(vectors: FloatArray, up: FloatArray) -> FloatArray:
+    """Return what of vectors (n, 3) is across up, unit vectors (n, 3)."""
+    return np.asarray(vectors - np.sum(vectors * up, axis=1, keepdims=True) * up)
+
+
 def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
     """Return the ENU yaw to magnetic north.
 

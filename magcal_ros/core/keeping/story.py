@@ -14,7 +14,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import run
@@ -197,7 +197,7 @@ def path_along(
     """
     field = calibration.correction.apply(raw)
     rise = np.sum(field * up, axis=1)
-    level = np.linalg.norm(field - rise[:, None] * up, axis=1)
+    level = np.linalg.norm(level_part(field, up), axis=1)
     dip = calibration.inclination
     disturbance = np.hypot(
         level - calibration.strength * math.cos(dip), rise + calibration.strength * math.sin(dip)

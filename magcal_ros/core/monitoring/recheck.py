@@ -18,7 +18,7 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import unit, yaw_from_up_and_field
+from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
 from magcal_ros.core.monitoring.gyro_compass import gyro_compass
 from magcal_ros.core.monitoring.recheck_chance import (
     chances,
@@ -190,8 +190,7 @@ def expected_field(
     field: FloatArray, up: FloatArray, strength: float, inclination: float
 ) -> FloatArray:
     """Return the field (n, 3) of given strength and inclination at the heading of `field`."""
-    rise = np.sum(field * up, axis=1, keepdims=True)
-    level = unit(field - rise * up)
+    level = unit(level_part(field, up))
     return np.asarray(strength * (math.cos(inclination) * level - math.sin(inclination) * up))
 
 

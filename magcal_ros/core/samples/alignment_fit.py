@@ -11,7 +11,7 @@ turn.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,8 +30,8 @@ class AlignmentTuning:
         Radians, standard deviation of the installation error about each axis.
     soft_iron : float
         Standard deviation of each element of the soft iron, dimensionless.
-    bias : float
-        rad/s, standard deviation of the gyro's bias.
+    bias, rested_bias : float
+        rad/s, standard deviation of the gyro's bias, and of what it changes by after a rest.
     scale : float
         Standard deviation of the gyro's scale error.
     lag : float
@@ -57,6 +57,7 @@ class AlignmentTuning:
     installation: float = math.radians(5.0)
     soft_iron: float = 0.05
     bias: float = math.radians(3.0)
+    rested_bias: float = math.radians(0.1)
     scale: float = 0.05
     lag: float = 1e-4
     hard_iron: float = 4.0
@@ -68,6 +69,10 @@ class AlignmentTuning:
     settled: float = 0.01
     start_noise: tuple[float, float] = (0.1, 0.1)
     rounds: tuple[int, int, int, int] = (5, 4, 4, 4)
+
+    def after_rest(self, sigma: float) -> AlignmentTuning:
+        """Return what is known where a rest has shown the bias, by so many rad/s per axis."""
+        return replace(self, bias=min(self.bias, math.hypot(self.rested_bias, sigma)))
 
 
 TUNING = AlignmentTuning()

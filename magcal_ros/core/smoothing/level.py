@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.attitude import level_part, unit
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.level_bias import ForceLog, Leans, gyro_bias
 from magcal_ros.core.smoothing.nodes import LeanDoubt, levelled_axes
@@ -114,8 +114,7 @@ def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> 
     count = len(force) // width
     if count < tuning.fewest_seconds:
         return math.inf
-    across = force - np.sum(force * up, axis=1)[:, None] * up
-    means = across[: count * width].reshape(count, width, 3).mean(axis=1)
+    means = level_part(force, up)[: count * width].reshape(count, width, 3).mean(axis=1)
     return math.sqrt(float(np.mean(np.sum(means**2, axis=1))))
 
 

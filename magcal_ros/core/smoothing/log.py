@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.level import Level, level_of
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
@@ -92,8 +92,7 @@ class DriveLog:
             return 0.0
         second = (self.time - self.time[0]).astype(int)
         means = Means(np.flatnonzero(np.diff(second, prepend=-1)), len(self))
-        up = self.level.up
-        beside = self.force - up * np.sum(self.force * up, axis=1, keepdims=True)
+        beside = level_part(self.force, self.level.up)
         change = np.diff(means.of(beside), axis=0) / STANDARD_GRAVITY
         turns = means.of(np.linalg.norm(self.rate, axis=1)) > TUNING.turning
         counted = change[turns[1:] & turns[:-1]]

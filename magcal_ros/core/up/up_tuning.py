@@ -47,7 +47,8 @@ class FilterTuning:
     floor : float
         g. Error of an averaged accelerometer reading that no averaging takes away.
     implausible : float
-        Sigmas of linear acceleration beyond which rather up is wrong.
+        Sigmas of linear acceleration beyond which rather up is wrong, and of the gyro's bias beyond
+        which it was not known.
     regain : float
         Seconds in which an up that was wrong is given up.
     rest_length, rest_length_sigma : float

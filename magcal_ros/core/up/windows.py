@@ -15,8 +15,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.up_tuning import FilterTuning
 
-UNUSUAL = 3.0
-"""Sigmas of what is expected of a gyro beyond which its bias is taken off first."""
+TUNING = FilterTuning()
 
 
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -60,7 +59,7 @@ def propagated_up(window: Window) -> FloatArray:
     if rate is None or len(window) < 3:
         return unit(window.specific_force)
     past = _followed(window, rate)
-    if length(past.bias) > UNUSUAL * FilterTuning().bias_sigma:
+    if length(past.bias) > TUNING.implausible * TUNING.bias_sigma:
         # Before it was known, it has led up astray by more than the variance says.
         rate = rate - past.bias
         past = _followed(window, rate)

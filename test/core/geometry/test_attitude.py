@@ -11,6 +11,7 @@ from magcal_ros.core.geometry.attitude import (
     FRD_FROM_FLU,
     body_from_enu,
     field_in_enu,
+    level_part,
     true_yaw,
     unit,
     wrap_angle,
@@ -78,3 +79,11 @@ def test_unit_leaves_zero_alone():
     np.testing.assert_allclose(
         unit(np.array([[0, 0, 0], [3.0, 0, 4.0]])), [[0, 0, 0], [0.6, 0, 0.8]]
     )
+
+
+def test_the_level_part_is_across_up_and_leaves_what_is_along_it():
+    rng = np.random.default_rng(1)
+    vectors, up = rng.normal(size=(20, 3)), unit(rng.normal(size=(20, 3)))
+    level = level_part(vectors, up)
+    np.testing.assert_allclose(np.sum(level * up, axis=1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.cross(vectors - level, up), 0.0, atol=1e-12)

@@ -178,8 +178,8 @@ class Solved:
             return Lasting()
         if self.swing is None:
             stray = _radial_stray(self.choice.fit.block)
-            return Lasting(stray, motors=self.motors, pull=self.doubtful_pull)
-        stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
+        else:
+            stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
         return Lasting(stray, self.gyro_gap, self.motors, self.doubtful_pull)
 
     def unseen(self, systematics: Systematics) -> Systematics:
