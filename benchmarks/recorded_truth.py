@@ -24,6 +24,7 @@ from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.stamps import mended
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
@@ -169,10 +170,11 @@ def read_drive(folder: Path, field: tuple[float, float] | None) -> Drive:
     if field is None:
         field = next((place[1:] for place in PLACES if place[0] in text), None)
     known = Knowledge() if field is None else knowledge_of(field[0], inclination_deg=field[1])
-    path = folder / "truth.csv"
-    return Drive(
-        folder.name, read_csv_folder(folder), _read_truth(path) if path.exists() else None, known
-    )
+    path, recording = folder / "truth.csv", read_csv_folder(folder)
+    for table in (recording.imu, recording.field):
+        even = mended(table[:, 0])
+        table[:, 0] = table[:, 0] if even is None else even
+    return Drive(folder.name, recording, _read_truth(path) if path.exists() else None, known)
 
 
 def _read_truth(path: Path) -> Truth:

@@ -18,6 +18,7 @@ from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
+from magcal_ros.files.mended import MendedReadings
 from magcal_ros.files.plain import plain
 from magcal_ros.report import Subject, write_report
 
@@ -71,7 +72,7 @@ def _course(options: argparse.Namespace, calibration: Calibration) -> RecordedCo
     """Compare the compass with course, where the recording has fixes."""
     with opened(options, options.recording) as source:
         travel = source.travel()
-        return recorded_course(calibration, source.readings(), travel) if travel else None
+        return recorded_course(calibration, MendedReadings(source), travel) if travel else None
 
 
 def _subject(

@@ -101,7 +101,7 @@ def _recorded(options: argparse.Namespace) -> int:
     kept, mounting = _Kept(), mounting_from(options)
     with opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(kept.passing(watched(source, sys.stderr)))
+        gathering.take(kept.passing(watched(source, source.readings(), sys.stderr)))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, add_output_option, document, new_or_named
+from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
@@ -19,6 +19,7 @@ from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.mended import MendedReadings
 from magcal_ros.files.plain import plain
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
@@ -50,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
-        teller.take(watched(source, sys.stderr), source.travel())
+        mended = MendedReadings(source)
+        teller.take(watched(source, mended, sys.stderr), source.travel())
         frames = source.field_frame, source.imu_frame
     story = teller.story()
     page = write_drive_page(folder, story, plain(str(options.recording)))
@@ -58,22 +60,27 @@ def run(options: argparse.Namespace) -> int:
     if story.ended is not None and story.ended is not begun:
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], story.ended, Origin.now(*frames))
-    print(document(_facts(story, files)) if options.json else _words(story, files))
+    content = story, mended.notes, files
+    print(document(_facts(*content)) if options.json else _words(*content))
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
 
 
-def _words(story: DriveStory, files: list[Path]) -> str:
+def _words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
     lines = [summary_of(story)]
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
-    return "\n".join([*lines, *(f"Written: {file}" for file in files)])
+    about = bullets("About the recording:", notes)
+    return "\n".join(
+        [*lines, *([about.strip("\n")] if about else []), *(f"Written: {file}" for file in files)]
+    )
 
 
-def _facts(story: DriveStory, files: list[Path]) -> dict[str, Any]:
+def _facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:
     return {
         "summary": summary_of(story),
         "decisions": [
             {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
             for at, made in story.decisions
         ],
+        "about": notes,
         "files": [str(file) for file in files],
     }

@@ -6,7 +6,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Mounting, knowledge_of
 from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.files.mended import MendedReadings
 from magcal_ros.files.sources import Source, open_recording
 
 LOOK_EVERY = 2000
@@ -42,6 +43,8 @@ class Gathered:
         `frame_id` of the two sensors; empty if there is none.
     reference : Reference
         The reference field at its place and date.
+    mended : list of str
+        What was mended in it, in words.
     """
 
     gathering: Gathering
@@ -50,10 +53,11 @@ class Gathered:
     imu_frame: str
     field_frame: str
     reference: Reference
+    mended: list[str]
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
-        return [*self.gathering.complaints(), *self.reference.complaints]
+        return [*self.mended, *self.gathering.complaints(), *self.reference.complaints]
 
 
 def add_recording_options(
@@ -149,7 +153,8 @@ def gather(options: argparse.Namespace, mounting: Mounting, recording: Path) -> 
     """
     with opened(options, recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(watched(source, sys.stderr), source.travel())
+        mended = MendedReadings(source)
+        gathering.take(watched(source, mended, sys.stderr), source.travel())
         return Gathered(
             gathering,
             source.imu_topic,
@@ -157,13 +162,17 @@ def gather(options: argparse.Namespace, mounting: Mounting, recording: Path) -> 
             source.imu_frame,
             source.field_frame,
             reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
+            mended.notes,
         )
 
 
 def watched(
-    source: Source, out: TextIO, clock: Callable[[], float] = time.monotonic
+    source: Source,
+    readings: Iterable[Reading],
+    out: TextIO,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Reading]:
-    """Yield a source's readings, and tell how far it is.
+    """Yield what is read of a source, and tell how far it is.
 
     On a terminal one line is drawn again and removed at the end; elsewhere a line comes now and
     then, so that a short read says nothing.
@@ -171,7 +180,7 @@ def watched(
     terminal = out.isatty()
     pause = REDRAW if terminal else LINE_EVERY
     due, drawn = clock() + pause, False
-    for count, reading in enumerate(source.readings()):
+    for count, reading in enumerate(readings):
         if count % LOOK_EVERY == 0 and clock() >= due:
             line = f"reading: {100.0 * source.share:3.0f} %, {count} messages"
             print(f"\r{line}" if terminal else line, end="" if terminal else "\n", file=out)

@@ -98,6 +98,7 @@ class CsvDrive:
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both sensors in the order of their stamps."""
+        self._read = 0
         for sample in self._recording.samples():
             self._read += 1
             yield sample

@@ -204,7 +204,7 @@ class Slow:
 @pytest.mark.parametrize(("out", "lines"), [(io.StringIO(), 3), (Terminal(), 0)])
 def test_progress_is_one_line_on_a_terminal_and_one_in_five_seconds_elsewhere(out, lines):
     source = Slow()
-    assert sum(1 for _ in watched(source, out, lambda: source.now)) == 20_000
+    assert sum(1 for _ in watched(source, source.readings(), out, lambda: source.now)) == 20_000
     assert out.getvalue().count("\n") == lines
     assert "reading:  50 %" in out.getvalue()
     assert ("\r" in out.getvalue()) == (lines == 0)
@@ -217,6 +217,16 @@ class TestRecordings:
         status, out, _ = fit(folder / "bag_mcap", *place, "--json")
         assert status == 0
         assert json.loads(out)["numbers"]["hard_iron_x_ut"] == pytest.approx(21.0, abs=3.0)
+
+    def test_stamps_in_bursts_are_mended_and_named(self, fit, recording):
+        folder = recording("car_neu2023_aswin_asrec")
+        place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]
+        status, out, _ = fit(folder, *place, "--json")
+        document = json.loads(out)
+        assert status == 0
+        assert document["numbers"]["hard_iron_y_ut"] == pytest.approx(-48.0, abs=1.5)
+        assert "imu.csv and mag.csv: the stamps come in bursts, 0.90 s" in str(document)
+        assert "spread evenly" in str(document)
 
     @pytest.mark.nightly
     def test_a_span_of_a_hand_held_turn_runs(self, fit, recording):

@@ -22,7 +22,7 @@ from magcal_ros.core.doctor.health import (
 )
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.stamps import long_gaps
+from magcal_ros.core.samples.stamps import evenly, long_gaps
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def prepare(
         findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing, health))
         if len(long_gaps(increasing)):
             burst = True
-            log = replace(log, **{f"{name}_time": _even(time)})
+            log = replace(log, **{f"{name}_time": evenly(time)})
     if len(log.field) > health.fewest:
         findings += [
             *field_findings(log.field, health),
@@ -117,12 +117,6 @@ def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
     return SensorLog(
         log.imu_time[imu], log.force[imu], log.rate[imu], log.field_time[field], log.field[field]
     )
-
-
-def _even(time: FloatArray) -> FloatArray:
-    """Spread stamps evenly in the order in which they came, by a straight line through them."""
-    rank = np.arange(len(time), dtype=np.float64)
-    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
 
 
 def _fresh(log: SensorLog, health: HealthTuning) -> SensorLog:

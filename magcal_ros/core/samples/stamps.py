@@ -24,6 +24,11 @@ class BurstTuning:
     alike, apart : float
         Share of them that are no further than this off the usual one, relative: a buffer is read
         by the clock.
+    each : float
+        Samples that a burst has at least; pairs are rather messages that come twice.
+    straight : float
+        How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
+        whole bursts are missing beyond.
     """
 
     share: float = 0.5
@@ -31,6 +36,8 @@ class BurstTuning:
     fewest: int = 10
     alike: float = 0.4
     apart: float = 0.05
+    each: float = 3.0
+    straight: float = 1.5
 
 
 def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray:
@@ -43,7 +50,8 @@ def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArr
     tuning : BurstTuning
     """
     gaps = np.diff(time)
-    long = gaps[gaps > tuning.longer * float(np.median(gaps))]
+    # Stamps of one buffer may be equal but for rounding: then the median alone parts nothing.
+    long = gaps[gaps > max(tuning.longer * float(np.median(gaps)), float(np.mean(gaps)))]
     return long if long.sum() > tuning.share * float(time[-1] - time[0]) else long[:0]
 
 
@@ -74,3 +82,36 @@ def bursts_of_a_turn(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> s
     usual = float(np.median(long))
     alike = float(np.mean(np.abs(long - usual) < tuning.apart * usual))
     return bursts_in_words(long) if alike > tuning.alike else ""
+
+
+def evenly(time: FloatArray) -> FloatArray:
+    """Return stamps (n,) spread evenly in the order in which they came, by a line through them."""
+    rank = np.arange(len(time), dtype=np.float64)
+    return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
+
+
+def mended(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray | None:
+    """Return stamps that came in bursts as they would have been; None where that is not told.
+
+    The sensor is taken to have measured at one rate all along. No sample was measured after its
+    stamp, and the newest of a buffer just before it was read.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Stamps of a whole recording, in the order in which they came, seconds.
+    tuning : BurstTuning
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        None as well if samples are missing, or time was set back.
+    """
+    long = long_gaps(time, tuning) if len(time) > tuning.fewest else time[:0]
+    if len(long) < tuning.fewest or len(time) < tuning.each * len(long):
+        return None
+    even = evenly(time - time[0])
+    late = time - time[0] - even
+    if np.ptp(late) > tuning.straight * float(np.median(long)):
+        return None
+    return np.asarray(time[0] + even + late.min())

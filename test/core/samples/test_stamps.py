@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.stamps import bursts_of_a_turn, long_gaps
+from magcal_ros.core.samples.stamps import bursts_of_a_turn, long_gaps, mended
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
@@ -43,3 +45,45 @@ def test_a_refusal_that_bursts_can_be_the_cause_of_names_them():
     assert str(explained(refusal, window(np.arange(800) * 0.025))) == str(refusal)
     other = Refusal(Reason.TOO_FEW_SAMPLES, "no samples")
     assert str(explained(other, window(bursts()))) == str(other)
+
+
+class TestMended:
+    """Stamps of a buffer become those of the measurements."""
+
+    @given(
+        rate=st.floats(10.0, 500.0),
+        period=st.floats(0.3, 2.0),
+        apart=st.floats(0.0, 0.1),
+        phase=st.floats(0.0, 1.0),
+    )
+    def test_an_even_rate_is_found_whatever_the_buffer(self, rate, period, apart, phase):
+        each = rate * period
+        measured = 1.7e9 + np.arange(int(40 * each)) / rate
+        read = 1.7e9 + (np.floor((measured - 1.7e9) / period + phase) + 1 - phase) * period
+        nth = np.arange(len(read)) - np.searchsorted(read, read)
+        even = mended(read + nth * apart / rate)
+        if each < 3.0:
+            assert even is None
+        elif each > 10.0:
+            assert np.abs(even - measured).max() < 0.15 * period + 3.0 / rate
+
+    def test_the_newest_of_a_buffer_is_just_older_than_its_stamp(self):
+        time = bursts(within=40)
+        late = time - mended(time)
+        assert late.min() == pytest.approx(0.0, abs=1e-6)
+        assert np.abs(np.diff(mended(time)) - 0.025).max() < 1e-3
+
+    @pytest.mark.parametrize(
+        "time",
+        [
+            np.zeros(0),
+            np.arange(500) * 0.02,
+            np.repeat(np.arange(500) * 0.02, 2),
+            np.delete(bursts(), slice(200, 400)),
+            np.concatenate([bursts(), bursts()]),
+            np.concatenate([bursts(), 60.0 + bursts()]),
+        ],
+        ids=["none", "even", "twice", "samples missing", "set back", "a pause"],
+    )
+    def test_what_a_line_does_not_explain_stays(self, time):
+        assert mended(time) is None
