@@ -31,6 +31,9 @@ from magcal_ros.core.smoothing.places import iron_by_streets, new_metres
 TILT = [ROLL, PITCH]
 """What a lean of up all along is taken for."""
 
+LOST = 4.0
+"""Pieces of road of which the fit has taken away how much they differ."""
+
 
 @dataclass(frozen=True, eq=False)
 class Twelve:
@@ -103,7 +106,11 @@ def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
 
 
 def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> float:
-    """Return the heading's variance by the sandwich over that of the model, at least one."""
+    """Return the heading's variance by the sandwich over that of the model, at least one.
+
+    What the fit takes away of the pieces' difference is put back as the model has it, not in
+    proportion: few pieces say little of it, and would be counted several times over.
+    """
     if not _travels(smoothed):
         # No road tells how much its pieces differ: neighbours in time do.
         residual = smoothed.here.field / math.sqrt(smoothed.problem.noise_variance)
@@ -112,8 +119,9 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
     count = len(scores)
     if count < smoothed.problem.tuning.fewest_clusters:
         return 1.0
-    middle = scores.T @ scores * count / (count - 4.0)
-    sandwich = plain @ (middle + smoothed.problem.prior.information) @ plain
+    prior, information = smoothed.problem.prior.information, smoothed.eliminated.information
+    taken = LOST / count * (information - prior)
+    sandwich = plain @ (scores.T @ scores + taken + prior) @ plain
     return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
 
 

@@ -111,7 +111,7 @@ class SmootherTuning:
     cluster : float
         Metres of road that count as one witness in the sandwich covariance.
     fewest_clusters : int
-        Fewer say nothing of how much they differ. The correction of small samples takes four off.
+        Fewer say nothing of how much they differ.
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.

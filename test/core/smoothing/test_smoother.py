@@ -137,6 +137,18 @@ def test_the_pulls_of_the_roads_add_up_to_the_priors(fitted):
     assert (pull - prior) * sigma == pytest.approx(np.zeros(SHARED), abs=0.02)
 
 
+def test_a_fifth_piece_of_road_makes_no_drive_less_certain():
+    """From there on the pieces tell how much they differ; five of them say little of it."""
+    shorter, longer = [], []
+    for seed in (10, 11, 14, 17):
+        nodes = log_from(driven(seed, 240.0)).nodes(NOBODY)
+        metres = np.cumsum(nodes.metres)
+        for pieces, said in ((4, shorter), (5, longer)):
+            road = nodes.take(np.flatnonzero(metres < 150.0 * pieces - 1.0))
+            said.append(fit_nodes(road, BOSTON).twelve.heading_sigma)
+    assert np.mean(longer) < np.mean(shorter)
+
+
 def test_nothing_moves_when_it_starts_at_the_optimum(fitted):
     again = descend(fitted.smoothed.problem, fitted.smoothed.unknowns)
     assert again.rounds == 1
@@ -259,11 +271,13 @@ def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
 @pytest.mark.parametrize("seconds", [120.0, 300.0])
 @pytest.mark.parametrize("speed", [False, True])
 def test_sigma_is_right_over_many_drives(seconds, speed):
-    squares, errors = [], []
+    errors, said = [], []
     for seed in range(100):
         drive = driven(seed, seconds)
-        found = fit_nodes(log_from(drive, speed=speed).nodes(NOBODY), BOSTON)
-        errors.append(heading_error(found.twelve.correction, drive.vehicle.robot))
-        squares.append((errors[-1] / math.degrees(found.twelve.heading_sigma)) ** 2)
-    assert 0.3 < np.mean(squares) < 2.0
-    assert math.sqrt(np.mean(np.square(errors))) < (3.0 if seconds > 200.0 else 4.5)
+        twelve = fit_nodes(log_from(drive, speed=speed).nodes(NOBODY), BOSTON).twelve
+        errors.append(heading_error(twelve.correction, drive.vehicle.robot))
+        said.append(math.degrees(twelve.heading_sigma))
+    wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, said))
+    assert wrong < (3.0 if seconds > 200.0 else 4.5)
+    assert 1.0 / 1.5 < wrong / predicted < 1.5
+    assert np.mean((np.array(errors) / said) ** 2) < 2.0
