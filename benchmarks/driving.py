@@ -113,7 +113,8 @@ def city_drive(seed: int, seconds: float, way: str) -> Drive:
 def tilt_errors(drive: Drive, seen: Seen) -> FloatArray:
     """Return by how much up is off, degrees."""
     truth = drive.up[np.searchsorted(drive.time, seen.stamps)]
-    return np.degrees(np.arccos(np.clip(np.sum(truth * seen.ups, axis=1), -1.0, 1.0)))
+    across = np.clip(np.sum(truth * seen.ups, axis=1), -1.0, 1.0)
+    return np.asarray(np.degrees(np.arccos(across)))
 
 
 def simulated(drives: int) -> None:

@@ -25,7 +25,7 @@ from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.simulation.drive import Drive, random_vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.travel import travel
-from magcal_ros.ros.sensor_source import SensorSource, set_stamp
+from magcal_ros.ros.sensor_source import SensorSource, set_time
 
 WARM_UP = 30.0
 RENAMED = ("__node:=without", *(f"{t}:=nobody/{t}" for t in ("odom", "gps/fix", "gps/vel")))
@@ -59,13 +59,13 @@ class Car:
 
     def _tell_speed(self, sample: SpeedSample, stamp: float) -> None:
         message = Odometry(child_frame_id="base_link")
-        set_stamp(message, stamp)
+        set_time(message.header.stamp, stamp)
         message.twist.twist.linear.x = sample.speed
         self._odom.publish(message)
 
     def _tell_position(self, sample: PositionSample, stamp: float) -> None:
         message = NavSatFix(latitude=48.0 + math.degrees(sample.north / 6.371e6))
-        set_stamp(message, stamp)
+        set_time(message.header.stamp, stamp)
         message.longitude = math.degrees(sample.east / 6.371e6 / math.cos(math.radians(48.0)))
         self._fix.publish(message)
 
@@ -86,8 +86,8 @@ def main() -> None:
         path = Path(folder) / "calibration.yaml"
         stage.store_calibration(path)
         alike = ("--ros-args", "-p", f"calibration_file:={path}", "-p", "report_folder:=none")
-        off = (*alike, "-p", "self_calibration:='off'")
-        off = (*off, *(part for name in RENAMED for part in ("-r", name)))
+        renamed = (part for name in RENAMED for part in ("-r", name))
+        off = (*alike, "-p", "self_calibration:='off'", *renamed)
         on = (*alike, "-p", "self_calibration:=propose")
         with (
             stage.running(*stage.CALIBRATOR, *off) as without,

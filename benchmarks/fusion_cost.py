@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.samples.streams import STREAMS, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.up import UpFollower
@@ -36,7 +36,7 @@ def main() -> None:
         print(f"{name:30s} {1e6 * seconds:6.1f} µs")
 
 
-def run(samples: list, calibration: Calibration) -> list[float]:
+def run(samples: list[ImuSample | FieldSample], calibration: Calibration) -> list[float]:
     """Return seconds per message of each part."""
     follower, fused, compass = UpFollower(), FusedYaw(calibration, PATIENCE), Compass(calibration)
     spent, counts = [0.0, 0.0, 0.0], [0, 0]
@@ -48,6 +48,7 @@ def run(samples: list, calibration: Calibration) -> list[float]:
             follower.add(sample)
             spent[0] += clock() - begun
             up = follower.at(sample.stamp, 0.0)
+            assert up is not None
             begun = clock()
             fused.propagate(
                 sample.stamp, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest
@@ -59,8 +60,10 @@ def run(samples: list, calibration: Calibration) -> list[float]:
         follower.add_field(sample.stamp, sample.field)
         spent[0] += clock() - begun
         up = follower.at(sample.stamp, STREAMS.max_gap)
+        assert up is not None
         field = compass.correct(sample.field)
         heading = compass.heading(field, up.direction, up.variance)
+        assert heading is not None
         begun = clock()
         fused.correct(sample.stamp, field, up, heading)
         spent[2] += clock() - begun

@@ -18,9 +18,10 @@ from honesty_cases import KINDS, Case, draw_case
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
+from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field as yaw_of
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, trial_attitudes
-from magcal_ros.core.simulation.simulator import yaw_from_up_and_field as yaw_of
 
 SIGMAS = 5.0
 FLOOR = 0.1 * DEGREE
@@ -67,7 +68,7 @@ class Row:
 
     def count(self, case: Case, outcome: Outcome, name: str) -> None:
         grades = outcome.verdict.quality, outcome.verdict.confidence
-        if outcome.estimate is not None and not is_finite(outcome):
+        if outcome.estimate is not None and not is_finite(outcome.estimate):
             self.broken += 1
             print(f"not finite: {name}")
         if Grade.REFUSED in grades:
@@ -76,7 +77,8 @@ class Row:
             self.warned += 1
         else:
             self.accepted += 1
-            error, sigma = heading_error(case, outcome)
+            assert outcome.estimate is not None
+            error, sigma = heading_error(case, outcome.estimate)
             if error > min(SIGMAS * math.hypot(sigma, FLOOR), WORST):
                 self.misses += not case.hidden
                 self.hidden += case.hidden
@@ -85,22 +87,21 @@ class Row:
                 print(f"miss{apart}: {name}: {words}")
 
 
-def is_finite(outcome: Outcome) -> bool:
-    estimate = outcome.estimate
+def is_finite(estimate: Estimate) -> bool:
     numbers = [estimate.correction.matrix, estimate.correction.hard_iron, estimate.covariance,
                np.array(list(estimate.figures.values()))]  # fmt: skip
     return all(np.isfinite(number).all() for number in numbers)
 
 
-def heading_error(case: Case, outcome: Outcome) -> tuple[float, float]:
+def heading_error(case: Case, estimate: Estimate) -> tuple[float, float]:
     """Return the heading's RMS error on the level, and what was predicted, radians."""
     poses = trial_attitudes()[:, LEVEL_TILT]
     up, truth = poses[:, :, 2], poses @ case.robot.field_enu
     raw = case.robot.raw_field(truth @ case.body.T) @ case.wiring.T
-    gap = yaw_of(up, outcome.estimate.correction.apply(raw)) - yaw_of(up, truth)
+    gap = yaw_of(up, estimate.correction.apply(raw)) - yaw_of(up, truth)
     gap = (gap + math.pi) % math.tau - math.pi
     error = math.sqrt(float(np.mean(gap**2)))
-    return error, predicted_heading_sigma(outcome.estimate, 0.0)
+    return error, predicted_heading_sigma(estimate, 0.0)
 
 
 def print_table(rows: dict[str, Row]) -> None:

@@ -214,6 +214,7 @@ def flip_board(rng: np.random.Generator, case: Case) -> Case:
 def wire_gyro(rng: np.random.Generator, case: Case) -> Case:
     wiring = -np.eye(3) if rng.random() < 0.5 else MIRRORS[str(rng.choice(list(MIRRORS)))]
     rate = case.window.angular_rate
+    assert rate is not None
     return replace(case, window=replace(case.window, angular_rate=rate @ wiring.T))
 
 

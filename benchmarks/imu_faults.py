@@ -17,7 +17,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
-from imu_faults_cases import FAULTS, MOTIONS, Case, good_case
+from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.upright import Told
@@ -39,7 +39,7 @@ class Row:
     runs: int = 0
     found: int = 0
     either: int = 0
-    blamed: Counter = field(default_factory=Counter)
+    blamed: Counter[str] = field(default_factory=Counter)
 
     def add(self, wanted: set[str], case: Case) -> None:
         page = examine(case.log, case.knowledge, Told(case.turned_left))
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def two_at_once(motion: str, runs: int, seed: int) -> None:
-    row, worst = Row(), Counter()
+    row, worst = Row(), Counter[str]()
     for one, two in itertools.combinations(FAULTS, 2):
         keys = {*FAULTS[one][1], *FAULTS[two][1]}
         if len(keys) < 2 or {one, two} & set(CANNOT_SHOW.get(motion, ())):
@@ -97,7 +97,7 @@ def two_at_once(motion: str, runs: int, seed: int) -> None:
     print("  missed most with:", worst.most_common(5))
 
 
-def spoilt(case: Case, rng: np.random.Generator, fault: object) -> Case:
+def spoilt(case: Case, rng: np.random.Generator, fault: Fault) -> Case:
     return Case(fault(rng, case.log), case.knowledge, case.turned_left, case.nose_lifted)
 
 

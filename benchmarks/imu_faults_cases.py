@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from axes_cases import cheap_robot
@@ -205,6 +206,12 @@ def good_case(rng: np.random.Generator, kind: str, hard: float = 1.0, habit: Hab
 Fault = Callable[[np.random.Generator, SensorLog], SensorLog]
 
 
+def _swapped(i: int, j: int) -> list[int]:
+    order = [0, 1, 2]
+    order[i], order[j] = j, i
+    return order
+
+
 def _rates(change: Callable[[FloatArray], FloatArray]) -> Fault:
     return lambda _, log: replace(log, rate=change(log.rate))
 
@@ -246,7 +253,7 @@ def _bursts(_: np.random.Generator, log: SensorLog) -> SensorLog:
 
 def _repeats(rng: np.random.Generator, log: SensorLog) -> SensorLog:
     field = log.field.copy()
-    for row in np.flatnonzero(rng.random(len(field)) < 0.1):
+    for row in np.flatnonzero(rng.random(len(field)) < 0.1).tolist():
         field[row] = field[max(row - 1, 0)]
     return replace(log, field=field)
 
@@ -266,7 +273,7 @@ def _saturated(rng: np.random.Generator, log: SensorLog) -> SensorLog:
 
 
 def _frozen(rng: np.random.Generator, log: SensorLog) -> SensorLog:
-    which = rng.choice(["force", "rate", "field"])
+    which = str(rng.choice(["force", "rate", "field"]))
     values = getattr(log, which).copy()
     first = int(rng.uniform(0.0, 0.5) * len(values))
     values[first:] = values[first]
@@ -281,14 +288,14 @@ FAULTS: dict[str, tuple[Fault, tuple[str, ...]]] = {
     "rate 562 times large": (_rates(lambda r: 562.0 * r), ("rate_unit",)),
     **{
         f"gyro {name} mirrored": (
-            _rates(lambda r, k=k: r * np.where(np.arange(3) == k, -1.0, 1.0)),
+            _rates(partial(np.multiply, np.where(np.arange(3) == k, -1.0, 1.0))),
             ("gyro_axes",),
         )
         for k, name in enumerate("xyz")
     },
     **{
         f"gyro {'xyz'[i]}, {'xyz'[j]} swapped": (
-            _rates(lambda r, i=i, j=j: r[:, _swapped(i, j)]),
+            _rates(partial(np.take, indices=_swapped(i, j), axis=1)),
             ("gyro_axes",),
         )
         for i, j in itertools.combinations(range(3), 2)
@@ -310,9 +317,3 @@ FAULTS: dict[str, tuple[Fault, tuple[str, ...]]] = {
     "frozen": (_frozen, ("frozen",)),
 }
 """What is done to good streams, and the key of the finding that names it."""
-
-
-def _swapped(i: int, j: int) -> list[int]:
-    order = [0, 1, 2]
-    order[i], order[j] = j, i
-    return order

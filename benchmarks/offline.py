@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -50,7 +51,7 @@ def write_bag(path: Path, window: Window) -> None:
             writer.write(out[kind], stamp, store.serialize_cdr(message, kind))
 
 
-def messages(window: Window, types: dict[str, type]) -> Iterator[tuple[int, object]]:
+def messages(window: Window, types: dict[str, Any]) -> Iterator[tuple[int, Any]]:
     """Stamp and message, one IMU and one field message per row."""
     header, time_type = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
     vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]

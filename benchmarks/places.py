@@ -56,7 +56,7 @@ def added_field(rng: np.random.Generator, motion: Motion, place: Place) -> Float
     moments = rng.standard_normal((count, 3))
     moments *= rng.uniform(*place.moment, (count, 1)) / np.linalg.norm(moments, axis=1)[:, None]
     bent = sum(_dipole(way - at, moment) for at, moment in zip(where, moments, strict=True))
-    return np.einsum("nij,nj->ni", motion.attitude, bent)
+    return np.asarray(np.einsum("nij,nj->ni", motion.attitude, bent))
 
 
 def _dipole(away: FloatArray, moment: FloatArray) -> FloatArray:

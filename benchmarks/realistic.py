@@ -26,7 +26,7 @@ import numpy as np
 from places import PLACES, added_field
 from turn_kinds import KINDS, drawn_motion, drawn_robot
 
-from magcal_ros.core.assessment.verdict import Grade
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -157,9 +157,14 @@ def with_force(scene: Scene, added: FloatArray) -> Scene:
     return replace(scene, window=replace(scene.window, specific_force=force))
 
 
+def rate_of(scene: Scene) -> FloatArray:
+    rate = scene.window.angular_rate
+    assert rate is not None
+    return rate
+
+
 def with_rate(scene: Scene, added: FloatArray) -> Scene:
-    rate = scene.window.angular_rate + added
-    return replace(scene, window=replace(scene.window, angular_rate=rate))
+    return replace(scene, window=replace(scene.window, angular_rate=rate_of(scene) + added))
 
 
 def axes(size: float, *, iron: bool = False) -> Spoil:
@@ -247,7 +252,7 @@ def biased(degrees: float) -> Spoil:
 
 def crossed(size: float) -> Spoil:
     return lambda rng, scene: with_rate(
-        scene, scene.window.angular_rate @ (size * rng.standard_normal((3, 3)))
+        scene, rate_of(scene) @ (size * rng.standard_normal((3, 3)))
     )
 
 
@@ -261,7 +266,7 @@ def together(*effects: Spoil) -> Spoil:
 
 
 def even(_: np.random.Generator, time: FloatArray) -> FloatArray:
-    return time / time[-1] - 0.5
+    return np.asarray(time / time[-1] - 0.5)
 
 
 def switched(_: np.random.Generator, time: FloatArray) -> FloatArray:

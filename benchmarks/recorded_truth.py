@@ -301,7 +301,7 @@ def levelled(up: FloatArray, field: FloatArray) -> FloatArray:
 def _around(centre: FloatArray, gains: FloatArray) -> Heading:
     def heading(up: FloatArray, field: FloatArray) -> FloatArray:
         x, y = ((levelled(up, field) - centre) * gains).T
-        return np.arctan2(x, y)
+        return np.asarray(np.arctan2(x, y))
 
     return heading
 

@@ -18,10 +18,10 @@ import numpy as np
 from changed_recordings import CHANGES, changed
 from recorded_truth import Drive, Score, asked_on_the_way, peers, read_drive, windows
 
-from magcal_ros.core.assessment.verdict import Grade
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate, calibrate_drive
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import MagcalError, Refusal
+from magcal_ros.core.errors import MagcalError, Reason, Refusal
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import log_of
@@ -150,7 +150,7 @@ def outcome_of(window: Window, drive: Drive) -> Outcome:
         return calibrate(window, drive.knowledge)
     except ValueError as fault:
         print(f"broken: {drive.name}: {fault!r}")
-        return Outcome.refused(Refusal(None, f"broken: {fault}"))
+        return Outcome.refused(Refusal(Reason.NO_SOLUTION, f"broken: {fault}"))
 
 
 def graded(outcome: Outcome) -> str:

@@ -84,7 +84,7 @@ class Heard(SelfCalibration):
         self.rows.append((stamp, field, force, rate, speed))
         return False
 
-    def decide(self, begun: Calibration | None) -> tuple[list[tuple[float, Decision]], Calibration]:
+    def decide(self, begun: Calibration) -> tuple[list[tuple[float, Decision]], Calibration]:
         """Return what the node would decide, by seconds, and what is in force at the end."""
         machine, now, made = SelfCalibration(Mode.APPLY), begun, []
         machine.put_in_force(begun)
@@ -92,7 +92,7 @@ class Heard(SelfCalibration):
             if machine.add(*row):
                 for decision in machine.note(run(machine.job(BOSTON))):
                     made.append((row[0] - self.rows[0][0], decision))
-                    if decision.changes:
+                    if decision.changes and decision.calibration is not None:
                         now = decision.calibration
                         machine.put_in_force(now)
         return made, now

@@ -139,7 +139,7 @@ def soak(
 def _live(
     actor: Rehearsal, pid: int, hours: float, marks: int, tell: Callable[[Mark], None]
 ) -> list[Mark]:
-    feeder, found = Feeder(actor), []
+    feeder, found = Feeder(actor), list[Mark]()
     begun, part = actor.ride.stamp, 3600.0 * hours / marks
     for number in range(marks + 1):
         while actor.ride.stamp - begun < number * part:

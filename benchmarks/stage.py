@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -143,7 +144,7 @@ def _steps(imu_rate: int, steps_per_field: int) -> Iterator[tuple[bytearray, byt
         yield bytearray(serialize_message(imu)), of_field
 
 
-def _fill(vector: object, numbers: tuple[float, float, float]) -> None:
+def _fill(vector: Any, numbers: tuple[float, float, float]) -> None:
     vector.x, vector.y, vector.z = numbers
 
 
