@@ -16,11 +16,12 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
+from magcal_ros.core.doctor.refusal import blamed_on_axes, stamped_in_bursts, wrong_axes
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog, log_of
 
@@ -158,11 +159,15 @@ def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that the axes of the sensors are wrong."""
+    """Judge an estimate unless the samples say that axes or stamps of the sensors are wrong."""
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
-    return judged(estimate, knowledge, window)
+    outcome = judged(estimate, knowledge, window)
+    if outcome.verdict.accepted or window.angular_rate is None:
+        return outcome
+    bursts = bursts_of_a_turn(window.time)
+    return Outcome.refused(stamped_in_bursts(bursts), window) if bursts else outcome
 
 
 def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:

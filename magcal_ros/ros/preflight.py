@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+import numpy as np
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -16,6 +17,7 @@ from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.messages import seconds
+from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.files.plain import plain
 
@@ -23,6 +25,9 @@ IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 MOST_FRAMES = 5
 """Names of frames that are shown."""
+
+FEWEST_STAMPS = 10
+"""Of which it is told whether they come in bursts."""
 
 SLOWEST_FIELD = 5.0
 """Hertz, below which a turn of 12 s gives too few samples."""
@@ -176,6 +181,9 @@ def _judge_stamps(heard: Heard) -> list[str]:
     found = []
     if not any(heard.stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
+    elif len(heard.stamps) > FEWEST_STAMPS:
+        long = long_gaps(np.array(heard.stamps))
+        found += [f"  {bursts_in_words(long)}"] if len(long) else []
     if heard.publishers > 1:
         found.append(f"  {heard.publishers} publishers on one topic: only one can be the sensor")
     return found

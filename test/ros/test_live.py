@@ -1,6 +1,7 @@
 """`magcal calibrate` as a person at a terminal, or a log file, sees it."""
 
 import contextlib
+import math
 import os
 import pty
 import signal
@@ -104,6 +105,18 @@ def test_a_sensor_that_does_not_arrive_is_explained(stage):
     looker.destroy_node()
     assert not found[0].ready
     assert "/imu/mag: nothing arrives (1 publishers)" in found[0].lines
+
+
+def test_stamps_in_bursts_are_said_before_the_turn(stage):
+    actor = stage()
+    actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
+    looker = rclpy.create_node("looker")
+    found = []
+    look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 1.0)))
+    look.start()
+    actor.run(PATIENCE, stop=lambda: not look.is_alive())
+    looker.destroy_node()
+    assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found[0].lines) == 2
 
 
 @pytest.mark.nightly

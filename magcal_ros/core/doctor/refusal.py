@@ -27,8 +27,13 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
         return None
     bursts = bursts_of_a_turn(window.time)
     if bursts:
-        return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
+        return stamped_in_bursts(bursts)
     return Refusal(Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words)
+
+
+def stamped_in_bursts(bursts: str) -> Refusal:
+    """Return the refusal of a turn whose stamps come in bursts, by the words for them."""
+    return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
 
 
 def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:

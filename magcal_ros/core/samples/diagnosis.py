@@ -96,6 +96,8 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
         ]
     if mag.drops[Drop.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
+    bursts = {imu.topic: streams.imu_bursts.words, mag.topic: streams.field_bursts.words}
+    found += [f"{topic}: {words}" for topic, words in bursts.items() if words]
     offset = stamp_offset(streams)
     if offset:
         found.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,10 @@ class BurstTuning:
     straight : float
         How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
         whole bursts are missing beyond.
+    harmful : float
+        Seconds between bursts from which a running robot's user is told.
+    memory : float
+        Gaps over which the usual one is averaged while samples come.
     """
 
     share: float = 0.5
@@ -38,6 +43,8 @@ class BurstTuning:
     apart: float = 0.05
     each: float = 3.0
     straight: float = 1.5
+    harmful: float = 0.1
+    memory: float = 100.0
 
 
 def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray:
@@ -115,3 +122,41 @@ def mended(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray 
     if np.ptp(late) > tuning.straight * float(np.median(long)):
         return None
     return np.asarray(time[0] + even + late.min())
+
+
+class BurstWatch:
+    """Tells whether stamps come in bursts, gap after gap.
+
+    Parameters
+    ----------
+    tuning : BurstTuning
+    """
+
+    def __init__(self, tuning: BurstTuning = BurstTuning()) -> None:
+        self._tuning = tuning
+        self._now = self._usual = 0.0
+        self._count = 0
+        self._long: deque[tuple[float, float]] = deque(maxlen=tuning.fewest)
+
+    def add(self, gap: float) -> None:
+        """Take the seconds from the stamp before."""
+        self._count += 1
+        self._now += gap
+        bound = self._tuning.longer * self._usual
+        if self._count > 1 and gap > bound:
+            self._long.append((self._now, gap))
+            gap = bound
+        self._usual += (gap - self._usual) / min(self._count, self._tuning.memory)
+
+    @property
+    def words(self) -> str:
+        """Say that they do, and what mends it; empty where they do not, or it does no harm."""
+        if len(self._long) < self._tuning.fewest:
+            return ""
+        long = np.array([gap for _, gap in self._long])
+        since, first = self._long[0]
+        passed = self._now - since + first
+        is_harmful = float(np.median(long)) > self._tuning.harmful
+        return (
+            bursts_in_words(long) if is_harmful and long.sum() > self._tuning.share * passed else ""
+        )

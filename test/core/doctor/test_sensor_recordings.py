@@ -5,9 +5,9 @@ from long_form import first_of
 
 from magcal_ros.core.assessment.axes import find_axes
 from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.knowledge import Mounting, knowledge_of
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.session.recorded import Gathering
+from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.files.sources import open_recording
 
 GOOD = (
@@ -47,6 +47,18 @@ def test_stamps_in_bursts_are_named(recording):
     wrong = [f for f in page_of(recording(BURSTS)).findings if f.is_wrong]
     assert [f.name for f in wrong] == ["IMU: stamps", "field: stamps"]
     assert all("bursts" in f.remedy for f in wrong)
+
+
+def test_a_turn_that_they_spoil_is_refused_for_them(recording):
+    """As a node would hear it, which cannot wait for a recording's end to spread them."""
+    gathering = Gathering(Mounting())
+    with open_recording(recording(BURSTS), start=30.0, stop=80.0) as source:
+        gathering.take(source.readings())
+    outcome = fit_gathered(gathering, knowledge_of(51.3, inclination_deg=66.3))
+    assert not outcome.verdict.accepted
+    assert (
+        "gyro and field do not tell one turn: the stamps come in bursts" in outcome.verdict.summary
+    )
 
 
 def test_the_bias_of_a_gyro_is_read_at_rest(recording):

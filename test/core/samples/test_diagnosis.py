@@ -42,6 +42,16 @@ def test_stamps_apart_are_said_with_the_offset_found(ahead):
     assert f"{ahead:+.1f} s apart" in words
 
 
+def test_stamps_in_bursts_are_said_of_the_topic_whose_they_are():
+    both = Streams(0.2)
+    for k in range(500):
+        read = 1e5 + k // 40 + 0.0025 * (k % 40)
+        both.add_imu(ImuSample(1e5 + 0.025 * k, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+        both.add_field(FieldSample(read, (2e-5, 1e-9 * k, -4e-5)))
+    (words,) = said(both)
+    assert words.startswith("/mag: the stamps come in bursts, 0.90 s apart")
+
+
 @pytest.mark.parametrize("ahead", [-0.6, -0.05, 0.0, 0.05, 0.2])
 def test_a_field_that_is_late_or_a_little_early_is_none(ahead):
     assert said(streams(ahead)) == []

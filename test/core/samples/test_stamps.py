@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.stamps import bursts_of_a_turn, long_gaps, mended
+from magcal_ros.core.samples.stamps import BurstWatch, bursts_of_a_turn, long_gaps, mended
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
@@ -87,3 +87,40 @@ class TestMended:
     )
     def test_what_a_line_does_not_explain_stays(self, time):
         assert mended(time) is None
+
+
+class TestBurstWatch:
+    """A running robot's stamps, gap after gap."""
+
+    def words(self, *stamps):
+        watch = BurstWatch()
+        for time in stamps:
+            for gap in np.diff(time):
+                watch.add(float(gap))
+        return watch.words
+
+    @pytest.mark.parametrize("period", [0.2, 0.9])
+    @pytest.mark.parametrize("within", [5, 40, 150])
+    def test_bursts_are_said_with_how_far_they_are_apart(self, period, within):
+        time = (np.arange(12)[:, None] * period + np.arange(within) * 0.0003).ravel()
+        assert f"bursts, {period - (within - 1) * 0.0003:.2f} s apart" in self.words(time)
+
+    def test_a_stream_may_begin_between_two_bursts(self):
+        assert "bursts" in self.words(bursts()[19:])
+
+    @given(st.lists(st.floats(0.5, 1.5), min_size=50, max_size=300))
+    def test_jitter_is_none(self, gaps):
+        assert self.words(np.cumsum(np.array(gaps) * 0.2)) == ""
+
+    def test_a_serial_port_that_hands_on_sixteen_milliseconds_does_no_harm(self):
+        assert self.words(bursts(period=0.016, within=6, count=500)) == ""
+
+    def test_a_few_pauses_are_none(self):
+        steps = np.full(3000, 0.01)
+        steps[::250] = 5.0
+        assert self.words(np.cumsum(steps)[:2000]) == ""
+
+    def test_a_driver_that_was_mended_is_forgiven(self):
+        time = bursts()
+        assert "bursts" in self.words(time)
+        assert self.words(time, np.arange(3000) * 0.01) == ""
