@@ -3,8 +3,10 @@
 Each row is a window of a recording: the verdict, the promised heading sigma, the heading's RMS and
 median against the truth, what five usual methods reach with the same samples and the same up, and
 what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
-the best of the five, chosen afterwards. Headings are scored on the whole recording. With
-`--changed` other sensors have recorded the same drive (`changed_recordings.py`; `all` of them).
+the best of the five, chosen afterwards, and "to truth" over that of the twelve numbers that fit
+best where the truth is known: streets leave the rest to whoever calibrates. Headings are scored on
+the whole recording. With `--changed` other sensors have recorded the same drive
+(`changed_recordings.py`; `all` of them).
 """
 
 from __future__ import annotations
@@ -16,10 +18,12 @@ from pathlib import Path
 
 import numpy as np
 from changed_recordings import CHANGES, changed
-from recorded_truth import Drive, Score, asked_on_the_way, peers, read_drive, windows
+from recorded_truth import Drive, Heading, Score, asked_on_the_way, peers, read_drive, windows
+from truth_fit import told_by_truth
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate, calibrate_drive
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import MagcalError, Reason, Refusal
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
@@ -47,6 +51,7 @@ class Line:
     ours: Score | None
     others: tuple[float, ...]
     floor: Score | None
+    by_truth: Score | None = None
 
     @property
     def answered(self) -> bool:
@@ -57,6 +62,11 @@ class Line:
         """Our RMS over the best peer's; NaN where either is missing."""
         known = [other for other in self.others if math.isfinite(other)]
         return self.ours.rms / min(known) if self.ours and known else math.nan
+
+    @property
+    def to_truth(self) -> float:
+        """Our RMS over that of the best twelve numbers; NaN where either is missing."""
+        return self.ours.rms / self.by_truth.rms if self.ours and self.by_truth else math.nan
 
     @property
     def is_wrong(self) -> bool:
@@ -132,17 +142,23 @@ def fitted(
     if isinstance(window, MagcalError):
         return Line(drive.name, name, 0.0, "-", str(window), math.nan, None, (), floor)
     outcome = outcome or outcome_of(window, drive)
-    sigma, ours = math.nan, None
+    sigma, ours, by_truth = math.nan, None, None
     if outcome.estimate is not None:
         sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
         correction = outcome.estimate.correction
-        ours = drive.score(lambda up, raw: yaw_from_up_and_field(up, correction.apply(raw)))
+        ours = drive.score(heading_by(correction))
+        best = told_by_truth(drive, correction)
+        by_truth = None if best is None else drive.score(heading_by(best))
     headings = peers(window)
     scores = [drive.score(heading) if heading else None for heading in map(headings.get, PEERS)]
     others = tuple(score.rms if score else math.nan for score in scores)
     seconds = float(np.ptp(window.time))
     grade, why = graded(outcome), outcome.verdict.summary
-    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor)
+    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor, by_truth)
+
+
+def heading_by(correction: Correction) -> Heading:
+    return lambda up, raw: yaw_from_up_and_field(up, correction.apply(raw))
 
 
 def outcome_of(window: Window, drive: Drive) -> Outcome:
@@ -160,7 +176,7 @@ def graded(outcome: Outcome) -> str:
 HEADER = (
     f"{'recording':28s}{'window':8s}{'s':>5s} {'verdict':10s}{'sigma':>6s}{'rms':>7s}{'median':>7s}"
     + "".join(f"{name:>10s}" for name in PEERS)
-    + f"{'gyro':>7s}{'to best':>8s}"
+    + f"{'gyro':>7s}{'to best':>8s}{'to truth':>9s}"
 )
 
 
@@ -169,6 +185,7 @@ def row(line: Line) -> str:
     numbers = [*(number(v, 7) for v in ours), *(number(v, 10) for v in line.others)]
     numbers += ["         -"] * (len(PEERS) - len(line.others))
     numbers += [number(line.floor.rms if line.floor else math.nan, 7), number(line.ratio, 8)]
+    numbers.append(number(line.to_truth, 9))
     start = f"{line.name:28s}{line.window:8s}{line.seconds:5.0f} {line.grade:10s}"
     wrong = "  WRONG" if line.is_wrong else ""
     return start + number(line.sigma, 6) + "".join(numbers) + wrong
@@ -187,14 +204,19 @@ def summary(lines: list[Line]) -> str:
         answered = [line for line in rows if line.answered]
         clean = sum(line.grade != Grade.WARN.value for line in answered)
         good = sum(line.ratio <= AS_GOOD for line in answered)
-        mean = np.mean([line.ratio for line in answered]) if answered else math.nan
+        to_best = mean_of([line.ratio for line in answered])
+        to_truth = mean_of([line.to_truth for line in answered])
         wrong = sum(line.is_wrong for line in answered)
         text.append(
             f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
-            f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio {mean:.2f},"
-            f" wrong {wrong}"
+            f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio"
+            f" {to_best:.2f} (to what the truth tells {to_truth:.2f}), wrong {wrong}"
         )
     return "\n".join(text)
+
+
+def mean_of(values: list[float]) -> float:
+    return sum(values) / len(values) if values else math.nan
 
 
 if __name__ == "__main__":
