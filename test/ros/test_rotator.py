@@ -98,10 +98,12 @@ def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
 
 
 FAULTY = """
-import sys, threading
+import dataclasses, sys, threading
+from magcal_ros.core.session import self_turn
 from magcal_ros.ros import guard, main, node
-# Whether a busy machine keeps the node silent is not asked here.
+# Whether a busy machine keeps the node silent, or finds the base late, is not asked here.
 guard.SILENCE = 10.0
+self_turn.TUNING = dataclasses.replace(self_turn.TUNING, listeners_within=60.0)
 fault = threading.Event()
 def look(self):
     if fault.is_set():
