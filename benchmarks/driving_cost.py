@@ -1,12 +1,15 @@
-"""What speed, fixes and self-calibration cost the node: `python benchmarks/driving_cost.py [s]`.
+"""What speed, fixes and self-calibration cost: `python benchmarks/driving_cost.py [s] [Hz]`.
 
-Two nodes hear one simulated drive through a city at the same time: one with odometry and fixes that
-keeps its calibration by driving, one without. Printed are the CPU of each node's own process per
-second of the drive, their ratio, and what the processes that fit beside the node took.
+Four nodes hear one simulated drive through a city at the same time: two with odometry and fixes
+that keep their calibration by driving, two without. Processes of the same kind differ by a tenth
+and more, the same all along, so that one pair says little: run it again for other processes.
+Printed are the CPU of each node's own process per second of the drive, the ratio of the means, and
+what the processes that fit beside them took. `Hz` is the rate of IMU and field.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 import tempfile
@@ -28,7 +31,11 @@ from magcal_ros.core.simulation.travel import travel
 from magcal_ros.ros.sensor_source import SensorSource, set_time
 
 WARM_UP = 30.0
-RENAMED = ("__node:=without", *(f"{t}:=nobody/{t}" for t in ("odom", "gps/fix", "gps/vel")))
+NOBODYS = (f"{topic}:=nobody/{topic}" for topic in ("odom", "gps/fix", "gps/vel"))
+KINDS = {
+    "without": ("-p", "self_calibration:='off'", *(p for name in NOBODYS for p in ("-r", name))),
+    "beside": ("-p", "self_calibration:=propose"),
+}
 
 
 class Car:
@@ -79,32 +86,31 @@ def children_seconds(pid: int) -> float:
 
 def main() -> None:
     length = float(sys.argv[1]) if len(sys.argv) > 1 else 180.0
+    hertz = float(sys.argv[2]) if len(sys.argv) > 2 else 50.0
     rng = np.random.default_rng(1)
-    way = travel(city(rng, WARM_UP + length + 20.0), rng)
+    way = travel(city(rng, WARM_UP + length + 20.0), rng, rate=hertz)
     car = Car(simulated_drive(way, rng, random_vehicle(rng)))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "calibration.yaml"
-        stage.store_calibration(path)
-        alike = ("--ros-args", "-p", f"calibration_file:={path}", "-p", "report_folder:=none")
-        renamed = (part for name in RENAMED for part in ("-r", name))
-        off = (*alike, "-p", "self_calibration:='off'", *renamed)
-        on = (*alike, "-p", "self_calibration:=propose")
-        with (
-            stage.running(*stage.CALIBRATOR, *off) as without,
-            stage.running(*stage.CALIBRATOR, *on) as beside,
-        ):
-            time.sleep(3.0)
-            car.drive(WARM_UP)
-            pids = (without.pid, beside.pid)
-            before = [stage.cpu_seconds(pid) for pid in pids]
-            fitted = children_seconds(beside.pid)
-            car.drive(WARM_UP + length)
-            used = [stage.cpu_seconds(pid) - b for pid, b in zip(pids, before, strict=True)]
-            fitted = children_seconds(beside.pid) - fitted
-    shares = [1e3 * each / length for each in used]
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as nodes:
+        pids = []
+        for name, (kind, arguments) in zip("abcd", 2 * list(KINDS.items()), strict=True):
+            path = Path(folder) / f"{name}.yaml"
+            stage.store_calibration(path)
+            named = ("--ros-args", "-r", f"__node:={kind}_{name}")
+            alike = ("-p", f"calibration_file:={path}", "-p", "report_folder:=none")
+            started = stage.running(*stage.CALIBRATOR, *named, *alike, *arguments)
+            pids.append(nodes.enter_context(started).pid)
+        time.sleep(5.0)
+        car.drive(WARM_UP)
+        before = [(stage.cpu_seconds(pid), children_seconds(pid)) for pid in pids]
+        car.drive(WARM_UP + length)
+        after = [(stage.cpu_seconds(pid), children_seconds(pid)) for pid in pids]
+    used = 1e3 / length * (np.array(after) - before)
+    without, beside = used[0::2], used[1::2]
+    told = [" and ".join(f"{each:.1f}" for each in kind[:, 0]) for kind in (without, beside)]
     print(
-        f"CPU, ms a second: without {shares[0]:.1f}, with all {shares[1]:.1f}, "
-        f"ratio {shares[1] / shares[0]:.2f}; beside the node, fitting: {1e3 * fitted / length:.1f}"
+        f"CPU, ms a second: without {told[0]}, with all {told[1]}, ratio of the means"
+        f" {beside[:, 0].mean() / without[:, 0].mean():.2f}; fitting beside each:"
+        f" {beside[:, 1].mean():.1f}"
     )
 
 
