@@ -68,10 +68,8 @@ def run(options: argparse.Namespace) -> int:
 def _words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
     lines = [summary_of(story)]
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
-    about = bullets("About the recording:", notes)
-    return "\n".join(
-        [*lines, *([about.strip("\n")] if about else []), *(f"Written: {file}" for file in files)]
-    )
+    lines += bullets("About the recording:", notes).strip("\n").splitlines()
+    return "\n".join([*lines, *(f"Written: {file}" for file in files)])
 
 
 def _facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:

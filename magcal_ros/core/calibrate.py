@@ -16,12 +16,11 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.doctor.refusal import blamed_on_axes, stamped_in_bursts, wrong_axes
+from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes, wrong_stamps
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
-from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog, log_of
 
@@ -164,10 +163,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     if wrong is not None:
         return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)
-    if outcome.verdict.accepted or window.angular_rate is None:
-        return outcome
-    bursts = bursts_of_a_turn(window.time)
-    return Outcome.refused(stamped_in_bursts(bursts), window) if bursts else outcome
+    wrong = None if outcome.verdict.accepted else wrong_stamps(window)
+    return outcome if wrong is None else Outcome.refused(wrong, window)
 
 
 def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:

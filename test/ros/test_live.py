@@ -94,29 +94,30 @@ def test_ctrl_c_cancels_the_turn(stage, run_beside):
     assert "cancelled" in actor.status["answer"]["message"]
 
 
-def test_a_sensor_that_does_not_arrive_is_explained(stage):
-    actor = stage()
-    actor.mangle = lambda sample: [sample] if hasattr(sample, "force") else []
+def looked_at(actor, seconds):
+    """What the look at the sensors finds while the robot lives."""
     looker = rclpy.create_node("looker")
     found = []
-    look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 0.5)))
+    look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", seconds)))
     look.start()
     actor.run(PATIENCE, stop=lambda: not look.is_alive())
     looker.destroy_node()
-    assert not found[0].ready
-    assert "/imu/mag: nothing arrives (1 publishers)" in found[0].lines
+    return found[0]
+
+
+def test_a_sensor_that_does_not_arrive_is_explained(stage):
+    actor = stage()
+    actor.mangle = lambda sample: [sample] if hasattr(sample, "force") else []
+    found = looked_at(actor, 0.5)
+    assert not found.ready
+    assert "/imu/mag: nothing arrives (1 publishers)" in found.lines
 
 
 def test_stamps_in_bursts_are_said_before_the_turn(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
-    looker = rclpy.create_node("looker")
-    found = []
-    look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 1.0)))
-    look.start()
-    actor.run(PATIENCE, stop=lambda: not look.is_alive())
-    looker.destroy_node()
-    assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found[0].lines) == 2
+    found = looked_at(actor, 1.0)
+    assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found.lines) == 2
 
 
 @pytest.mark.nightly

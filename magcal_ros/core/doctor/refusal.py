@@ -25,14 +25,16 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     found = find_axes(window, knowledge)
     if found is None or found.right or found.meant is None:
         return None
-    bursts = bursts_of_a_turn(window.time)
-    if bursts:
-        return stamped_in_bursts(bursts)
-    return Refusal(Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words)
+    return wrong_stamps(window) or Refusal(
+        Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words
+    )
 
 
-def stamped_in_bursts(bursts: str) -> Refusal:
-    """Return the refusal of a turn whose stamps come in bursts, by the words for them."""
+def wrong_stamps(window: Window) -> Refusal | None:
+    """Return the refusal of a turn with a gyro whose stamps come in bursts; None of others."""
+    bursts = "" if window.angular_rate is None else bursts_of_a_turn(window.time)
+    if not bursts:
+        return None
     return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
 
 

@@ -96,8 +96,8 @@ def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
         ]
     if mag.drops[Drop.REPEATED] > TUNING.most_repeats * max(mag.messages, 1):
         found.append(f"{mag.topic} repeats one value: the sensor is frozen or at rest")
-    bursts = {imu.topic: streams.imu_bursts.words, mag.topic: streams.field_bursts.words}
-    found += [f"{topic}: {words}" for topic, words in bursts.items() if words]
+    for heard, stamps in ((imu, streams.imu_stamps), (mag, streams.field_stamps)):
+        found += [f"{heard.topic}: {words}"] if (words := stamps.bursts.words) else []
     offset = stamp_offset(streams)
     if offset:
         found.append(

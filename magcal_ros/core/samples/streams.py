@@ -89,10 +89,19 @@ class Pair(NamedTuple):
 
 
 class StampGuard:
-    """Lets only increasing stamps pass, and follows time when it is set back for good."""
+    """Lets only increasing stamps pass, and follows time when it is set back for good.
+
+    Attributes
+    ----------
+    newest : float
+        Seconds; minus infinity before the first.
+    bursts : BurstWatch
+        Whether those that passed come in bursts.
+    """
 
     def __init__(self) -> None:
         self.newest = -math.inf
+        self.bursts = BurstWatch()
         self._backward = 0
 
     def check(self, stamp: float) -> Drop | None:
@@ -106,6 +115,8 @@ class StampGuard:
             if self._backward < STREAMS.restart_after:
                 return Drop.BACKWARD_STAMP
         self._backward = 0
+        if -math.inf < self.newest < stamp:
+            self.bursts.add(stamp - self.newest)
         self.newest = stamp
         return None
 
@@ -130,8 +141,6 @@ class Streams:
         newest field sample came, seconds; infinite while one is missing.
     largest_field : float
         Size of the last field that was too large, tesla as published; zero if none was.
-    imu_bursts, field_bursts : BurstWatch
-        Whether the stamps of either come in bursts.
     """
 
     def __init__(self, max_gap: float) -> None:
@@ -144,7 +153,6 @@ class Streams:
         self._last_field = (math.nan, math.nan, math.nan)
         self.is_repeated = False
         self.largest_field = 0.0
-        self.imu_bursts, self.field_bursts = BurstWatch(), BurstWatch()
         self.lead_at_imu = -math.inf
         self.lead_at_field = math.inf
 
@@ -162,8 +170,6 @@ class Streams:
             return False
         if sample.stamp < went_back_from:
             self._imu.clear()
-        elif self._imu:
-            self.imu_bursts.add(sample.stamp - went_back_from)
         self._imu.append(sample)
         self.lead_at_imu = self.field_stamps.newest - sample.stamp
         return True
@@ -177,13 +183,10 @@ class Streams:
         reason = _fault(sample.field, STREAMS.smallest_field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
             self.largest_field = length(sample.field)
-        newest = self.field_stamps.newest
         reason = reason or self.field_stamps.check(sample.stamp)
         if reason is not None:
             self.field_drops[reason] += 1
             return False
-        if 0.0 < newest < sample.stamp:
-            self.field_bursts.add(sample.stamp - newest)
         self.lead_at_field = sample.stamp - self.imu_stamps.newest
         self.is_repeated = sample.field == self._last_field
         if self.is_repeated:

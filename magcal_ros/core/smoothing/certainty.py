@@ -31,9 +31,6 @@ from magcal_ros.core.smoothing.places import iron_by_streets, new_metres
 TILT = [ROLL, PITCH]
 """What a lean of up all along is taken for."""
 
-LOST = 4.0
-"""Pieces of road of which the fit has taken away how much they differ."""
-
 
 @dataclass(frozen=True, eq=False)
 class Twelve:
@@ -120,7 +117,7 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
     if count < smoothed.problem.tuning.fewest_clusters:
         return 1.0
     prior, information = smoothed.problem.prior.information, smoothed.eliminated.information
-    taken = LOST / count * (information - prior)
+    taken = smoothed.problem.tuning.lost_clusters / count * (information - prior)
     sandwich = plain @ (scores.T @ scores + taken + prior) @ plain
     return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
 

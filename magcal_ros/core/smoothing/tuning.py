@@ -112,6 +112,8 @@ class SmootherTuning:
         Metres of road that count as one witness in the sandwich covariance.
     fewest_clusters : int
         Fewer say nothing of how much they differ.
+    lost_clusters : float
+        Of so many the fit has taken away how much they differ.
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
@@ -198,6 +200,7 @@ class SmootherTuning:
     least_noise: float = 0.1
     cluster: float = 150.0
     fewest_clusters: int = 5
+    lost_clusters: float = 4.0
     most_repeated: float = 4.0
     usual_witnesses: float = 6.0
     lasting: float = 0.15

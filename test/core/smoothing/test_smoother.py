@@ -280,4 +280,4 @@ def test_sigma_is_right_over_many_drives(seconds, speed):
     wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, said))
     assert wrong < (3.0 if seconds > 200.0 else 4.5)
     assert 1.0 / 1.5 < wrong / predicted < 1.5
-    assert np.mean((np.array(errors) / said) ** 2) < 2.0
+    assert 0.3 < np.mean((np.array(errors) / said) ** 2) < 2.0
