@@ -63,13 +63,13 @@ def field_sample(message: Any) -> FieldSample:
 
 def fix_of(message: Any) -> Fix:
     """Return the numbers of a sensor_msgs/NavSatFix."""
-    return Fix(
-        message.status.status >= STATUS_FIX,
-        message.latitude,
-        message.longitude,
-        message.altitude,
-        seconds(message.header.stamp),
-    )
+    place = message.latitude, message.longitude, message.altitude
+    return fix_from(seconds(message.header.stamp), message.status.status, *place)
+
+
+def fix_from(stamp: float, status: int, latitude: float, longitude: float, altitude: float) -> Fix:
+    """Return the fix that a NavSatFix tells: seconds, its status, degrees and metres."""
+    return Fix(status >= STATUS_FIX, latitude, longitude, altitude, stamp)
 
 
 RECEIVER_SPEED_SIGMA = 0.1
@@ -77,24 +77,42 @@ RECEIVER_SPEED_SIGMA = 0.1
 
 
 def speed_of(message: Any) -> SpeedSample | str:
-    """Return the signed speed of a nav_msgs/Odometry, or why it has none.
+    """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
+    header, linear = message.header, message.twist.twist.linear
+    frames = header.frame_id, message.child_frame_id
+    mark = message.twist.covariance[0]
+    return speed_from(seconds(header.stamp), *frames, mark, linear.x, linear.y)
+
+
+def speed_from(
+    stamp: float, world: str, child: str, mark: float, x: float, y: float
+) -> SpeedSample | str:
+    """Return the signed speed that an Odometry tells, or why it has none.
 
     REP-105 and nav_msgs have the twist in `child_frame_id`, the vehicle's own frame.
+
+    Parameters
+    ----------
+    stamp : float
+        Seconds.
+    world, child : str
+        Its frames.
+    mark : float
+        First element of the twist's covariance, which tells whether it is absent.
+    x, y : float
+        Of its linear velocity, m/s.
     """
-    child, world = message.child_frame_id, message.header.frame_id
     if child and child == world:
         return (
             f"its child_frame_id {child!r} is its frame_id, so that its twist is no speed along "
             "the vehicle: name the vehicle's frame there"
         )
-    if message.twist.covariance[0] == ABSENT:
+    if mark == ABSENT:
         return "its twist is marked absent (covariance -1)"
-    linear = message.twist.twist.linear
-    if not math.isfinite(linear.x + linear.y):
+    if not math.isfinite(x + y):
         return "its twist is not finite"
     # What lies across belongs to the way as well: frames sit askew by little.
-    speed = math.copysign(math.hypot(linear.x, linear.y), linear.x)
-    return SpeedSample(seconds(message.header.stamp), speed)
+    return SpeedSample(stamp, math.copysign(math.hypot(x, y), x))
 
 
 def velocity_of(message: Any) -> VelocitySample | str:
@@ -102,15 +120,33 @@ def velocity_of(message: Any) -> VelocitySample | str:
 
     A geometry_msgs/TwistWithCovarianceStamped may tell its sigma, too.
     """
-    twist, sigma = message.twist, RECEIVER_SPEED_SIGMA
+    twist, variances = message.twist, (0.0, 0.0)
     if hasattr(twist, "covariance"):
-        east, north = float(twist.covariance[0]), float(twist.covariance[7])
-        if east == ABSENT:
-            return "its velocity is marked absent (covariance -1)"
-        if east > 0.0 and north > 0.0:
-            sigma = math.sqrt(0.5 * (east + north))
+        variances = float(twist.covariance[0]), float(twist.covariance[7])
         twist = twist.twist
-    linear = twist.linear
-    if not math.isfinite(linear.x + linear.y + sigma):
+    stamp, linear = seconds(message.header.stamp), twist.linear
+    return velocity_from(stamp, linear.x, linear.y, *variances)
+
+
+def velocity_from(
+    stamp: float, east: float, north: float, of_east: float = 0.0, of_north: float = 0.0
+) -> VelocitySample | str:
+    """Return the velocity that a twist tells, or why it has none.
+
+    Parameters
+    ----------
+    stamp : float
+        Seconds.
+    east, north : float
+        m/s.
+    of_east, of_north : float
+        Variance of each, (m/s)²; zero where nobody tells it.
+    """
+    if of_east == ABSENT:
+        return "its velocity is marked absent (covariance -1)"
+    sigma = RECEIVER_SPEED_SIGMA
+    if of_east > 0.0 and of_north > 0.0:
+        sigma = math.sqrt(0.5 * (of_east + of_north))
+    if not math.isfinite(east + north + sigma):
         return "its velocity is not finite"
-    return VelocitySample(seconds(message.header.stamp), linear.x, linear.y, sigma)
+    return VelocitySample(stamp, east, north, sigma)

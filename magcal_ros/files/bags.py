@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.core.driving.local_plane import LocalPlane
-from magcal_ros.core.earth_field.position import place_of
+from magcal_ros.core.earth_field.position import Fix, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
@@ -19,7 +19,8 @@ from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
-from magcal_ros.files.ros_reader import FIX_TYPE, ODOM_TYPE, SURE_TWIST_TYPE, TWIST_TYPE, RosReader
+from magcal_ros.files.ros_reader import RosReader
+from magcal_ros.files.travel_wire import fix_in, speed_in, sure_velocity_in, velocity_in
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -27,6 +28,17 @@ if TYPE_CHECKING:
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
+FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+ODOM_TYPE = "nav_msgs/msg/Odometry"
+TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
+SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
+TRAVEL: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], Any]]] = {
+    FIX_TYPE: (fix_in, fix_of),
+    ODOM_TYPE: (speed_in, speed_of),
+    TWIST_TYPE: (velocity_in, velocity_of),
+    SURE_TWIST_TYPE: (sure_velocity_in, velocity_of),
+}
+"""How each type's numbers are read: from plain CDR, and from a message."""
 RECEIVERS_SAY = ("vel", "fix_velocity")
 """How topics of a receiver's velocity end, over ground in ENU; other twists are commands or the
 body's. A bag without fixes has no receiver."""
@@ -120,7 +132,7 @@ class Bag:
         with _damage_in_words(self._path):
             messages = self._reader.messages(receivers, self._first, self._end)
             for connection, _, data in islice(messages, MOST_FIXES):
-                found = place_of(fix_of(self._reader.deserialize(data, connection.msgtype)))
+                found = place_of(self._travelled(connection, data))
                 if isinstance(found, Place):
                     return found
         return None
@@ -143,16 +155,19 @@ class Bag:
             return found
         with _damage_in_words(self._path):
             for connection, _, data in self._reader.messages(heard, self._first, self._end):
-                message = self._reader.deserialize(data, connection.msgtype)
-                if connection.msgtype == FIX_TYPE:
-                    sample: TravelSample | str | None = plane.position(fix_of(message))
-                elif connection.msgtype == ODOM_TYPE:
-                    sample = speed_of(message)
-                else:
-                    sample = velocity_of(message)
+                sample = self._travelled(connection, data)
+                if isinstance(sample, Fix):
+                    sample = plane.position(sample)
                 if sample is not None and not isinstance(sample, str):
                     found.append(sample)
         return sorted(found, key=lambda sample: sample.stamp)
+
+    def _travelled(self, connection: Connection, data: bytes) -> Any:
+        """Return the fix, speed or velocity of a message, or words on why it has none."""
+        from_bytes, from_message = TRAVEL[connection.msgtype]
+        if self._reader.is2 and wire.is_plain_cdr(data):
+            return from_bytes(data)
+        return from_message(self._reader.deserialize(data, connection.msgtype))
 
     def _travel_connections(self) -> list[Connection]:
         """Return those of receiver and wheels."""

@@ -10,18 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.travel_wire import fix_from, odometry_from, twist_from
-from magcal_ros.files.wire import is_plain_cdr
 
 STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
-
-FIX_TYPE = "sensor_msgs/msg/NavSatFix"
-ODOM_TYPE = "nav_msgs/msg/Odometry"
-TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
-SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
 
 
 class Channel(NamedTuple):
@@ -78,24 +71,18 @@ class RosReader:
             elif stamp >= start and topic in channels:
                 yield channels[topic], stamp, data
 
-    def deserialize(self, data: bytes, msgtype: str) -> Any:
-        """Return a fix, an odometry or a twist; the sensors' messages are read from their bytes.
+    def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
+        """Take apart what is not in the usual byte order, which this reader cannot.
 
         Raises
         ------
         FileTrouble
-            For anything else, and for a foreign byte order.
+            Always.
         """
-        if msgtype == ODOM_TYPE and is_plain_cdr(data):
-            return odometry_from(data)
-        if msgtype in (TWIST_TYPE, SURE_TWIST_TYPE) and is_plain_cdr(data):
-            return twist_from(data, has_covariance=msgtype == SURE_TWIST_TYPE)
-        if msgtype != FIX_TYPE or not is_plain_cdr(data):
-            raise FileTrouble(
-                f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
-                "Python library rosbags is installed and ROS is not"
-            )
-        return fix_from(data)
+        raise FileTrouble(
+            f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
+            "Python library rosbags is installed and ROS is not"
+        )
 
     def _everything(self, channels: Iterable[Channel]) -> Iterator[tuple[str, bytes, int]]:
         library = self._library

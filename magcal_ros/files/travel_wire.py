@@ -1,94 +1,78 @@
-"""Speeds and fixes straight from the bytes of their messages, plain CDR, as far as they are needed.
+"""Speeds and fixes straight from the bytes of their messages, plain CDR.
 
-What is returned has the attributes of the message that `core.messages` reads.
+All raise `struct.error` where the bytes are not laid out like that.
 """
 
 from __future__ import annotations
 
 from struct import Struct
-from types import SimpleNamespace
 
+from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.messages import fix_from, speed_from, velocity_from
+from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
 from magcal_ros.files.wire import CDR_START
 
 HEADER = Struct("<iII")
 """Stamp and length of the frame, from where CDR counts its alignment."""
 
+LENGTH = Struct("<I")
 PLACE = Struct("<3d")
-TWIST, NUMBER, COVARIANCE = Struct("<3d"), Struct("<d"), Struct("<36d")
+LINEAR, NUMBER = Struct("<2d"), Struct("<d")
+TWIST_SIZE = 8 * 6
+NORTH_VARIANCE = 8 * 7
+"""Where it stands in the covariance of a twist, after that of east."""
 POSE_SIZE = 8 * (7 + 36)
-"""Bytes of an Odometry's pose with its covariance; of the twist the covariance follows six."""
+"""Bytes of an Odometry's pose with its covariance."""
 
 
-def fix_from(data: bytes) -> SimpleNamespace:
-    """Return what a sensor_msgs/NavSatFix says of its place.
-
-    Raises
-    ------
-    struct.error
-        Where the bytes are not laid out like that.
-    """
-    header, at = _header(data)
+def fix_in(data: bytes) -> Fix:
+    """Return what a sensor_msgs/NavSatFix says of its place."""
+    stamp, _, at = _header(data)
     status = int.from_bytes(data[at : at + 1], "little", signed=True)
     service = _aligned(at + 1, 2)
     latitude, longitude, altitude = PLACE.unpack_from(data, _aligned(service + 2, 8))
-    return SimpleNamespace(
-        header=header,
-        status=SimpleNamespace(status=status),
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
-    )
+    return fix_from(stamp, status, latitude, longitude, altitude)
 
 
-def twist_from(data: bytes, *, has_covariance: bool) -> SimpleNamespace:
-    """Return the velocity of a TwistStamped, or of a TwistWithCovarianceStamped.
+def velocity_in(data: bytes) -> VelocitySample | str:
+    """Return the velocity of a geometry_msgs/TwistStamped, or why it has none."""
+    stamp, _, at = _header(data)
+    east, north = LINEAR.unpack_from(data, _aligned(at, 8))
+    return velocity_from(stamp, east, north)
 
-    Raises
-    ------
-    struct.error
-        Where the bytes are not laid out like that.
-    """
-    header, at = _header(data)
+
+def sure_velocity_in(data: bytes) -> VelocitySample | str:
+    """Return the velocity of a geometry_msgs/TwistWithCovarianceStamped, or why it has none."""
+    stamp, _, at = _header(data)
     at = _aligned(at, 8)
-    x, y, z = TWIST.unpack_from(data, at)
-    twist = SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
-    if has_covariance:
-        covariance = COVARIANCE.unpack_from(data, at + 6 * 8)
-        twist = SimpleNamespace(covariance=covariance, twist=twist)
-    return SimpleNamespace(header=header, twist=twist)
+    east, north = LINEAR.unpack_from(data, at)
+    (of_east,) = NUMBER.unpack_from(data, at + TWIST_SIZE)
+    (of_north,) = NUMBER.unpack_from(data, at + TWIST_SIZE + NORTH_VARIANCE)
+    return velocity_from(stamp, east, north, of_east, of_north)
 
 
-def odometry_from(data: bytes) -> SimpleNamespace:
-    """Return the frames of a nav_msgs/Odometry, its speed, and the first of that one's covariance.
-
-    Raises
-    ------
-    struct.error
-        Where the bytes are not laid out like that.
-    """
-    header, at = _header(data)
+def speed_in(data: bytes) -> SpeedSample | str:
+    """Return the signed speed of a nav_msgs/Odometry, or why it has none."""
+    stamp, world, at = _header(data)
     at = _aligned(at, 4)
-    size = int.from_bytes(data[at : at + 4], "little")
-    child = data[at + 4 : at + 4 + size - 1].decode("utf-8", "replace")
-    at = _aligned(at + 4 + size, 8) + POSE_SIZE
-    x, y, z = TWIST.unpack_from(data, at)
-    (first,) = NUMBER.unpack_from(data, at + 6 * 8)
-    return SimpleNamespace(
-        header=header,
-        child_frame_id=child,
-        twist=SimpleNamespace(
-            covariance=[first], twist=SimpleNamespace(linear=SimpleNamespace(x=x, y=y, z=z))
-        ),
-    )
+    (size,) = LENGTH.unpack_from(data, at)
+    at += LENGTH.size
+    child = data[at : at + size - 1]
+    at = _aligned(at + size, 8) + POSE_SIZE
+    x, y = LINEAR.unpack_from(data, at)
+    (mark,) = NUMBER.unpack_from(data, at + TWIST_SIZE)
+    return speed_from(stamp, _text(world), _text(child), mark, x, y)
 
 
-def _header(data: bytes) -> tuple[SimpleNamespace, int]:
-    """Return stamp and frame of a message, and the place after them."""
+def _header(data: bytes) -> tuple[float, bytes, int]:
+    """Return stamp (s) and frame of a message, and the place after them."""
     sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
     at = CDR_START + HEADER.size
-    frame = data[at : at + length - 1].decode("utf-8", "replace")
-    stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
-    return SimpleNamespace(stamp=stamp, frame_id=frame), at + length
+    return sec + nanosec * 1e-9, data[at : at + length - 1], at + length
+
+
+def _text(frame: bytes) -> str:
+    return frame.decode("utf-8", "replace")
 
 
 def _aligned(at: int, size: int) -> int:

@@ -24,7 +24,6 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.messages import fix_of, speed_of, velocity_of
 from magcal_ros.core.monitoring.course_check import (
     CourseCheckTuning,
     accusation,
@@ -37,7 +36,7 @@ from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.seat import Seat
-from magcal_ros.ros.wire.incoming import Unreadable, read_travel
+from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_velocity
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -232,17 +231,17 @@ class Travel:
         self._errands.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
-        sample = self._read(SpeedSource.ODOMETRY, data, Odometry, speed_of)
+        sample = self._read(SpeedSource.ODOMETRY, read_speed, data)
         if sample is not None:
             self._travelling.add_speed(sample)
 
     def _on_velocity(self, data: bytes) -> None:
-        sample = self._read(SpeedSource.VELOCITY, data, TwistStamped, velocity_of)
+        sample = self._read(SpeedSource.VELOCITY, read_velocity, data)
         if sample is not None:
             self._travelling.add_velocity(sample)
 
     def _on_fix(self, data: bytes) -> None:
-        fix = self._read(SpeedSource.FIXES, data, NavSatFix, fix_of)
+        fix = self._read(SpeedSource.FIXES, read_fix, data)
         if fix is None:
             return
         # What is wrong with fixes is said where the place is looked up.
@@ -252,14 +251,14 @@ class Travel:
             self._travelling.add_position(position)
 
     def _read(
-        self, source: SpeedSource, data: bytes, kind: type, take: Callable[[Any], Sample | str]
+        self, source: SpeedSource, read: Callable[[bytes], Sample | str], data: bytes
     ) -> Sample | None:
         """Return the sample that bytes hold; where they hold none, keep why as a complaint."""
-        topic = self._topics[source]
         try:
-            found = take(read_travel(data, kind))
+            found = read(data)
         except Unreadable as error:
             found = str(error)
+        topic = self._topics[source]
         if isinstance(found, str):
             self._odd[topic] = found
             return None

@@ -66,32 +66,33 @@ class GyroFrame:
 
     def add(self, sample: ImuSample, bias: Triple) -> Tick | None:
         """Take an IMU sample and the gyro's bias (rad/s); returns a tick whenever one is full."""
-        last, self._last = self._last, sample
-        seconds = math.inf if last is None else sample.stamp - last.stamp
-        is_usable = math.isfinite(sum(sample.force)) and math.isfinite(sum(sample.rate))
-        if not is_usable or length(sample.force) <= 0.0:
-            self._last = last
+        stamp, (fx, fy, fz), (p, q, r) = sample
+        if not 0.0 < fx * fx + fy * fy + fz * fz < math.inf or not math.isfinite(p + q + r):
             return None
+        last, self._last = self._last, sample
+        seconds = math.inf if last is None else stamp - last.stamp
         if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
-        (a, b, c), (p, q, r), (x, y, z) = last.rate, sample.rate, bias
+        (a, b, c), (x, y, z) = last.rate, bias
         turn = (
             (0.5 * (a + p) - x) * seconds,
             (0.5 * (b + q) - y) * seconds,
             (0.5 * (c + r) - z) * seconds,
         )
-        first, second, third = (propagated(axis, turn) for axis in self.axes)
+        first, second, _ = self.axes
+        first, second = propagated(first, turn), propagated(second, turn)
+        third = cross(first, second)
         self.axes = (first, second, third)
-        force, total = sample.force, self._force
+        force, (sx, sy, sz) = sample.force, self._force
         self._force = (
-            total[0] + dot(first, force) * seconds,
-            total[1] + dot(second, force) * seconds,
-            total[2] + dot(third, force) * seconds,
+            sx + dot(first, force) * seconds,
+            sy + dot(second, force) * seconds,
+            sz + dot(third, force) * seconds,
         )
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(sample.stamp) if self._seconds >= self._tuning.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= self._tuning.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
@@ -135,5 +136,5 @@ class GyroFrame:
         lean = self.to_body((-force[1] * share, force[0] * share, 0.0))
         back = (-lean[0], -lean[1], -lean[2])
         assert self.axes is not None
-        first, second, third = (unit_triple(propagated(axis, back)) for axis in self.axes)
-        self.axes = (first, second, third)
+        first, second, _ = (unit_triple(propagated(axis, back)) for axis in self.axes)
+        self.axes = (first, second, cross(first, second))

@@ -78,6 +78,10 @@ class SpeedTrack:
         Seconds by which its stamps are late.
     is_signed : bool
         Whether backwards is negative.
+    newest : float
+        Stamp of the newest sample, seconds; minus infinity before the first.
+    last : float
+        The newest speed, m/s; NaN before the first.
     drops : Counter of Drop
         What was not used.
     """
@@ -88,25 +92,15 @@ class SpeedTrack:
         self.delay = 0.0 if own else tuning.receiver_delay
         self.gap = tuning.odometry_gap if own else tuning.receiver_gap
         self.is_signed = own
+        self.newest, self.last = -math.inf, math.nan
         self.drops: Counter[Drop] = Counter()
         self._tuning = tuning
         self._stamps = StampGuard()
         self._recent: deque[tuple[float, float]] = deque(maxlen=512)
         self._kept: deque[tuple[float, float]] = deque(maxlen=tuning.remembered)
 
-    @property
-    def newest(self) -> float:
-        """Stamp of the newest sample, seconds; minus infinity before the first."""
-        return self._recent[-1][0] if self._recent else -math.inf
-
-    @property
-    def last(self) -> float:
-        """The newest speed, m/s; NaN before the first."""
-        return self._recent[-1][1] if self._recent else math.nan
-
     def add(self, stamp: float, speed: float) -> bool:
         """Take a speed; returns whether it was usable."""
-        newest = self._stamps.newest
         if not math.isfinite(speed):
             reason: Drop | None = Drop.NOT_FINITE
         elif abs(speed) > self._tuning.largest:
@@ -116,9 +110,10 @@ class SpeedTrack:
         if reason is not None:
             self.drops[reason] += 1
             return False
-        if stamp < newest:
+        if stamp < self.newest:
             self._recent.clear()
             self._kept.clear()
+        self.newest, self.last = stamp, speed
         self._recent.append((stamp, speed))
         if not self._kept or stamp - self._kept[-1][0] >= self._tuning.spacing:
             self._kept.append((stamp, speed))
@@ -167,6 +162,7 @@ class Speedometer:
         self._tuning = tuning or SpeedTuning()
         self.tracks = {source: SpeedTrack(self._tuning, source) for source in SpeedSource}
         self.distrusted: set[SpeedSource] = set()
+        self._in_order = tuple(self.tracks.values())
         self._fix: PositionSample | None = None
 
     def add_speed(self, sample: SpeedSample) -> bool:
@@ -195,9 +191,10 @@ class Speedometer:
     @property
     def track(self) -> SpeedTrack | None:
         """The best source that speaks and is trusted; None if none does."""
-        newest = max(track.newest for track in self.tracks.values())
-        for source, track in self.tracks.items():
+        wheels, velocity, fixes = self._in_order
+        newest = max(wheels.newest, velocity.newest, fixes.newest)
+        for track in self._in_order:
             is_here = newest - track.newest < self._tuning.silent
-            if is_here and math.isfinite(track.newest) and source not in self.distrusted:
+            if is_here and track.source not in self.distrusted:
                 return track
         return None

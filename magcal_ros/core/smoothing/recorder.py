@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from operator import add
 
 import numpy as np
 
@@ -149,13 +150,7 @@ class DriveRecorder:
             grown = self._close()
             self._row = stamp
         self._count += 1
-        sums = self._sums
-        sums[0] += stamp
-        for k in range(3):
-            sums[k + 1] += field[k]
-            sums[k + 4] += force[k]
-            sums[k + 7] += rate[k]
-        sums[10] += speed
+        self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed)))
         return grown
 
     def log(self) -> DriveLog:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from contextlib import suppress
-from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TwistStamped
@@ -15,21 +14,18 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.messages import field_sample, imu_sample
+from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
-from magcal_ros.files.travel_wire import fix_from, odometry_from, twist_from
+from magcal_ros.files.travel_wire import fix_in, speed_in, velocity_in
+
+T = TypeVar("T")
 
 STAMP = struct.Struct("<iI")
 _STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
 _COVARIANCE = struct.Struct("<9d")
 _parse_imu = wire.imu_parser(wire.CDR)
 _parse_field = wire.field_parser(wire.CDR)
-_TRAVEL: dict[type, Callable[[bytes], Any]] = {
-    Odometry: odometry_from,
-    TwistStamped: partial(twist_from, has_covariance=False),
-    NavSatFix: fix_from,
-}
 
 
 class Unreadable(MagcalError):
@@ -118,20 +114,25 @@ def read_field(data: bytes) -> FieldArrival:
     )
 
 
-def read_travel(data: bytes, kind: type) -> Any:
-    """Return what a serialized nav_msgs/Odometry, TwistStamped or NavSatFix says of the way.
+def _travel_reader(
+    kind: type, from_bytes: Callable[[bytes], T], from_message: Callable[[Any], T]
+) -> Callable[[bytes], T]:
+    """Return what reads a message, and raises `Unreadable` if it is none."""
 
-    It has the attributes of the message that `core.messages` reads.
+    def read(data: bytes) -> T:
+        if wire.is_plain_cdr(data):
+            try:
+                return from_bytes(data)
+            except struct.error:
+                pass
+        return from_message(_by_rclpy(data, kind))
 
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
-    if wire.is_plain_cdr(data):
-        with suppress(struct.error):
-            return _TRAVEL[kind](data)
-    return _by_rclpy(data, kind)
+    return read
+
+
+read_speed = _travel_reader(Odometry, speed_in, speed_of)
+read_velocity = _travel_reader(TwistStamped, velocity_in, velocity_of)
+read_fix = _travel_reader(NavSatFix, fix_in, fix_of)
 
 
 @lru_cache(maxsize=8)

@@ -19,8 +19,10 @@ from magcal_ros.ros.wire.incoming import (
     STAMP,
     Unreadable,
     read_field,
+    read_fix,
     read_imu,
-    read_travel,
+    read_speed,
+    read_velocity,
 )
 
 DOUBLES = st.floats(width=64)
@@ -140,9 +142,9 @@ def test_random_bytes_are_a_message_or_unreadable(data, start):
         except Unreadable:
             continue
         assert isinstance(found.frame, str)
-    for kind, take in ((Odometry, speed_of), (TwistStamped, velocity_of), (NavSatFix, fix_of)):
+    for read in (read_speed, read_velocity, read_fix):
         with contextlib.suppress(Unreadable):
-            take(read_travel(start + data, kind))
+            assert read(start + data) is not None
 
 
 @pytest.mark.parametrize("length", range(9))
@@ -152,8 +154,9 @@ def test_speeds_and_fixes_are_those_of_the_message(length):
     twist = stamped(TwistStamped(), "g" * length, 3, 4)
     twist.twist.linear.x, twist.twist.linear.y = 1.25, -7.0
     fix = stamped(NavSatFix(latitude=48.1, longitude=11.6, altitude=520.0), "g" * length, 3, 4)
-    for message, take in ((odometry, speed_of), (twist, velocity_of), (fix, fix_of)):
-        assert take(read_travel(serialize_message(message), type(message))) == take(message)
+    assert read_speed(serialize_message(odometry)) == speed_of(odometry)
+    assert read_velocity(serialize_message(twist)) == velocity_of(twist)
+    assert read_fix(serialize_message(fix)) == fix_of(fix)
 
 
 def test_a_frame_that_claims_to_be_enormous_is_unreadable():
