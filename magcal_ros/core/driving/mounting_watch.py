@@ -47,6 +47,11 @@ class Judged(NamedTuple):
     fault: SpeedFault | None
     delay: float
 
+    @property
+    def is_good(self) -> bool:
+        """Whether it tells the yaw, and nothing is wrong with it."""
+        return self.fitted is not None and self.fault is None
+
 
 class MountingWatch:
     """Keeps the ticks of some minutes and fits them now and then.
@@ -113,10 +118,13 @@ class MountingWatch:
         self._fitted_at = -math.inf
 
     def begin_fit(self, stamp: float) -> Callable[[], tuple[Judged, ...]]:
-        """Return the work of fitting what was driven, for any thread; give `take` its result."""
+        """Return the work of fitting what was driven, for any thread; give `take` its result.
+
+        The sources after the first good one wait for every fourth fit, which measures latencies.
+        """
         self._fitted_at = stamp
         self._fits += 1
-        tuning, table, measures_delay = self._tuning, self._table(), self._fits % 4 == 0
+        tuning, table, is_thorough = self._tuning, self._table(), self._fits % 4 == 0
         spoken = [
             (source, track.record())
             for source, track in self._speedometer.tracks.items()
@@ -124,9 +132,12 @@ class MountingWatch:
         ]
 
         def work() -> tuple[Judged, ...]:
-            return tuple(
-                _judged(source, table, record, tuning, measures_delay) for source, record in spoken
-            )
+            judged: list[Judged] = []
+            for source, record in spoken:
+                judged.append(_judged(source, table, record, tuning, is_thorough))
+                if judged[-1].is_good and not is_thorough:
+                    break
+            return tuple(judged)
 
         return work
 
