@@ -25,6 +25,12 @@ POSE_SIZE = 8 * (7 + 36)
 """Bytes of an Odometry's pose with its covariance."""
 
 
+def stamp_in(data: bytes) -> float:
+    """Return the stamp of a message with a header, seconds."""
+    sec, nanosec, _ = HEADER.unpack_from(data, CDR_START)
+    return float(sec + nanosec * 1e-9)
+
+
 def fix_in(data: bytes) -> Fix:
     """Return what a sensor_msgs/NavSatFix says of its place."""
     stamp, _, at = _header(data)

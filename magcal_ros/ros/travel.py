@@ -36,7 +36,7 @@ from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.seat import Seat
-from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_velocity
+from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -231,6 +231,8 @@ class Travel:
         self._errands.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
+        if not self._travelling.wants_speed(read_stamp(data)):
+            return
         sample = self._read(SpeedSource.ODOMETRY, read_speed, data)
         if sample is not None:
             self._travelling.add_speed(sample)

@@ -33,7 +33,9 @@ class SpeedTuning:
     remembered : int
         Samples kept of a source: ten minutes of ten a second.
     spacing : float
-        Seconds between samples that are kept; a faster source is thinned.
+        Seconds between samples that are kept; of a faster source the others are passed over.
+    newest : int
+        Samples among which jumps are looked for.
     silent : float
         Seconds after which another source takes its place.
     """
@@ -45,6 +47,7 @@ class SpeedTuning:
     receiver_delay: float = 0.5
     remembered: int = 6000
     spacing: float = 0.09
+    newest: int = 256
     silent: float = 3.0
 
 

@@ -120,6 +120,10 @@ class Travelling:
             self._on_tick(tick)
         return self._own.linear(sample.stamp, sample.force, self._frame)
 
+    def wants_speed(self, stamp: float) -> bool:
+        """Whether what wheels say at a stamp is of use; a message that is not need not be read."""
+        return self.speedometer.tracks[SpeedSource.ODOMETRY].wants(stamp)
+
     def add_speed(self, sample: SpeedSample) -> None:
         """Take what wheels say."""
         self._is_heard = self.speedometer.add_speed(sample) or self._is_heard

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeVar
 
@@ -17,7 +19,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
-from magcal_ros.files.travel_wire import fix_in, speed_in, velocity_in
+from magcal_ros.files.travel_wire import fix_in, speed_in, stamp_in, velocity_in
 
 T = TypeVar("T")
 
@@ -128,6 +130,14 @@ def _travel_reader(
         return from_message(_by_rclpy(data, kind))
 
     return read
+
+
+def read_stamp(data: bytes) -> float:
+    """Return the stamp of a message with a header, seconds; NaN where a look does not tell it."""
+    if wire.is_plain_cdr(data):
+        with suppress(struct.error):
+            return stamp_in(data)
+    return math.nan
 
 
 read_speed = _travel_reader(Odometry, speed_in, speed_of)

@@ -1,0 +1,76 @@
+"""Which speed is used, and what of it is remembered."""
+
+import math
+
+import pytest
+
+from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
+from magcal_ros.core.driving.speedometer import Speedometer, SpeedTrack
+from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+
+
+def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)):
+    track = SpeedTrack(SpeedTuning(), SpeedSource.ODOMETRY)
+    for step in range(1, round(rate * seconds)):
+        track.add(step / rate, speed(step / rate))
+    return track
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 200.0])
+def test_a_fast_source_is_thinned_and_tells_the_same_speed(rate):
+    track = track_of(rate)
+    assert len(track.record().kept) <= 60.0 / SpeedTuning().spacing + 1
+    for stamp in (20.03, 41.7, 59.71):
+        assert track.at(stamp) == pytest.approx(3.0 + math.sin(0.5 * stamp), abs=1e-3)
+
+
+def test_what_is_passed_over_is_known_by_its_stamp():
+    track = track_of(10.0)
+    newest = track.newest
+    assert not track.wants(newest + 0.05)
+    assert track.wants(newest + 0.1)
+    # One that comes late, or again, is for the guard of stamps to judge.
+    assert track.wants(newest)
+    assert track.wants(newest - 1.0)
+    assert track.wants(math.nan)
+
+
+def test_a_speed_between_samples_too_far_apart_is_not_told():
+    track = SpeedTrack(SpeedTuning(), SpeedSource.ODOMETRY)
+    for stamp in (1.0, 1.1, 3.0):
+        track.add(stamp, 2.0)
+    assert track.at(1.05) == 2.0
+    assert track.at(2.0) is None
+    assert track.at(3.5) is None
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0])
+def test_jumps_no_vehicle_makes_are_counted(rate):
+    jumping = track_of(rate, speed=lambda stamp: 8.0 * (int(stamp * 4.0) % 2))
+    assert jumping.record().wild_share > 0.1
+    assert track_of(rate).record().wild_share == 0.0
+
+
+def test_wheels_come_before_the_receiver_until_they_are_silent_or_distrusted():
+    meter = Speedometer()
+    assert meter.track is None
+    meter.add_position(PositionSample(1.0, 0.0, 0.0))
+    meter.add_position(PositionSample(2.0, 3.0, 4.0))
+    assert (meter.track.source, meter.track.last) == (SpeedSource.FIXES, 5.0)
+    meter.add_velocity(VelocitySample(2.0, 3.0, -4.0, 0.1))
+    assert (meter.track.source, meter.track.last) == (SpeedSource.VELOCITY, 5.0)
+    meter.add_speed(SpeedSample(2.0, -5.0))
+    assert (meter.track.source, meter.track.last) == (SpeedSource.ODOMETRY, -5.0)
+    meter.distrusted.add(SpeedSource.ODOMETRY)
+    assert meter.track.source is SpeedSource.VELOCITY
+    meter.distrusted.clear()
+    meter.add_velocity(VelocitySample(6.0, 3.0, -4.0, 0.1))
+    assert meter.track.source is SpeedSource.VELOCITY
+
+
+def test_time_that_is_set_back_forgets_what_came_later():
+    track = track_of(10.0)
+    for step in range(200):
+        track.add(5.0 + 0.1 * step, 1.0)
+    assert track.last == 1.0
+    assert track.record().kept[:, 0].max() < 26.0
