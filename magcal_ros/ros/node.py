@@ -9,7 +9,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
@@ -56,17 +55,13 @@ from magcal_ros.ros.status import (
     status_json,
     watch_diagnostic,
 )
-from magcal_ros.ros.straight import StraightGroup
+from magcal_ros.ros.straight import SENSOR_DATA, StraightGroup
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""
-
-SENSOR_DATA = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches every publisher. The usual depth of 5 loses messages of a fast IMU whenever the machine
-is busy for some milliseconds, and the gyro's path with them."""
 
 HEARTBEAT = 1.0
 """Seconds between diagnostics, and between repetitions of the bias."""
@@ -148,8 +143,10 @@ class Calibrator(Node):
 
     def spinner(self) -> Spinner:
         """Return what serves this node, its sensors with the least effort; one at a time."""
-        subscriptions = [*self._sensor_subscriptions, *self._travel.subscriptions]
-        return Spinner(self, subscriptions, self._sensor_group, self._on_mishap)
+        # Wheels tell nothing without the IMU, and need not wake the node between its messages.
+        wheels, *receiver = self._travel.subscriptions
+        subscriptions = [*self._sensor_subscriptions, *receiver]
+        return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
 
     def _on_mishap(self, error: Exception) -> None:
         self._mishaps.note(error)

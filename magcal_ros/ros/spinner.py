@@ -38,6 +38,8 @@ class Spinner:
         The callback group that they were made with.
     note : callable
         Told each error that a callback raises, before another callback runs.
+    unhurried : sequence of Subscription
+        Of the same group; their messages wait for the next message of those.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class Spinner:
         subscriptions: Sequence[Subscription],
         group: StraightGroup,
         note: Callable[[Exception], None],
+        unhurried: Sequence[Subscription] = (),
     ) -> None:
         self._node = node
         self._note_error = note
@@ -55,7 +58,7 @@ class Spinner:
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
         self._loop = StraightLoop(
-            node, subscriptions, group, self._lock, self._note, self._say_and_go_on
+            node, subscriptions, group, self._lock, self._note, self._say_and_go_on, unhurried
         )
 
     def spin(self) -> None:

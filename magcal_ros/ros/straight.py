@@ -17,7 +17,12 @@ from typing import Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.guard_condition import GuardCondition
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+
+SENSOR_DATA = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Matches every publisher. The usual depth of 5 loses messages of a fast IMU whenever the machine
+is busy for some milliseconds, and the gyro's path with them."""
 
 MOST_AT_ONCE = 16
 """Messages of one subscription that are taken before anything else has its turn."""
@@ -70,6 +75,8 @@ class StraightLoop:
         Told what a callback raised; the loop goes on.
     give_up : callable
         Told, in the loop's thread and with the group open again, what of rclpy has failed.
+    unhurried : sequence of Subscription
+        The same kind; their messages wake nobody, and are taken with the next of the others.
     """
 
     def __init__(
@@ -80,9 +87,11 @@ class StraightLoop:
         lock: AbstractContextManager[None],
         note: Callable[[Exception], None],
         give_up: Callable[[Exception], None],
+        unhurried: Sequence[Subscription] = (),
     ) -> None:
         self._node = node
-        self._subscriptions = tuple(subscriptions)
+        self._awaited = tuple(subscriptions)
+        self._subscriptions = (*subscriptions, *unhurried)
         self._group = group
         self._lock = lock
         self._note = note
@@ -134,9 +143,10 @@ class StraightLoop:
         context: Any = self._node.context
         new_wait_set: Any = rclpy_implementation.WaitSet
         guard = self._guard.handle
-        handles: list[Any] = [subscription.handle for subscription in self._subscriptions]
+        served: list[Any] = [subscription.handle for subscription in self._subscriptions]
+        handles = served[: len(self._awaited)]
         with ExitStack() as in_use:
-            for handle in (context.handle, guard, *handles):
+            for handle in (context.handle, guard, *served):
                 # Nothing of it is destroyed while it is waited for.
                 in_use.enter_context(handle)
             wait_set = new_wait_set(len(handles), 1, 0, 0, 0, 0, context.handle)

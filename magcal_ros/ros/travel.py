@@ -11,7 +11,6 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
@@ -36,6 +35,7 @@ from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.straight import SENSOR_DATA
 from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
@@ -61,7 +61,7 @@ class Travel:
     Attributes
     ----------
     subscriptions : list of Subscription
-        Whose callbacks take bytes.
+        Of wheels, velocity and fixes; their callbacks take bytes.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Travel:
         """The yaw that lies beside the calibration in force."""
         self.subscriptions = [
             node.create_subscription(
-                kind, topic, callback, qos_profile_sensor_data, raw=True, callback_group=group
+                kind, topic, callback, SENSOR_DATA, raw=True, callback_group=group
             )
             for kind, topic, callback in (
                 (Odometry, "odom", self._on_odometry),

@@ -1,5 +1,6 @@
 """The sensors' loop: nothing lost, and rclpy's own executor where it must."""
 
+import contextlib
 import itertools
 import threading
 import time
@@ -25,7 +26,17 @@ class Served:
         self.subscription = self.node.create_subscription(
             Float64, "number", self.hear, 100, callback_group=self.group
         )
-        self.spinner = Spinner(self.node, [self.subscription], self.group, self.errors.append)
+        self.aside = []
+        unhurried = self.node.create_subscription(
+            Float64,
+            "aside",
+            lambda message: self.aside.append(message.data),
+            100,
+            callback_group=self.group,
+        )
+        self.spinner = Spinner(
+            self.node, [self.subscription], self.group, self.errors.append, [unhurried]
+        )
         self.thread = threading.Thread(target=self.spinner.spin, daemon=True)
         self.on_number = self.heard.append
 
@@ -48,11 +59,11 @@ def served(graph):
     served.close()
 
 
-@pytest.fixture
-def number(served):
-    """Return a function that publishes numbers and waits until they lie before the node."""
+@contextlib.contextmanager
+def publishing(topic):
+    """Publish numbers with what is given, which waits until they lie before the node."""
     node = rclpy.create_node("outside")
-    publisher = node.create_publisher(Float64, "number", 100)
+    publisher = node.create_publisher(Float64, topic, 100)
     wait_until(publisher.get_subscription_count)
 
     def publish(*values):
@@ -65,6 +76,13 @@ def number(served):
 
 
 @pytest.fixture
+def number(served):
+    """Return a function that publishes numbers to the node."""
+    with publishing("number") as publish:
+        yield publish
+
+
+@pytest.fixture
 def warnings(served, monkeypatch):
     """Return what the node has warned of."""
     lines = []
@@ -72,6 +90,20 @@ def warnings(served, monkeypatch):
     monkeypatch.setattr(logger, "warning", lines.append)
     monkeypatch.setattr(served.node, "get_logger", lambda: logger)
     return lines
+
+
+def test_unhurried_messages_come_with_the_next_of_the_others(served, number):
+    with publishing("aside") as aside:
+        served.thread.start()
+        number(1.0)
+        wait_until(lambda: served.heard == [1.0])
+        aside(*range(40))
+        time.sleep(0.2)
+        assert served.aside == []
+        for step in range(10):
+            number(step)
+            wait_until(lambda: len(served.heard) == step + 2)  # noqa: B023
+        wait_until(lambda: served.aside == list(range(40)))
 
 
 def test_every_message_comes_once_and_in_order(served, number):
