@@ -33,9 +33,9 @@ class SpeedTuning:
     remembered : int
         Samples kept of a source: ten minutes of ten a second.
     spacing : float
-        Seconds between samples that are kept; of a faster source the others are passed over.
-    newest : int
-        Samples among which jumps are looked for.
+        Seconds between samples that are kept for minutes.
+    shortest : float
+        Seconds between samples that are read; of a faster source the others are passed over.
     silent : float
         Seconds after which another source takes its place.
     """
@@ -47,7 +47,7 @@ class SpeedTuning:
     receiver_delay: float = 0.5
     remembered: int = 6000
     spacing: float = 0.09
-    newest: int = 256
+    shortest: float = 0.045
     silent: float = 3.0
 
 

@@ -20,8 +20,8 @@ class SpeedRecord:
 
     Parameters
     ----------
-    kept : ndarray, shape (n, 2)
-        Stamps and speeds of some minutes.
+    kept, recent : ndarray, shape (n, 2)
+        Stamps and speeds of some minutes, thinned, and the newest as they were read.
     delay, gap : float
         Seconds by which the stamps are late, and that are interpolated over.
     is_signed : bool
@@ -31,6 +31,7 @@ class SpeedRecord:
     """
 
     kept: FloatArray
+    recent: FloatArray
     delay: float
     gap: float
     is_signed: bool
@@ -52,10 +53,9 @@ class SpeedRecord:
     @property
     def wild_share(self) -> float:
         """Share of the newest samples between which the speed jumps as no vehicle can."""
-        newest = self.kept[-self.tuning.newest :]
-        if len(newest) < 20:
+        if len(self.recent) < 20:
             return 0.0
-        span, change = np.diff(newest, axis=0).T
+        span, change = np.diff(self.recent, axis=0).T
         return float(np.mean(self._is_wild(span, change)))
 
     def _is_wild(self, span: FloatArray, change: FloatArray) -> BoolArray:
@@ -96,11 +96,12 @@ class SpeedTrack:
         self.drops: Counter[Drop] = Counter()
         self._tuning = tuning
         self._stamps = StampGuard()
+        self._recent: deque[tuple[float, float]] = deque(maxlen=512)
         self._kept: deque[tuple[float, float]] = deque(maxlen=tuning.remembered)
 
     def wants(self, stamp: float) -> bool:
-        """Whether a sample is of use, and not one of more a second than are kept."""
-        return not 0.0 < stamp - self.newest < self._tuning.spacing
+        """Whether a sample is of use, and not one of more a second than are read."""
+        return not 0.0 < stamp - self.newest < self._tuning.shortest
 
     def add(self, stamp: float, speed: float) -> bool:
         """Take a speed; returns whether it was usable."""
@@ -116,9 +117,12 @@ class SpeedTrack:
             self.drops[reason] += 1
             return False
         if stamp < self.newest:
+            self._recent.clear()
             self._kept.clear()
         self.newest, self.last = stamp, speed
-        self._kept.append((stamp, speed))
+        self._recent.append((stamp, speed))
+        if not self._kept or stamp - self._kept[-1][0] >= self._tuning.spacing:
+            self._kept.append((stamp, speed))
         return True
 
     def at(self, stamp: float) -> float | None:
@@ -128,7 +132,7 @@ class SpeedTrack:
         """
         stamp += self.delay
         later: tuple[float, float] | None = None
-        for sample in reversed(self._kept):
+        for sample in reversed(self._recent):
             if sample[0] <= stamp:
                 if later is None:
                     return sample[1] if sample[0] == stamp else None
@@ -147,7 +151,8 @@ class SpeedTrack:
     def record(self) -> SpeedRecord:
         """Return what is remembered, for work in another thread."""
         kept = np.array(self._kept).reshape(-1, 2)
-        return SpeedRecord(kept, self.delay, self.gap, self.is_signed, self._tuning)
+        recent = np.array(self._recent).reshape(-1, 2)
+        return SpeedRecord(kept, recent, self.delay, self.gap, self.is_signed, self._tuning)
 
 
 class Speedometer:
