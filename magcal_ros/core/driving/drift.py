@@ -4,11 +4,25 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.driving_tuning import CourseTuning
+
+
+class _Seen(NamedTuple):
+    """A chord: seconds, and radians that go on beyond a whole turn.
+
+    `gap` is the gyro's yaw less course, `lead` less the compass's yaw, `heading` itself.
+    """
+
+    stamp: float
+    gap: float
+    lead: float
+    heading: float
+    sigma: float
 
 
 class DriftWatch:
@@ -26,31 +40,47 @@ class DriftWatch:
     """
 
     def __init__(self, tuning: CourseTuning | None = None) -> None:
-        self._tuning = tuning or CourseTuning()
-        self._seen: deque[tuple[float, float, float]] = deque(maxlen=120)
+        self._tuning = (tuning or CourseTuning()).drift
+        self._seen: deque[_Seen] = deque(maxlen=120)
         self.scatter = 0.0
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
         """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
-        seen = self._seen
-        gap = chord.gyro_gap
+        seen, gap = self._seen, chord.gyro_gap
+        angles = gap, gap - chord.gap, gap + chord.course
         if seen:
-            gap = seen[-1][1] + math.remainder(gap - seen[-1][1], math.tau)
-        seen.append((chord.stamp, gap, chord.sigma))
-        while chord.stamp - seen[0][0] > self._tuning.drifting_span:
+            angles = _going_on(seen[-1], angles)
+        seen.append(_Seen(chord.stamp, *angles, chord.sigma))
+        while chord.stamp - seen[0].stamp > self._tuning.span:
             seen.popleft()
-        if len(seen) < self._tuning.drifting_chords:
-            return not self.is_drifting
-        time, gaps, sigmas = np.array(seen).T
-        line = np.polynomial.polynomial.polyfit(time - time[0], gaps, 1)
-        left = gaps - np.polynomial.polynomial.polyval(time - time[0], line)
+        if len(seen) >= self._tuning.chords:
+            self.judged += 1
+            self.drifted += self._drifts()
+        return not self.is_drifting
+
+    def _drifts(self) -> bool:
+        """Whether the newest chords are those of a hull that goes where it does not look."""
+        time, gaps, leads, headings, sigmas = np.array(self._seen).T
+        since = time - time.mean()
+        slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
+        # The gyro leads the compass by its bias, and not by what a hull turns.
+        margin = self._tuning.bias
+        bias = since * min(max(slope, min(lead, 0.0) - margin), max(lead, 0.0) + margin)
+        left = gaps - bias
+        left -= np.median(left)
         # What the receiver's own noise scatters is no drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
         self.scatter = math.sqrt(max(0.0, square))
-        self.judged += 1
-        self.drifted += self.scatter > self._tuning.drifting
-        return not self.is_drifting
+        if self.scatter > self._tuning.scatter:
+            return True
+        turned = headings - bias
+        turned -= turned.mean()
+        square = float(turned @ turned)
+        if math.sqrt(square / len(turned)) < self._tuning.turned:
+            return False
+        # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
+        return float(turned @ left) / square > self._tuning.share
 
     @property
     def is_drifting(self) -> bool:
@@ -60,3 +90,12 @@ class DriftWatch:
     def restart(self) -> None:
         """Forget the newest chords: the gyro's zero is another one."""
         self._seen.clear()
+
+
+def _going_on(last: _Seen, angles: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return angles as the nearest to those before."""
+    gap, lead, heading = (
+        before + math.remainder(angle - before, math.tau)
+        for before, angle in zip((last.gap, last.lead, last.heading), angles, strict=True)
+    )
+    return gap, lead, heading

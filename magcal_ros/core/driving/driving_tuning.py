@@ -279,6 +279,32 @@ class ChordTuning:
 
 
 @dataclass(frozen=True)
+class DriftTuning:
+    """When a vehicle does not go where it looks.
+
+    Parameters
+    ----------
+    span, chords : float, int
+        Seconds of straight driving that are looked at, and chords in them from which it is told.
+    scatter : float
+        Radians by which course less gyro yaw may scatter within them; boats exceed it.
+    bias : float
+        rad/s of the gyro's bias that the compass does not show.
+    turned : float
+        Radians, RMS, that it must have turned by to tell whether its course followed.
+    share : float
+        Of its turns that the course leaves out: none of a vehicle's on wheels, all of a hull's.
+    """
+
+    span: float = 60.0
+    chords: int = 8
+    scatter: float = math.radians(10.0)
+    bias: float = math.radians(0.3)
+    turned: float = math.radians(5.0)
+    share: float = 0.5
+
+
+@dataclass(frozen=True)
 class CourseTuning:
     """The offset of compass against course, and its harmonics.
 
@@ -315,11 +341,8 @@ class CourseTuning:
         Reweighted ones: weights and the street's size have settled.
     new_chords : int
         Chords after which the course is fitted anew.
-    drifting : float
-        Radians by which course less gyro yaw may scatter within `drifting_span` of straight
-        driving; boats exceed it.
-    drifting_span, drifting_chords : float, int
-        Seconds, and chords in them from which a scatter is told.
+    drift : DriftTuning
+        When a vehicle does not go where it looks.
     """
 
     cell: float = 10.0
@@ -340,9 +363,7 @@ class CourseTuning:
     fewest: int = 5
     rounds: int = 5
     new_chords: int = 5
-    drifting: float = math.radians(10.0)
-    drifting_span: float = 60.0
-    drifting_chords: int = 8
+    drift: DriftTuning = DriftTuning()
 
 
 @dataclass(frozen=True)
