@@ -15,7 +15,7 @@ from magcal_ros.core.driving.driving_tuning import CourseTuning
 class _Seen(NamedTuple):
     """A chord: seconds, and radians that go on beyond a whole turn.
 
-    `gap` is the gyro's yaw less course, `lead` less the compass's yaw, `heading` itself.
+    `heading` is the gyro's yaw, `gap` what it is off course, `lead` what it is off the compass.
     """
 
     stamp: float
