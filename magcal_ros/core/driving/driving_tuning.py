@@ -26,8 +26,12 @@ class SpeedTuning:
         m/s. No vehicle this is for is faster.
     largest_acceleration : float
         m/s². A speed that changes faster is no speed.
+    step : float
+        m/s by which it may change besides: noise, and the steps of an encoder.
     odometry_gap, receiver_gap : float
         Seconds between two samples that are interpolated between.
+    seldom : float
+        Seconds between samples from which wheels count as a receiver in this.
     receiver_delay : float
         Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen.
     remembered : int
@@ -36,18 +40,24 @@ class SpeedTuning:
         Seconds between samples that are kept for minutes.
     shortest : float
         Seconds between samples that are read; of a faster source the others are passed over.
+    newest, fewest : int
+        Samples that are looked at for their speed now and for jumps; and from which these are told.
     silent : float
         Seconds after which another source takes its place.
     """
 
     largest: float = 100.0
     largest_acceleration: float = 15.0
+    step: float = 0.5
     odometry_gap: float = 0.6
     receiver_gap: float = 2.2
+    seldom: float = 0.3
     receiver_delay: float = 0.5
     remembered: int = 6000
     spacing: float = 0.09
     shortest: float = 0.045
+    newest: int = 512
+    fewest: int = 20
     silent: float = 3.0
 
 

@@ -135,9 +135,10 @@ class OwnAcceleration:
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
+                spoken = SpeedSource.VELOCITY if track.is_slow else track.source
                 self._slow = self._tuning.own.slow[track.source]
                 self._is_rough = track.source is SpeedSource.FIXES
-                self._span = self._tuning.own.spans[track.source]
+                self._span = self._tuning.own.spans[spoken]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import Drop, StampGuard
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
 
@@ -20,8 +20,10 @@ class SpeedRecord:
 
     Parameters
     ----------
-    kept, recent : ndarray, shape (n, 2)
-        Stamps and speeds of some minutes, thinned, and the newest as they were read.
+    kept : ndarray, shape (n, 2)
+        Stamps and speeds of some minutes, thinned.
+    wild_share : float
+        Share of the newest samples to which the speed jumps as no vehicle can.
     delay, gap : float
         Seconds by which the stamps are late, and that are interpolated over.
     is_signed : bool
@@ -31,7 +33,7 @@ class SpeedRecord:
     """
 
     kept: FloatArray
-    recent: FloatArray
+    wild_share: float
     delay: float
     gap: float
     is_signed: bool
@@ -45,21 +47,11 @@ class SpeedRecord:
         moments = stamps + delay
         after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
         span, change = np.diff(time), np.diff(speed)
-        broken = (span > self.gap) | self._is_wild(span, change)
+        wild = np.abs(change) > self.tuning.largest_acceleration * span + self.tuning.step
+        broken = (span > self.gap) | wild
         found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
         found[broken[after - 1]] = math.nan
         return np.asarray(found)
-
-    @property
-    def wild_share(self) -> float:
-        """Share of the newest samples between which the speed jumps as no vehicle can."""
-        if len(self.recent) < 20:
-            return 0.0
-        span, change = np.diff(self.recent, axis=0).T
-        return float(np.mean(self._is_wild(span, change)))
-
-    def _is_wild(self, span: FloatArray, change: FloatArray) -> BoolArray:
-        return np.asarray(np.abs(change) > self.tuning.largest_acceleration * span + 0.5)
 
 
 class SpeedTrack:
@@ -79,7 +71,7 @@ class SpeedTrack:
     is_signed : bool
         Whether backwards is negative.
     newest : float
-        Stamp of the newest sample, seconds; minus infinity before the first.
+        Stamp of the newest sample that is believed, seconds; minus infinity before the first.
     last : float
         The newest speed, m/s; NaN before the first.
     drops : Counter of Drop
@@ -90,13 +82,14 @@ class SpeedTrack:
         own = source is SpeedSource.ODOMETRY
         self.source = source
         self.delay = 0.0 if own else tuning.receiver_delay
-        self.gap = tuning.odometry_gap if own else tuning.receiver_gap
         self.is_signed = own
         self.newest, self.last = -math.inf, math.nan
         self.drops: Counter[Drop] = Counter()
         self._tuning = tuning
         self._stamps = StampGuard()
-        self._recent: deque[tuple[float, float]] = deque(maxlen=512)
+        self._doubted: tuple[float, float] | None = None
+        self._wild: deque[bool] = deque(maxlen=tuning.newest)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=tuning.newest)
         self._kept: deque[tuple[float, float]] = deque(maxlen=tuning.remembered)
 
     def wants(self, stamp: float) -> bool:
@@ -119,11 +112,39 @@ class SpeedTrack:
         if stamp < self.newest:
             self._recent.clear()
             self._kept.clear()
-        self.newest, self.last = stamp, speed
-        self._recent.append((stamp, speed))
-        if not self._kept or stamp - self._kept[-1][0] >= self._tuning.spacing:
-            self._kept.append((stamp, speed))
+        self._weigh((stamp, speed))
         return True
+
+    def _weigh(self, sample: tuple[float, float]) -> None:
+        """Believe a sample; one to which the speed jumps only if the next one stays there."""
+        doubted, self._doubted = self._doubted, None
+        is_wild = bool(self._recent) and self._is_jump(self._recent[-1], sample)
+        self._wild.append(is_wild)
+        if is_wild and (doubted is None or self._is_jump(doubted, sample)):
+            self._doubted = sample
+            return
+        stamp, speed = sample
+        self.newest, self.last = stamp, speed
+        self._recent.append(sample)
+        if not self._kept or stamp - self._kept[-1][0] >= self._tuning.spacing:
+            self._kept.append(sample)
+
+    def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:
+        most = self._tuning.largest_acceleration * (after[0] - before[0]) + self._tuning.step
+        return abs(after[1] - before[1]) > most
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether these are wheels that speak as seldom as a receiver."""
+        if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
+            return False
+        return self._recent[-1][0] - self._recent[-4][0] > 3.0 * self._tuning.seldom
+
+    @property
+    def gap(self) -> float:
+        """Seconds between two samples that are interpolated between."""
+        is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
+        return self._tuning.odometry_gap if is_quick else self._tuning.receiver_gap
 
     def at(self, stamp: float) -> float | None:
         """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
@@ -137,10 +158,9 @@ class SpeedTrack:
                 if later is None:
                     return sample[1] if sample[0] == stamp else None
                 span = later[0] - sample[0]
-                change = later[1] - sample[1]
-                if span > self.gap or abs(change) > self._tuning.largest_acceleration * span + 0.5:
+                if span > self.gap or self._is_jump(sample, later):
                     return None
-                return sample[1] + change * (stamp - sample[0]) / span
+                return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
             later = sample
         return None
 
@@ -151,8 +171,9 @@ class SpeedTrack:
     def record(self) -> SpeedRecord:
         """Return what is remembered, for work in another thread."""
         kept = np.array(self._kept).reshape(-1, 2)
-        recent = np.array(self._recent).reshape(-1, 2)
-        return SpeedRecord(kept, recent, self.delay, self.gap, self.is_signed, self._tuning)
+        told = len(self._wild)
+        wild = sum(self._wild) / told if told >= self._tuning.fewest else 0.0
+        return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed, self._tuning)
 
 
 class Speedometer:

@@ -63,6 +63,12 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
     assert rms[0] < 1.1 * rms[1]
 
 
+@pytest.mark.parametrize("wheels", [Wheels(rate=1.0), Wheels(jumps=0.01)])
+def test_wheels_that_speak_seldom_or_glitch_now_and_then_are_of_use(wheels):
+    drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
+    assert np.percentile(tilts(drive, Travelling()), 90) < 0.5 * np.percentile(tilts_without(2), 90)
+
+
 def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
     drive = driven(city_legs(3), 3, Vehicle(ROBOT, imu_yaw=3.0), receiver=None)
     with_it, without = tilts(drive, Travelling()), tilts(drive)

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
@@ -20,9 +19,7 @@ def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)
 @pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 200.0])
 def test_a_fast_source_is_thinned_and_tells_the_same_speed(rate):
     track = track_of(rate)
-    tuning, record = SpeedTuning(), track.record()
-    assert len(record.kept) <= 60.0 / tuning.spacing + 1
-    assert np.diff(record.recent[:, 0]).min() > tuning.shortest
+    assert len(track.record().kept) <= 60.0 / SpeedTuning().spacing + 1
     for stamp in (40.03, 51.7, 59.71):
         assert track.at(stamp) == pytest.approx(3.0 + math.sin(0.5 * stamp), abs=1e-3)
 
@@ -76,5 +73,25 @@ def test_time_that_is_set_back_forgets_what_came_later():
     for step in range(200):
         track.add(5.0 + 0.1 * step, 1.0)
     assert track.last == 1.0
-    record = track.record()
-    assert max(record.kept[:, 0].max(), record.recent[:, 0].max()) < 26.0
+    assert track.record().kept[:, 0].max() < 26.0
+    assert track.at(40.0) is None
+
+
+def test_a_glitch_is_passed_over_and_a_speed_that_stays_is_not():
+    track = track_of(10.0, 10.0, lambda stamp: 3.0)
+    track.add(10.0, 45.0)
+    track.add(10.1, 3.0)
+    assert track.at(10.05) == 3.0
+    track.add(10.2, 20.0)
+    assert track.last == 3.0
+    track.add(10.3, 20.0)
+    assert track.last == 20.0
+    # Between the two no vehicle can have been.
+    assert track.at(10.2) is None
+
+
+def test_wheels_that_speak_once_a_second_are_interpolated():
+    track = track_of(1.0, 20.0, lambda stamp: 0.5 * stamp)
+    assert track.is_slow
+    assert track.at(12.3) == pytest.approx(6.15)
+    assert not track_of(10.0).is_slow
