@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import ChordTuning
+from magcal_ros.core.driving.course_tuning import ChordTuning
 from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.samples.travel_samples import PositionSample, VelocitySample
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.course_cells import CellTable
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.course_tuning import CourseTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 

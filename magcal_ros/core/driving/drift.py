@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.course_tuning import CourseTuning
 
 
 class _Seen(NamedTuple):

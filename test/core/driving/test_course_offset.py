@@ -10,7 +10,7 @@ from long_form import first_of
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.course_cells import CourseCells
 from magcal_ros.core.driving.course_offset import fit_course_offset
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.course_tuning import CourseTuning
 from magcal_ros.core.monitoring.course_check import accusation, check_by_course
 from magcal_ros.core.simulation.drive import Fence, Vehicle
 from magcal_ros.core.simulation.legs import (
