@@ -33,7 +33,7 @@ from magcal_ros.ros.sensor_source import SensorSource, set_time
 WARM_UP = 30.0
 APART = 3e-3
 """Seconds by which wheels speak later than the IMU: another device does not keep its time."""
-NOBODYS = (f"{topic}:=nobody/{topic}" for topic in ("odom", "gps/fix", "gps/vel"))
+NOBODYS = tuple(f"{topic}:=nobody/{topic}" for topic in ("odom", "gps/fix", "gps/vel"))
 KINDS = {
     "without": ("-p", "self_calibration:='off'", *(p for name in NOBODYS for p in ("-r", name))),
     "beside": ("-p", "self_calibration:=propose"),

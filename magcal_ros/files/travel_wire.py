@@ -27,8 +27,8 @@ POSE_SIZE = 8 * (7 + 36)
 
 def stamp_in(data: bytes) -> float:
     """Return the stamp of a message with a header, seconds."""
-    sec, nanosec, _ = HEADER.unpack_from(data, CDR_START)
-    return float(sec + nanosec * 1e-9)
+    stamp, _, _ = _header(data)
+    return stamp
 
 
 def fix_in(data: bytes) -> Fix:

@@ -144,7 +144,7 @@ class StraightLoop:
         new_wait_set: Any = rclpy_implementation.WaitSet
         guard = self._guard.handle
         served: list[Any] = [subscription.handle for subscription in self._subscriptions]
-        handles = served[: len(self._awaited)]
+        handles: list[Any] = [subscription.handle for subscription in self._awaited]
         with ExitStack() as in_use:
             for handle in (context.handle, guard, *served):
                 # Nothing of it is destroyed while it is waited for.

@@ -6,8 +6,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TypeVar
 
 from magcal_ros.core.driving.course_tuning import ChordTuning, CourseTuning
+from magcal_ros.core.geometry.arrays import FloatArray
+
+Span = TypeVar("Span", float, FloatArray)
 
 
 class SpeedSource(str, Enum):
@@ -61,6 +65,10 @@ class SpeedTuning:
     newest: int = 512
     fewest: int = 20
     silent: float = 3.0
+
+    def largest_change(self, seconds: Span) -> Span:
+        """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
+        return self.largest_acceleration * seconds + self.step
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,7 @@ class SpeedRecord:
         moments = stamps + delay
         after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
         span, change = np.diff(time), np.diff(speed)
-        wild = np.abs(change) > self.tuning.largest_acceleration * span + self.tuning.step
-        broken = (span > self.gap) | wild
+        broken = (span > self.gap) | (np.abs(change) > self.tuning.largest_change(span))
         found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
         found[broken[after - 1]] = math.nan
         return np.asarray(found)
@@ -130,8 +129,7 @@ class SpeedTrack:
             self._kept.append(sample)
 
     def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:
-        most = self._tuning.largest_acceleration * (after[0] - before[0]) + self._tuning.step
-        return abs(after[1] - before[1]) > most
+        return abs(after[1] - before[1]) > self._tuning.largest_change(after[0] - before[0])
 
     @property
     def is_slow(self) -> bool:
@@ -189,7 +187,6 @@ class Speedometer:
         self._tuning = tuning or SpeedTuning()
         self.tracks = {source: SpeedTrack(self._tuning, source) for source in SpeedSource}
         self.distrusted: set[SpeedSource] = set()
-        self._in_order = tuple(self.tracks.values())
         self._fix: PositionSample | None = None
 
     def add_speed(self, sample: SpeedSample) -> bool:
@@ -218,10 +215,9 @@ class Speedometer:
     @property
     def track(self) -> SpeedTrack | None:
         """The best source that speaks and is trusted; None if none does."""
-        wheels, velocity, fixes = self._in_order
-        newest = max(wheels.newest, velocity.newest, fixes.newest)
-        for track in self._in_order:
+        newest = max([track.newest for track in self.tracks.values()])
+        for source, track in self.tracks.items():
             is_here = newest - track.newest < self._tuning.silent
-            if is_here and track.source not in self.distrusted:
+            if is_here and source not in self.distrusted:
                 return track
         return None
