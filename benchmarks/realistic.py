@@ -9,9 +9,10 @@ uneven speed. Such turns go through a session, as those of a robot do. The third
 with the gyro over that without, of the turns that are answered either way: more should never hurt.
 
 With `--turns` each row is a kind of turn instead (`turn_kinds.py`; a fifth without a reference
-field), with perfect, typical and cheap sensors; what was warned of and refused is counted. With
-`--place` the robot stands near iron or indoors instead of in the open, and is judged by the field
-of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one degree.
+field), with perfect, good, typical and cheap sensors; what was warned of and refused is counted.
+With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
+field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
+degree.
 """
 
 from __future__ import annotations
@@ -286,19 +287,26 @@ TYPICAL = together(
 )
 """A MEMS set on a robot that turns in the open; what each part does alone stands below."""
 
+
+def of_sizes(share: float = 1.0) -> Spoil:
+    """Return what MEMS sensors do together: so much of the usual size, drawn for each robot."""
+    return together(
+        scattered(axes, share * 0.005),
+        scattered(lambda size: over_time(even, size), share * 0.2e-6),
+        scattered(lambda size: over_time(switched, size), share * 0.1e-6),
+        scattered(lambda size: coloured(size, 3.0), share * 0.15e-6),
+        scattered(late, share * 0.008),
+        scattered(lever_arm, share * 0.08),
+        scattered(off, share * 0.05),
+        scattered(biased, share * 0.2),
+        scattered(crossed, share * 0.008),
+    )
+
+
 SENSORS: dict[str, Spoil] = {
     "perfect": lambda _, scene: scene,
-    "typical": together(
-        scattered(axes, 0.005),
-        scattered(lambda size: over_time(even, size), 0.2e-6),
-        scattered(lambda size: over_time(switched, size), 0.1e-6),
-        scattered(lambda size: coloured(size, 3.0), 0.15e-6),
-        scattered(late, 0.008),
-        scattered(lever_arm, 0.08),
-        scattered(off, 0.05),
-        scattered(biased, 0.2),
-        scattered(crossed, 0.008),
-    ),
+    "good": of_sizes(0.6),
+    "typical": of_sizes(),
     "cheap": together(
         scattered(axes, 0.012),
         scattered(lambda size: over_time(even, size), 0.4e-6),

@@ -165,8 +165,8 @@ class Systematics:
     """Errors of sensors and places that the residuals of one turn do not show; one sigma each.
 
     They repeat from sample to sample, so that no number of samples averages them out. The
-    defaults are a typical MEMS set on a robot that turns in the open: with them the squared error
-    over the variance is about one where all typical errors come together.
+    defaults are a MEMS set on a robot that turns in the open: with them the squared error over
+    the variance is about one where all typical errors come together (doc/measured.md).
 
     Parameters
     ----------
@@ -184,10 +184,10 @@ class Systematics:
         Seconds between gyro, accelerometer and field that nobody took off.
     """
 
-    axes: float = 0.004
-    field: float = 0.08e-6
-    lever_arm: float = 0.1
-    latency: float = 0.005
+    axes: float = 0.002
+    field: float = 0.035e-6
+    lever_arm: float = 0.06
+    latency: float = 0.003
     crooked: float = 0.03
 
     def __post_init__(self) -> None:

@@ -38,7 +38,7 @@ FIGURES: dict[Figure, Unit] = {
     b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
 } | {
     Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
-    Figure.GYRO_GAP: Unit("heading between fits with the gyro and without", DEGREES, "°"),
+    Figure.GYRO_GAP: Unit("heading left in doubt by other explanations of the gyro", DEGREES, "°"),
     Figure.STEADY_PULL: Unit("steady pull taken off the accelerometer", DEGREES, "°"),
     Figure.POSSIBLE_PULL: Unit("heading by a pull that nothing shows (1σ)", DEGREES, "°"),
     Figure.INLIER_FRACTION: Unit("samples that were believed", 100.0, "%"),

@@ -89,8 +89,8 @@ class Figure(str, Enum):
     GYRO_CARRIED = "gyro_carried"
     """One where the gyro's turning explains the samples, else zero; absent without a gyro."""
     GYRO_GAP = "gyro_gap"
-    """Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
-    where a linear acceleration sets them apart; absent without a gyro."""
+    """Heading that the fit without gyro-propagated attitudes, or another explanation of what parts
+    gyro and accelerometer, leaves in doubt, radians, one sigma; absent without a gyro."""
     STEADY_PULL = "steady_pull"
     """Lean of the accelerometer's up that was found to turn with the robot and was taken off,
     radians; zero without one; absent without a gyro."""

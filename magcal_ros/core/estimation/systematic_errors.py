@@ -21,6 +21,10 @@ from magcal_ros.core.geometry.rotations import skew, turns_about_z
 from magcal_ros.core.knowledge import Systematics
 
 
+TWO_SEEN = math.sqrt(0.5)
+"""Two numbers that come out large are so by chance as well: what they say of a third, over them."""
+
+
 @dataclass(frozen=True)
 class Turning:
     """How fast a robot turned, rad/s.
@@ -132,4 +136,4 @@ def _unseen_turn(soft_iron: FloatArray, systematics: Systematics) -> float:
         return 0.0
     xx, yy, _, xy, _, _ = soft_iron
     seen = math.hypot(0.5 * (xx - yy), xy) / math.sqrt(2.0)
-    return float(seen / (1.0 + (seen / systematics.crooked) ** 4))
+    return float(TWO_SEEN * seen / (1.0 + (seen / systematics.crooked) ** 4))

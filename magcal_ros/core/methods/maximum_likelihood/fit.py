@@ -56,6 +56,9 @@ from magcal_ros.core.samples.window import Window
 
 COMPASS_SHARE = 0.5
 """Of the squared stray between gyro and compass, what is the compass's: the gyro strays, too."""
+GAP_SHARE = 0.25
+"""Of the squared heading between the gyro's fit and that without, what the gyro's is usually off:
+most often it is the other that is."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,7 @@ class Solved:
     swing : GyroSwing or None
         Of gyro and compass; None without a gyro.
     gyro_gap : float
-        Radians of heading between the fits with gyro-propagated attitudes and without.
+        Radians of heading that another explanation, or the fit without the gyro, leaves in doubt.
     motors : ndarray, shape (m, 3), or None
         Field of the motors (`motor_field`), tesla; None where no rest tells.
     pull : float
@@ -292,7 +295,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
             # A gyro that is known to be a bad one is no witness against the accelerometer.
             path, choice = replace(block.path, relative=block.unbiased), free
         else:
-            gap = max(gap, apart)
+            gap = max(gap, math.sqrt(GAP_SHARE) * apart)
     carried = isinstance(choice.fit.block, GyroBlock)
     explained = carried or path.is_doubted or choice.own_lean
     swing = _swing(choice, path, window.time[prepared.first])
