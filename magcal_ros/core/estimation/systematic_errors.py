@@ -20,7 +20,6 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import skew, turns_about_z
 from magcal_ros.core.knowledge import Systematics
 
-
 TWO_SEEN = math.sqrt(0.5)
 """Two numbers that come out large are so by chance as well: what they say of a third, over them."""
 
