@@ -56,6 +56,9 @@ from magcal_ros.core.samples.window import Window
 
 COMPASS_SHARE = 0.5
 """Of the squared stray between gyro and compass, what is the compass's: the gyro strays, too."""
+RADIAL_SHARE = 2.0
+"""Times the squared stray along the radius, what strays across it: the field of a place that is
+bent goes once round, too, which nothing along the radius shows."""
 GAP_SHARE = 0.25
 """Of the squared heading between the gyro's fit and that without, what the gyro's is usually off:
 most often it is the other that is."""
@@ -180,7 +183,7 @@ class Solved:
         if systematics.are_none:
             return Lasting()
         if self.swing is None:
-            stray = _radial_stray(self.choice.fit.block)
+            stray = math.sqrt(RADIAL_SHARE) * _radial_stray(self.choice.fit.block)
         else:
             stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
         return Lasting(stray, self.gyro_gap, self.motors, self.doubtful_pull)
