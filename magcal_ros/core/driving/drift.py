@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_tuning import CourseTuning
+from magcal_ros.core.driving.course_tuning import DriftTuning
 
 
 class _Seen(NamedTuple):
@@ -39,8 +39,8 @@ class DriftWatch:
         Radians, of course less the gyro's yaw about a steady drift of the gyro; zero until known.
     """
 
-    def __init__(self, tuning: CourseTuning | None = None) -> None:
-        self._tuning = (tuning or CourseTuning()).drift
+    def __init__(self, tuning: DriftTuning | None = None) -> None:
+        self._tuning = tuning or DriftTuning()
         self._seen: deque[_Seen] = deque(maxlen=120)
         self.scatter = 0.0
         self.judged = self.drifted = 0

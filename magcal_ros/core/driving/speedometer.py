@@ -69,10 +69,6 @@ class SpeedTrack:
         Seconds by which its stamps are late.
     is_signed : bool
         Whether backwards is negative.
-    newest : float
-        Stamp of the newest sample that is believed, seconds; minus infinity before the first.
-    last : float
-        The newest speed, m/s; NaN before the first.
     drops : Counter of Drop
         What was not used.
     """
@@ -82,7 +78,6 @@ class SpeedTrack:
         self.source = source
         self.delay = 0.0 if own else tuning.receiver_delay
         self.is_signed = own
-        self.newest, self.last = -math.inf, math.nan
         self.drops: Counter[Drop] = Counter()
         self._tuning = tuning
         self._stamps = StampGuard()
@@ -90,6 +85,16 @@ class SpeedTrack:
         self._wild: deque[bool] = deque(maxlen=tuning.newest)
         self._recent: deque[tuple[float, float]] = deque(maxlen=tuning.newest)
         self._kept: deque[tuple[float, float]] = deque(maxlen=tuning.remembered)
+
+    @property
+    def newest(self) -> float:
+        """Stamp of the newest sample that is believed, seconds; minus infinity before the first."""
+        return self._recent[-1][0] if self._recent else -math.inf
+
+    @property
+    def last(self) -> float:
+        """The newest speed, m/s; NaN before the first."""
+        return self._recent[-1][1] if self._recent else math.nan
 
     def wants(self, stamp: float) -> bool:
         """Whether a sample is of use, and not one of more a second than are read."""
@@ -122,10 +127,8 @@ class SpeedTrack:
         if is_wild and (doubted is None or self._is_jump(doubted, sample)):
             self._doubted = sample
             return
-        stamp, speed = sample
-        self.newest, self.last = stamp, speed
         self._recent.append(sample)
-        if not self._kept or stamp - self._kept[-1][0] >= self._tuning.spacing:
+        if not self._kept or sample[0] - self._kept[-1][0] >= self._tuning.spacing:
             self._kept.append(sample)
 
     def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:

@@ -57,7 +57,7 @@ class Travelling:
         self.speedometer = Speedometer(self.tuning.speed)
         self.mounting = MountingWatch(self.speedometer, self.tuning)
         self.cells = CourseCells(self.tuning.course)
-        self.drift = DriftWatch(self.tuning.course)
+        self.drift = DriftWatch(self.tuning.course.drift)
         self.course: CourseOffset | None = None
         self.metres = 0.0
         self._frame = GyroFrame(self.tuning.ticks)
