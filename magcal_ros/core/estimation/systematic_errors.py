@@ -66,10 +66,10 @@ class Lasting:
     ----------
     stray : float
         Lasting swing of the compass's yaw, radians of heading, RMS around the turn: its share of
-        that against the gyro's, or what strays along the radius.
+        that against the gyro's, or what goes with a stray along the radius.
     gap : float
-        Heading between the fit with gyro-propagated attitudes and the one without, radians; zero
-        where there is but one, or where the two must differ.
+        Heading that other explanations of the gyro leave in doubt, radians, one sigma; zero where
+        there is but one.
     motors : ndarray, shape (m, 3), or None
         Field that is there while the robot turns and not while it rests, tesla, in the
         magnetometer's axes: a hard iron that is there or not. First what is seen of it, then one
