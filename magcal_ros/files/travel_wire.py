@@ -10,10 +10,7 @@ from struct import Struct
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.messages import fix_from, speed_from, velocity_from
 from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
-from magcal_ros.files.wire import CDR_START
-
-HEADER = Struct("<iII")
-"""Stamp and length of the frame, from where CDR counts its alignment."""
+from magcal_ros.files.wire import CDR
 
 LENGTH = Struct("<I")
 PLACE = Struct("<3d")
@@ -72,8 +69,8 @@ def speed_in(data: bytes) -> SpeedSample | str:
 
 def _header(data: bytes) -> tuple[float, bytes, int]:
     """Return stamp (s) and frame of a message, and the place after them."""
-    sec, nanosec, length = HEADER.unpack_from(data, CDR_START)
-    at = CDR_START + HEADER.size
+    sec, nanosec, length = CDR.head.unpack_from(data, CDR.start)
+    at = CDR.start + CDR.head.size
     return sec + nanosec * 1e-9, data[at : at + length - 1], at + length
 
 
@@ -83,4 +80,4 @@ def _text(frame: bytes) -> str:
 
 def _aligned(at: int, size: int) -> int:
     """Return the next place at which CDR puts a number of so many bytes."""
-    return at + (CDR_START - at) % size
+    return at + (CDR.start - at) % size
