@@ -274,11 +274,23 @@ def switched(_: np.random.Generator, time: FloatArray) -> FloatArray:
     return (time % 4.0 < 2.5).astype(float)
 
 
+def drifting(size: float) -> Spoil:
+    return over_time(even, size)
+
+
+def switching(size: float) -> Spoil:
+    return over_time(switched, size)
+
+
+def lasting(size: float) -> Spoil:
+    return coloured(size, 3.0)
+
+
 TYPICAL = together(
     axes(0.005),
-    over_time(even, 0.3e-6),
-    over_time(switched, 0.15e-6),
-    coloured(0.15e-6, 3.0),
+    drifting(0.3e-6),
+    switching(0.15e-6),
+    lasting(0.15e-6),
     late(0.01),
     lever_arm(0.1),
     off(0.05),
@@ -292,9 +304,9 @@ def of_sizes(share: float = 1.0) -> Spoil:
     """Return what MEMS sensors do together: so much of the usual size, drawn for each robot."""
     return together(
         scattered(axes, share * 0.005),
-        scattered(lambda size: over_time(even, size), share * 0.2e-6),
-        scattered(lambda size: over_time(switched, size), share * 0.1e-6),
-        scattered(lambda size: coloured(size, 3.0), share * 0.15e-6),
+        scattered(drifting, share * 0.2e-6),
+        scattered(switching, share * 0.1e-6),
+        scattered(lasting, share * 0.15e-6),
         scattered(late, share * 0.008),
         scattered(lever_arm, share * 0.08),
         scattered(off, share * 0.05),
@@ -309,9 +321,9 @@ SENSORS: dict[str, Spoil] = {
     "typical": of_sizes(),
     "cheap": together(
         scattered(axes, 0.012),
-        scattered(lambda size: over_time(even, size), 0.4e-6),
-        scattered(lambda size: over_time(switched, size), 0.2e-6),
-        scattered(lambda size: coloured(size, 3.0), 0.2e-6),
+        scattered(drifting, 0.4e-6),
+        scattered(switching, 0.2e-6),
+        scattered(lasting, 0.2e-6),
         scattered(late, 0.01),
         scattered(lever_arm, 0.1),
         lambda rng, scene: off(float(rng.choice([0.2, 0.5])))(rng, scene),
@@ -327,14 +339,14 @@ EFFECTS: dict[str, Spoil] = {
     "axes 1 %": axes(0.01),
     "axes 3 %": axes(0.03),
     "soft iron 10 %": axes(0.1, iron=True),
-    "drift 1 µT": over_time(even, 1e-6),
-    "drift 3 µT": over_time(even, 3e-6),
-    "motor 1 µT": over_time(switched, 1e-6),
-    "motor 3 µT": over_time(switched, 3e-6),
+    "drift 1 µT": drifting(1e-6),
+    "drift 3 µT": drifting(3e-6),
+    "motor 1 µT": switching(1e-6),
+    "motor 3 µT": switching(3e-6),
     "aliased hum 1 µT": over_time(
         lambda rng, t: np.sin(math.tau * rng.uniform(0.05, 0.3) * t + rng.uniform(0.0, 6.0)), 1e-6
     ),
-    "noise 1 µT, 3 s": coloured(1e-6, 3.0),
+    "noise 1 µT, 3 s": lasting(1e-6),
     "walk .3 µT/√s": coloured(0.3e-6, math.inf),
     "latency 50 ms": late(0.05),
     "lever arm .2 m": lever_arm(0.2),
