@@ -10,11 +10,9 @@ from typing import cast
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Aspect, Grade
-from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning, judge, refuse
+from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
-from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes, wrong_stamps
 from magcal_ros.core.errors import Misuse, Reason, Refusal
@@ -23,6 +21,7 @@ from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog, log_of
+from magcal_ros.core.turn_or_drive import leans_more, may_be_a_drive, told_by_drive
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
@@ -35,37 +34,8 @@ JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
 """Methods that take all samples for one tumble."""
-ROBOTS_OWN = (Figure.AXIS_LEAN, Figure.INSTALLATION_ANGLE)
-"""What a turn shows of a robot better than a drive."""
-TURNED_TOO_LITTLE = (Reason.ARC_TOO_SHORT, Reason.NO_MOTION, Reason.FIELD_ON_A_LINE)
-
-
-@dataclass(frozen=True)
-class CalibrateTuning:
-    """When a window is told better as a drive, and how turns are pooled.
-
-    Parameters
-    ----------
-    rough : float
-        Radians of heading sigma from which a turn gives way to a drive that is more certain.
-    clearly : float
-        Independent units of minus log likelihood by which a drive contradicts a turn's calibration.
-    jolted : float
-        Radians of jolts (`DriveLog.jolts`) below which who was accepted as turning on the spot did.
-    shortest_drive : float
-        Seconds of movement below which a window is a turn or nothing.
-    pause : float
-        Seconds between turns whose samples are pooled.
-    """
-
-    rough: float = VerdictTuning().rough
-    clearly: float = 12.0
-    jolted: float = 0.0085
-    shortest_drive: float = 15.0
-    pause: float = 1.0
-
-
-TUNING = CalibrateTuning()
+PAUSE = 1.0
+"""Seconds between turns whose samples are pooled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,8 +165,7 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
 
     A turn that was accepted stays with the turn's model, which knows that it came back to the same
     place. The drive's answers where that refuses, but for what is wrong with the robot; or where
-    the robot went somewhere, the drive is the more certain one, and the turn is rough or along the
-    road by far the less likely.
+    the robot went somewhere and the drive tells more (`told_by_drive`).
 
     Parameters
     ----------
@@ -206,46 +175,17 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
         What was driven meanwhile.
     knowledge : Knowledge
     """
-    if log.seconds < TUNING.shortest_drive or turn.verdict.is_good:
-        return turn
-    before = turn.estimate if turn.verdict.accepted else None
-    if _stayed(log) if before is not None else _is_refused_for_good(turn, log, knowledge):
+    if turn.verdict.is_good or not may_be_a_drive(turn, log, knowledge):
         return turn
     drive = calibrate_drive(log, knowledge)
     if drive.estimate is None or not drive.verdict.accepted:
         return turn
-    return drive if before is None or _is_better(drive.estimate, before, log, knowledge) else turn
-
-
-def _stayed(log: DriveLog) -> bool:
-    # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
-    return log.stays or (math.isinf(log.bias_sigma) and log.jolts < TUNING.jolted)
-
-
-def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:
-    """Whether a turn was refused for what a drive does not see, or sees no better.
-
-    How the sensors are mounted is one; where a robot stays it is all but that the turn was too
-    short, or its answer too uncertain: a drive's model knows streets, and there are none.
-    """
-    checks = [check for check in turn.verdict.checks if check.grade is Grade.REFUSED]
-    if any(check.figure in ROBOTS_OWN for check in checks):
-        return True
-    if turn.reason is Reason.AXES_DISAGREE and turn.window is not None:
-        return log.stays or wrong_axes(turn.window, known) is not None
-    is_bad = any(check.aspect is Aspect.QUALITY for check in checks)
-    return log.stays and is_bad and turn.reason not in TURNED_TOO_LITTLE
-
-
-def _is_better(drive: Estimate, turn: Estimate, log: DriveLog, known: Knowledge) -> bool:
-    """Whether of two that were accepted the drive tells more."""
-    by_drive, by_turn = (predicted_heading_sigma(each, 0.0) for each in (drive, turn))
-    if by_drive > by_turn or by_turn > TUNING.rough:
-        return by_drive <= by_turn
-    from magcal_ros.core.smoothing.fit import favour
-
-    nodes = log.nodes(known.mounting.to_body)
-    return favour(nodes, turn.correction, drive.correction, known).gain > TUNING.clearly
+    if turn.estimate is None or not turn.verdict.accepted:
+        return drive
+    if leans_more(drive.verdict, turn.verdict):
+        return turn
+    told = told_by_drive(drive.estimate, turn.estimate, log, knowledge)
+    return turn if told is None else judged(told, knowledge, log.window)
 
 
 def calibrate_turns(
@@ -312,7 +252,7 @@ def pooled(windows: Sequence[Window]) -> Window:
     times, end = [], 0.0
     for window in windows:
         times.append(window.time - window.time[0] + end)
-        end = float(times[-1][-1]) + TUNING.pause
+        end = float(times[-1][-1]) + PAUSE
     rates = [window.angular_rate for window in windows]
     known = [rate for rate in rates if rate is not None]
     return Window(

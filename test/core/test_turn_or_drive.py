@@ -125,6 +125,44 @@ def test_a_rough_turn_without_a_jolt_stays_a_turn_though_its_gyro_looks_like_a_p
     assert drive_instead(turn, log, known) is turn
 
 
+def both(kind, number):
+    """A turn on the spot of a robot with cheap sensors, no rest; as it was, and as a drive."""
+    scene, known = by_turn(kind, "cheap", "open")(number)
+    turn, log = calibrate_by(scene.window, known, TURN), log_of(scene.window)
+    drive = calibrate_drive(log, known)
+    assert turn.verdict.accepted
+    assert drive.verdict.accepted
+    assert log.jolts > 0.0085
+    return scene, turn, drive, drive_instead(turn, log, known)
+
+
+def test_a_drive_that_contradicts_a_rough_turn_is_not_taken():
+    """Of a gyro whose bias passes for a pull along the road."""
+    scene, turn, drive, answer = both("bent ground", 77)
+    sigmas = [predicted_heading_sigma(each.estimate, 0.0) for each in (drive, turn)]
+    assert sigmas[0] < sigmas[1]
+    assert turn_error(scene, drive.estimate.correction) > 3.0 * sigmas[0]
+    assert answer is turn
+    assert turn_error(scene, turn.estimate.correction) < sigmas[1]
+
+
+def test_what_a_drive_and_a_rough_turn_differ_by_stays_in_doubt():
+    scene, _, drive, answer = both("there and back", 55)
+    assert answer.estimate.method == "smoother"
+    error = turn_error(scene, answer.estimate.correction)
+    assert error > 3.0 * predicted_heading_sigma(drive.estimate, 0.0)
+    assert error < 2.0 * predicted_heading_sigma(answer.estimate, 0.0)
+
+
+def test_a_drive_that_leans_the_sensor_where_the_turn_does_not_is_not_taken():
+    """A gyro that is off by 7 °/s, which along the road is a sensor that leans by 20 degrees."""
+    scene, turn, drive, answer = both("even", 73)
+    assert "installation error" in drive.verdict.summary
+    assert answer is turn
+    errors = [turn_error(scene, each.estimate.correction) for each in (drive, turn)]
+    assert errors[1] < 0.2 * errors[0]
+
+
 @pytest.mark.parametrize("ned", [False, True], ids=["negative", "NED"])
 def test_a_drive_by_an_accelerometer_that_is_upside_down_is_refused(ned):
     drive = driven(3, 150.0)

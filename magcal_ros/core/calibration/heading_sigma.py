@@ -105,6 +105,12 @@ def headings_apart(
     return wrap_angle(seen - yaw_from_up_and_field(up, field))
 
 
+def rms_apart(right: Correction, other: Correction, strength: float, inclination: float) -> float:
+    """Return the RMS of `headings_apart`, radians."""
+    gap = headings_apart(right, other, strength, inclination)
+    return math.sqrt(float(np.mean(gap**2)))
+
+
 def _all_headings(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
     """Return attitudes ENU to body at all headings, shape (24, 3, 3)."""
     yaws = np.arange(HEADINGS) * (math.tau / HEADINGS)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from magcal_ros.core.calibration.heading_sigma import headings_apart, rms_sigma
+from magcal_ros.core.calibration.heading_sigma import rms_apart, rms_sigma
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.estimation.uncertainty import correction_from, level_heading_by_globals
 
@@ -18,8 +16,7 @@ def heading_gap(one: Fit, other: Fit) -> float:
     not have shown, is another question.
     """
     first, second = (correction_from(fit.shared, fit.mounting, 1.0) for fit in (one, other))
-    gap = headings_apart(first, second, one.shared.strength, one.shared.inclination)
-    return math.sqrt(float(np.mean(gap**2)))
+    return rms_apart(first, second, one.shared.strength, one.shared.inclination)
 
 
 def unexplained_gap(efficient: Fit, other: Fit) -> float:

@@ -43,8 +43,13 @@ class AccelerationRule:
         Samples per independent sample beyond which it is: what is left out correlates residuals.
     needed : float
         Fall of the cost from which the plain model is given up.
+    taken_off : float
+        Fall of the cost from which a pull is taken off: left in, it makes a calibration no worse
+        than it is without a gyro.
     clear : float
         Fall from which nothing but the samples is asked, and one explanation alone remains.
+    most_believed : float
+        Share of the samples that a pull has to explain for that; else it has to be overwhelming.
     own_lean : float
         Sigma of the lean that accelerometer and gyro have against one another by themselves,
         offsets and crossed axes together: over gravity, per axis.
@@ -84,7 +89,9 @@ class AccelerationRule:
     drift: float = 3.0
     inefficiency: float = 8.0
     needed: float = 10.0
+    taken_off: float = 10.0
     clear: float = 20.0
+    most_believed: float = 0.9
     own_lean: float = 0.025
     level_lean: float = 0.1
     jolted: float = 6.0
@@ -205,7 +212,7 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     leans = [_leaning(start, *pair) for pair in zip(gyros, pulls, strict=True)]
     biased = propagated(start, gyros[1], start.prior)
     fits = (plain, biased, *leans, *pulls)
-    factor = min(fit.block.weighting.inefficiency for fit in fits)
+    factor = pulls[0].block.weighting.inefficiency
     misfits = [_misfit(fit, factor) for fit in fits]
     costs = [
         path.bias_in_sigmas(gyro_block(plain).errors) ** 2,
@@ -220,10 +227,12 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     favour, shown = costs[own] - costs[pull], min(misfits[k] for k in OWN) - misfits[pull]
     bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
     bad = bad and shown < ACCELERATION.overwhelming
-    chosen, rival = (pull, own) if favour > 0.0 and not bad else (own, pull)
+    chosen, rival = (pull, own) if favour > ACCELERATION.taken_off and not bad else (own, pull)
     # How likely each explanation is beside the chosen one, by what it costs more.
     doubts = [min(float(expit(0.5 * (costs[chosen] - cost))), 0.5) for cost in costs]
-    if favour * shown <= 0.0 or abs(shown) <= ACCELERATION.clear:
+    believed = fits[pull].block.weighting.inliers.mean() > ACCELERATION.most_believed
+    clear = ACCELERATION.clear if believed else ACCELERATION.overwhelming
+    if favour * shown <= 0.0 or abs(shown) <= clear:
         doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
     gaps = [
         math.sqrt(doubts[k]) * heading_gap(fits[k], fits[chosen])

@@ -74,6 +74,8 @@ class Lasting:
         Field that is there while the robot turns and not while it rests, tesla, in the
         magnetometer's axes: a hard iron that is there or not. First what is seen of it, then one
         sigma along each direction in which none of it can be seen.
+    pull : float
+        How far up may be pulled to one side without a trace, radians per axis, one sigma.
     """
 
     stray: float = 0.0

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from circles import circles, error_and_sigma, known
 from long_form import first_of
+from realistic import by_turn, heading_error
 
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
@@ -97,3 +99,23 @@ def test_an_accelerometer_that_is_off_is_no_pull(unevenness):
         found.installation.pitch - (alone.installation.pitch),
     )
     assert math.hypot(*gap) < 0.1 * DEGREE
+
+
+@pytest.mark.parametrize("number", first_of([55, 51]))
+def test_a_pull_that_is_no_likelier_than_a_sensor_that_leans_is_left_in(number):
+    """More knowledge never hurts: left in, the heading is as good as without the gyro."""
+    scene, knowledge = by_turn("there and back", "cheap", "open")(number)
+    estimate = fit(scene.window, knowledge)
+    assert estimate.figures[Figure.STEADY_PULL] == 0.0
+    alone = fit(replace(scene.window, angular_rate=None), knowledge)
+    errors = [heading_error(scene, each.correction) for each in (estimate, alone)]
+    assert errors[0] < errors[1] + 0.3 * DEGREE
+
+
+def test_a_pull_that_not_all_samples_follow_is_in_doubt():
+    """An eighth of them would have to be outliers, of a robot that nothing jolts."""
+    scene, knowledge = by_turn("there and back", "cheap", "open")(58)
+    estimate = fit(scene.window, knowledge)
+    error = heading_error(scene, estimate.correction)
+    assert error < 4.0 * predicted_heading_sigma(estimate, 0.0)
+    assert estimate.figures[Figure.GYRO_GAP] > 0.5 * DEGREE

@@ -1,0 +1,145 @@
+"""Whether a window was a turn on the spot or a drive (doc/estimator.md, section 9).
+
+Both models answer many windows. A turn's knows that the robot came back to the same place; a
+drive's knows streets, and what pulls in bends.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from magcal_ros.core.assessment.grading import Aspect, Grade
+from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_doubt import in_doubt
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma, rms_apart
+from magcal_ros.core.doctor.refusal import wrong_axes
+from magcal_ros.core.errors import Reason
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoothing.log import DriveLog
+
+if TYPE_CHECKING:
+    from magcal_ros.core.calibrate import Outcome
+
+ROBOTS_OWN = (Figure.AXIS_LEAN, Figure.INSTALLATION_ANGLE)
+"""What a turn shows of a robot better than a drive."""
+TURNED_TOO_LITTLE = (Reason.ARC_TOO_SHORT, Reason.NO_MOTION, Reason.FIELD_ON_A_LINE)
+
+
+@dataclass(frozen=True)
+class TurnOrDriveTuning:
+    """When a window is told better as a drive.
+
+    Parameters
+    ----------
+    rough : float
+        Radians of heading sigma from which a turn gives way to a drive that is more certain.
+    alike : float
+        Of their sigmas together, how far such a drive may be from the turn: beyond it one of the
+        two is wrong, and it is the drive that takes a gyro's bias for what pulls in bends.
+    doubted : float
+        Of the heading between the two, what stays in doubt of the drive; one sigma.
+    clearly : float
+        Independent units of minus log likelihood by which a drive contradicts a turn's calibration.
+    jolted : float
+        Radians of jolts (`DriveLog.jolts`) below which a robot whose gyro no rest has
+        shown turned on the spot.
+    shortest : float
+        Seconds of movement below which a window is a turn or nothing.
+    """
+
+    rough: float = VerdictTuning().rough
+    alike: float = 1.2
+    doubted: float = 0.5
+    clearly: float = 12.0
+    jolted: float = 0.0085
+    shortest: float = 15.0
+
+
+TUNING = TurnOrDriveTuning()
+
+
+def may_be_a_drive(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> bool:
+    """Return whether a drive's model is asked what it makes of a turn.
+
+    Parameters
+    ----------
+    turn : Outcome
+        What the turn's model makes of it.
+    log : DriveLog
+        What was driven meanwhile.
+    knowledge : Knowledge
+    """
+    if log.seconds < TUNING.shortest:
+        return False
+    if turn.verdict.accepted:
+        return not _stayed(log)
+    return not _is_refused_for_good(turn, log, knowledge)
+
+
+def leans_more(drive: Verdict, turn: Verdict) -> bool:
+    """Return whether a drive has a sensor or an axis lean too far which does not in the turn.
+
+    What the turn shows better is then not its own: a bias of the gyro has passed for a pull.
+    """
+    blamed, fine = (
+        {check.figure for check in verdict.checks if check.grade.rank >= Grade.WARN.rank}
+        for verdict in (drive, turn)
+    )
+    return any(figure in blamed - fine for figure in ROBOTS_OWN)
+
+
+def told_by_drive(
+    drive: Estimate, turn: Estimate, log: DriveLog, knowledge: Knowledge
+) -> Estimate | None:
+    """Return the drive's estimate if of two that were accepted it tells more, else None.
+
+    It does where the turn is rough, and where along the road the turn's is by far the less likely.
+
+    Parameters
+    ----------
+    drive, turn : Estimate
+    log : DriveLog
+    knowledge : Knowledge
+
+    Returns
+    -------
+    Estimate or None
+        Less certain by part of what a rough turn differs by.
+    """
+    by_drive, by_turn = (predicted_heading_sigma(each, 0.0) for each in (drive, turn))
+    if by_drive > by_turn:
+        return None
+    if by_turn > TUNING.rough:
+        field = turn.strength, turn.inclination
+        gap = rms_apart(turn.correction, drive.correction, *field)
+        is_alike = gap < TUNING.alike * math.hypot(by_drive, by_turn)
+        return in_doubt(drive, TUNING.doubted * gap) if is_alike else None
+    from magcal_ros.core.smoothing.fit import favour
+
+    nodes = log.nodes(knowledge.mounting.to_body)
+    gain = favour(nodes, turn.correction, drive.correction, knowledge).gain
+    return drive if gain > TUNING.clearly else None
+
+
+def _stayed(log: DriveLog) -> bool:
+    # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
+    return log.stays or (math.isinf(log.bias_sigma) and log.jolts < TUNING.jolted)
+
+
+def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:
+    """Whether a turn was refused for what a drive does not see, or sees no better.
+
+    How the sensors are mounted is one; where a robot stays it is all but that the turn was too
+    short, or its answer too uncertain: a drive's model knows streets, and there are none.
+    """
+    checks = [check for check in turn.verdict.checks if check.grade is Grade.REFUSED]
+    if any(check.figure in ROBOTS_OWN for check in checks):
+        return True
+    if turn.reason is Reason.AXES_DISAGREE and turn.window is not None:
+        return _stayed(log) or wrong_axes(turn.window, known) is not None
+    is_bad = any(check.aspect is Aspect.QUALITY for check in checks)
+    return log.stays and is_bad and turn.reason not in TURNED_TOO_LITTLE
