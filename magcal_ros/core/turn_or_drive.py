@@ -140,6 +140,6 @@ def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool
     if any(check.figure in ROBOTS_OWN for check in checks):
         return True
     if turn.reason is Reason.AXES_DISAGREE and turn.window is not None:
-        return _stayed(log) or wrong_axes(turn.window, known) is not None
+        return log.stays or wrong_axes(turn.window, known) is not None
     is_bad = any(check.aspect is Aspect.QUALITY for check in checks)
     return log.stays and is_bad and turn.reason not in TURNED_TOO_LITTLE
