@@ -223,26 +223,49 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
     costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
     if costs[0] < min(costs) + ACCELERATION.needed:
         return Explanation(plain, may_be_pulled=True)
-    own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
-    favour, shown = costs[own] - costs[pull], min(misfits[k] for k in OWN) - misfits[pull]
-    bad = misfits[BAD] < misfits[pull] and _bias_about_up(fits[BAD]) > ACCELERATION.bad_bias
-    bad = bad and shown < ACCELERATION.overwhelming
-    chosen, rival = (pull, own) if favour > ACCELERATION.taken_off and not bad else (own, pull)
-    # How likely each explanation is beside the chosen one, by what it costs more.
-    doubts = [min(float(expit(0.5 * (costs[chosen] - cost))), 0.5) for cost in costs]
-    believed = fits[pull].block.weighting.inliers.mean() > ACCELERATION.most_believed
-    clear = ACCELERATION.clear if believed else ACCELERATION.overwhelming
-    if favour * shown <= 0.0 or abs(shown) <= clear:
-        doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
+    pulled = gyro_block(fits[PULLED[0]])
+    chosen, doubts = _chosen(
+        costs,
+        misfits,
+        needs_bad_gyro=_bias_about_up(fits[BAD]) > ACCELERATION.bad_bias,
+        believed=float(pulled.weighting.inliers.mean()),
+    )
     gaps = [
         math.sqrt(doubts[k]) * heading_gap(fits[k], fits[chosen])
         for k in (*OWN, *PULLED)
         if k != chosen and doubts[k] > ACCELERATION.idle
     ]
     # Held to the bias of a usual gyro, a large one comes out small, and the rest bends up.
-    if chosen == pull and path.bias_in_sigmas(gyro_block(fits[pull]).errors) > ACCELERATION.bias:
+    if chosen in PULLED and path.bias_in_sigmas(pulled.errors) > ACCELERATION.bias:
         chosen = BAD
     return Explanation(fits[chosen], max(gaps, default=0.0))
+
+
+def _chosen(
+    costs: list[float], misfits: list[float], *, needs_bad_gyro: bool, believed: float
+) -> tuple[int, list[float]]:
+    """Return which explanation is taken, and how likely each is beside it.
+
+    Parameters
+    ----------
+    costs, misfits : list of float
+        With what is known of sensors and vehicles, and without.
+    needs_bad_gyro : bool
+        Whether a pull needs a large bias about up besides.
+    believed : float
+        Share of the samples that follow the pull.
+    """
+    own, pull = min(OWN, key=costs.__getitem__), PULLED[0]
+    favour, shown = costs[own] - costs[pull], min(misfits[k] for k in OWN) - misfits[pull]
+    bad = needs_bad_gyro and misfits[BAD] < misfits[pull] and shown < ACCELERATION.overwhelming
+    is_pulled = favour > ACCELERATION.taken_off and not bad
+    chosen, rival = (pull, own) if is_pulled else (own, pull)
+    doubts = [min(float(expit(0.5 * (costs[chosen] - cost))), 0.5) for cost in costs]
+    follow = believed > ACCELERATION.most_believed
+    clear = ACCELERATION.clear if follow else ACCELERATION.overwhelming
+    if favour * shown <= 0.0 or abs(shown) <= clear:
+        doubts[rival] = max(doubts[rival], ACCELERATION.least_doubt)
+    return chosen, doubts
 
 
 def _lean(pulled: Fit) -> float:
