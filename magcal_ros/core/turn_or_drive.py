@@ -52,7 +52,7 @@ class TurnOrDriveTuning:
     """
 
     rough: float = VerdictTuning().rough
-    alike: float = 1.2
+    alike: float = 1.0
     doubted: float = 0.5
     clearly: float = 12.0
     jolted: float = 0.0085

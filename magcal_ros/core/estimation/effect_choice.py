@@ -70,9 +70,7 @@ def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
         back, it looks like motors.
     """
     fit, left = propagated(start, path, start.prior), list(OF_RATE)
-    shared = fit.shared
-    field = start.block.samples.field - shared.hard_iron
-    effects = effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
+    effects = _effects(path, fit)
     while left and not _is_lost(fit):
         # On the average of a turn a lever arm is what an accelerometer that is off reads always.
         over = {kind: _promised(fit, effects.only(kind).without_mean(), beside) for kind in left}
@@ -85,6 +83,26 @@ def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
         if _stands_out(richer, clearest, beside):
             fit, path = richer, wider
     return fit
+
+
+def with_lever_arm(path: GyroPath, fit: Fit) -> GyroPath:
+    """Return the path of a robot whose accelerometer may be beside the turn's axis.
+
+    Parameters
+    ----------
+    path : GyroPath
+    fit : Fit
+        Of the same turn, by anything.
+    """
+    if Effect.LEVER_ARM in path.effects:
+        return path
+    return path.with_effects(_effects(path, fit).only(Effect.LEVER_ARM))
+
+
+def _effects(path: GyroPath, fit: Fit) -> Effects:
+    shared = fit.shared
+    field = fit.block.samples.field - shared.hard_iron
+    return effects_of_rate(path.pace, field, shared.distortion(fit.mounting))
 
 
 def _is_lost(fit: Fit) -> bool:

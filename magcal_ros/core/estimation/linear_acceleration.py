@@ -15,7 +15,12 @@ import numpy as np
 from scipy.special import expit
 
 from magcal_ros.core.estimation.block import TurnBlock
-from magcal_ros.core.estimation.effect_choice import gyro_block, propagated, with_effects_that_show
+from magcal_ros.core.estimation.effect_choice import (
+    gyro_block,
+    propagated,
+    with_effects_that_show,
+    with_lever_arm,
+)
 from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.evidence import propagated_evidence
 from magcal_ros.core.estimation.gyro_attitude import DRIFT, GyroBlock
@@ -94,7 +99,7 @@ class AccelerationRule:
     most_believed: float = 0.9
     own_lean: float = 0.025
     level_lean: float = 0.1
-    jolted: float = 6.0
+    jolted: float = 10.0
     least_pull: float = 0.01
     jolt: float = 1.0
     usual_bias: float = 0.003
@@ -162,7 +167,7 @@ def pulled_or_not(start: Fit, path: GyroPath, beside: Prior) -> Explanation:
         return Explanation(plain, may_be_pulled=not path.rests)
     if path.rests:
         return _by_rests(start, plain)
-    return _by_what_is_known(start, plain)
+    return _by_what_is_known(start, plain, beside)
 
 
 def _by_rests(start: Fit, plain: Fit) -> Explanation:
@@ -175,7 +180,7 @@ def _by_rests(start: Fit, plain: Fit) -> Explanation:
         return Explanation(plain)
     share, sigma = _own_share(pulled)
     own = share > 0.5
-    leaning = _leaning(start, path, pulled)
+    leaning = propagated(start, _leaning(path, pulled), start.prior)
     neglected = math.hypot(1.0 - share if own else share, sigma)
     gap = min(neglected, 1.0) * heading_gap(leaning, pulled)
     return Explanation(plain if own else pulled, gap, own_lean=own)
@@ -204,31 +209,38 @@ def _own_share(pulled: Fit) -> tuple[float, float]:
     return float(np.clip(own / size, 0.0, 1.0)), 1.0 / (size * math.sqrt(weights.sum()))
 
 
-def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
-    """Weigh what may part gyro and accelerometer by what is known of sensors and vehicles."""
+def _by_what_is_known(start: Fit, plain: Fit, beside: Prior) -> Explanation:
+    """Weigh what may part gyro and accelerometer by what is known of sensors and vehicles.
+
+    All are weighed with soft iron, where it may be: what bends the field would else speak for
+    whatever else bends.
+    """
     path = gyro_block(plain).path
     gyros = path, path.with_doubtful_gyro()
-    pulls = [propagated(start, gyro.with_acceleration(), start.prior) for gyro in gyros]
-    leans = [_leaning(start, *pair) for pair in zip(gyros, pulls, strict=True)]
-    biased = propagated(start, gyros[1], start.prior)
-    fits = (plain, biased, *leans, *pulls)
+    pulled = [gyro.with_acceleration() for gyro in gyros]
+    pulls = [propagated(start, each, beside) for each in pulled]
+    turned = [_leaning(*pair) for pair in zip(gyros, pulls, strict=True)]
+    # What of a pull follows the rate is a lever arm's, where the rest is the sensors' own lean.
+    leans = [propagated(start, with_lever_arm(each, start), beside) for each in turned]
+    others = [propagated(start, gyro, beside) for gyro in gyros]
+    paths, fits = (*gyros, *turned, *pulled), (*others, *leans, *pulls)
     factor = pulls[0].block.weighting.inefficiency
     misfits = [_misfit(fit, factor) for fit in fits]
     costs = [
-        path.bias_in_sigmas(gyro_block(plain).errors) ** 2,
-        _cost_of_bias(biased),
+        path.bias_in_sigmas(gyro_block(fits[0]).errors) ** 2,
+        _cost_of_bias(fits[1]),
         *(_cost_of_own_lean(*pair) for pair in zip(leans, pulls, strict=True)),
         *(_cost_of_pull(fit) for fit in pulls),
     ]
     costs = [misfit + cost for misfit, cost in zip(misfits, costs, strict=True)]
     if costs[0] < min(costs) + ACCELERATION.needed:
         return Explanation(plain, may_be_pulled=True)
-    pulled = gyro_block(fits[PULLED[0]])
+    usual = gyro_block(pulls[0])
     chosen, doubts = _chosen(
         costs,
         misfits,
         needs_bad_gyro=_bias_about_up(fits[BAD]) > ACCELERATION.bad_bias,
-        believed=float(pulled.weighting.inliers.mean()),
+        believed=float(usual.weighting.inliers.mean()),
     )
     gaps = [
         math.sqrt(doubts[k]) * heading_gap(fits[k], fits[chosen])
@@ -236,9 +248,9 @@ def _by_what_is_known(start: Fit, plain: Fit) -> Explanation:
         if k != chosen and doubts[k] > ACCELERATION.idle
     ]
     # Held to the bias of a usual gyro, a large one comes out small, and the rest bends up.
-    if chosen in PULLED and path.bias_in_sigmas(pulled.errors) > ACCELERATION.bias:
+    if chosen in PULLED and path.bias_in_sigmas(usual.errors) > ACCELERATION.bias:
         chosen = BAD
-    return Explanation(fits[chosen], max(gaps, default=0.0))
+    return Explanation(propagated(start, paths[chosen], start.prior), max(gaps, default=0.0))
 
 
 def _chosen(
@@ -281,12 +293,12 @@ def _bias_about_up(fit: Fit) -> float:
     return abs(float(block.bias @ unit(block.samples.up.mean(axis=0))))
 
 
-def _leaning(start: Fit, path: GyroPath, pulled: Fit) -> Fit:
-    """Fit with the gyro's axes turned to where the accelerometer does not lean by a pull."""
+def _leaning(path: GyroPath, pulled: Fit) -> GyroPath:
+    """Turn the gyro's axes to where the accelerometer does not lean by a pull."""
     block = gyro_block(pulled)
     up = unit(block.place.samples.up.mean(axis=0))
     turn = minimal_rotation(up, unit(up + block.acceleration))
-    return propagated(start, path.turned(turn), start.prior)
+    return path.turned(turn)
 
 
 def _misfit(fit: Fit, factor: float) -> float:
@@ -330,7 +342,12 @@ def _able(block: GyroBlock) -> float:
 
 
 def _jolts(block: GyroBlock) -> float:
-    return jolts(block, block.path.knots * block.path.spacing)
+    """Return what is left of up, means over `ACCELERATION.jolt` seconds: RMS per axis, radians."""
+    residual = block.place.prediction.up_residual
+    seconds = block.path.knots * block.path.spacing
+    parts = np.array_split(residual, max(round(seconds / ACCELERATION.jolt), 1))
+    means = np.array([part.mean(axis=0) for part in parts if len(part)])
+    return math.sqrt(0.5 * float(np.mean(np.sum(means**2, axis=1))))
 
 
 def jolts(block: TurnBlock, seconds: float) -> float:

@@ -65,12 +65,11 @@ class TestHandHeldTurn:
 
     def test_hard_iron(self, correction):
         error = correction.hard_iron - self.bias - self.added
-        assert np.linalg.norm(error) < 1.2e-6
+        assert np.linalg.norm(error) < 2e-6
 
     def test_heading_on_the_rest_of_the_recording(self, correction):
         best = self.heading_rms(Correction(np.eye(3), self.bias + self.added))
-        # A hand leads the accelerometer about: whether it pulls or leans is a toss-up here.
-        assert self.heading_rms(correction) < 1.15 * best
+        assert self.heading_rms(correction) < best
 
 
 @pytest.fixture(scope="module")
