@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import expit
 
-from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.estimation.effect_choice import (
     gyro_block,
     propagated,
@@ -62,6 +61,8 @@ class AccelerationRule:
         Lean, over gravity, of one sigma of which a pull is worth neither more nor less.
     jolted : float
         Times the slow jolts of the acceleration that it may be pulled on average.
+    jolted_alone : float
+        The same without a gyro, of jolts beyond those of a robot that turns on the spot.
     least_pull : float
         Sigma of the pull of a robot that turns on the spot, over gravity: its lever arm.
     jolt : float
@@ -100,6 +101,7 @@ class AccelerationRule:
     own_lean: float = 0.025
     level_lean: float = 0.1
     jolted: float = 10.0
+    jolted_alone: float = 6.0
     least_pull: float = 0.01
     jolt: float = 1.0
     usual_bias: float = 0.003
@@ -348,19 +350,6 @@ def _jolts(block: GyroBlock) -> float:
     parts = np.array_split(residual, max(round(seconds / ACCELERATION.jolt), 1))
     means = np.array([part.mean(axis=0) for part in parts if len(part)])
     return math.sqrt(0.5 * float(np.mean(np.sum(means**2, axis=1))))
-
-
-def jolts(block: TurnBlock, seconds: float) -> float:
-    """Return what is left of up over `ACCELERATION.jolt` seconds: correlation is no vibration.
-
-    Parameters
-    ----------
-    block : TurnBlock
-    seconds : float
-        How long the turn took.
-    """
-    independent = len(block.samples) / block.weighting.inefficiency
-    return block.weighting.noise.up * math.sqrt(seconds / ACCELERATION.jolt / independent)
 
 
 def _is_strained(plain: Fit) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.estimation.gyro_path import BIAS, GyroPath
 from magcal_ros.core.estimation.linear_acceleration import ACCELERATION
 from magcal_ros.core.estimation.model import Samples
@@ -86,6 +87,19 @@ def doubtful_pull(lean: float, rate: float, lever_arm: float) -> float:
     return math.sqrt(ACCELERATION.least_doubt) * beyond
 
 
+def jolts_without_gyro(block: TurnBlock, seconds: float) -> float:
+    """Return what is left of up over `ACCELERATION.jolt` seconds: correlation is no vibration.
+
+    Parameters
+    ----------
+    block : TurnBlock
+    seconds : float
+        How long the turn took.
+    """
+    independent = len(block.samples) / block.weighting.inefficiency
+    return block.weighting.noise.up * math.sqrt(seconds / ACCELERATION.jolt / independent)
+
+
 def pull_without_gyro(jolted: float, rate: float) -> float:
     """Return how far up may be pulled where no gyro tells, radians per axis, one sigma.
 
@@ -95,11 +109,11 @@ def pull_without_gyro(jolted: float, rate: float) -> float:
     Parameters
     ----------
     jolted : float
-        What is left of up over a second (`jolts`), radians.
+        What is left of up over a second (`jolts_without_gyro`), radians.
     rate : float
         Of the turn, rad/s, RMS.
     """
-    driven = ACCELERATION.jolted * max(0.0, jolted - ACCELERATION.on_the_spot)
+    driven = ACCELERATION.jolted_alone * max(0.0, jolted - ACCELERATION.on_the_spot)
     fastest = FilterTuning().usual_speed * rate / STANDARD_GRAVITY
     return math.sqrt(ACCELERATION.least_doubt) * min(driven, fastest)
 

@@ -20,11 +20,11 @@ from magcal_ros.core.estimation.gyro_attitude import GyroBlock
 from magcal_ros.core.estimation.gyro_path import GyroPath, gyro_path, sense_of_mounting
 from magcal_ros.core.estimation.heading_gap import unexplained_gap
 from magcal_ros.core.estimation.initial import starts
-from magcal_ros.core.estimation.linear_acceleration import jolts
 from magcal_ros.core.estimation.motor_field import motor_field
 from magcal_ros.core.estimation.multi_start import search
 from magcal_ros.core.estimation.possible_pull import (
     doubtful_pull,
+    jolts_without_gyro,
     leaning,
     lever_arm_left,
     pull_without_gyro,
@@ -270,7 +270,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
     if path is None:
         free = free_attitudes(start, with_iron, always=always)
         motors = motor_field(free.fit, None, scale, window.rests)
-        jolted = jolts(free.fit.block, float(np.ptp(window.time)))
+        jolted = jolts_without_gyro(free.fit.block, float(np.ptp(window.time)))
         turning = _turning(window, prepared, free.fit.block).rms
         doubtful = pull_without_gyro(jolted, turning)
         return Solved(
