@@ -13,6 +13,7 @@ import numpy as np
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes, wrong_stamps
 from magcal_ros.core.errors import Misuse, Reason, Refusal
@@ -21,7 +22,12 @@ from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog, log_of
-from magcal_ros.core.turn_or_drive import leans_more, may_be_a_drive, told_by_drive
+from magcal_ros.core.turn_or_drive import (
+    leans_more,
+    may_be_a_drive,
+    told_by_drive,
+    turned_with_a_bad_gyro,
+)
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
@@ -181,11 +187,34 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     if drive.estimate is None or not drive.verdict.accepted:
         return turn
     if turn.estimate is None or not turn.verdict.accepted:
-        return drive
+        alone = _without_gyro(turn, log, knowledge)
+        return drive if alone is None else _surest(alone, drive)
     if leans_more(drive.verdict, turn.verdict):
         return turn
     told = told_by_drive(drive.estimate, turn.estimate, log, knowledge)
     return turn if told is None else judged(told, knowledge, log.window)
+
+
+def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:
+    """Return what a turn is without its gyro, where that alone was bad; None if it is none."""
+    if turn.window is None or not turned_with_a_bad_gyro(turn, log):
+        return None
+    window = replace(turn.window, angular_rate=None)
+    alone = calibrate_by(window, knowledge, METHODS[0])
+    if alone.estimate is None or not alone.verdict.accepted:
+        return None
+    figures = {**alone.estimate.figures, Figure.GYRO_CARRIED: 0.0}
+    return judged(replace(alone.estimate, figures=figures), knowledge, window)
+
+
+def _surest(*outcomes: Outcome) -> Outcome:
+    """Return the outcome whose heading is the most certain."""
+
+    def sigma(outcome: Outcome) -> float:
+        estimate = outcome.estimate
+        return math.inf if estimate is None else predicted_heading_sigma(estimate, 0.0)
+
+    return min(outcomes, key=sigma)
 
 
 def calibrate_turns(

@@ -80,6 +80,19 @@ def may_be_a_drive(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> bool:
     return not _is_refused_for_good(turn, log, knowledge)
 
 
+def turned_with_a_bad_gyro(turn: Outcome, log: DriveLog) -> bool:
+    """Return whether a turn on the spot was refused for its gyro, which a drive can follow.
+
+    Nothing jolted, so that nothing pulled: the turn can be told without a gyro.
+
+    Parameters
+    ----------
+    turn : Outcome
+    log : DriveLog
+    """
+    return turn.reason is Reason.AXES_DISAGREE and _stayed(log)
+
+
 def leans_more(drive: Verdict, turn: Verdict) -> bool:
     """Return whether a drive has a sensor or an axis lean too far which does not in the turn.
 
@@ -117,7 +130,9 @@ def told_by_drive(
         field = turn.strength, turn.inclination
         gap = rms_apart(turn.correction, drive.correction, *field)
         is_alike = gap < TUNING.alike * math.hypot(by_drive, by_turn)
-        return in_doubt(drive, TUNING.doubted * gap) if is_alike else None
+        doubted = TUNING.doubted * gap
+        is_surer = math.hypot(by_drive, doubted) < by_turn
+        return in_doubt(drive, doubted) if is_alike and is_surer else None
     from magcal_ros.core.smoothing.fit import favour
 
     nodes = log.nodes(knowledge.mounting.to_body)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from honesty_cases import draw_case
+from long_form import first_of
 from realistic import by_turn
 from realistic import heading_error as turn_error
 from smoothing.streets import BOSTON, driven, heading_error
@@ -162,6 +163,21 @@ def test_a_drive_that_leans_the_sensor_where_the_turn_does_not_is_not_taken():
     assert answer is turn
     errors = [turn_error(scene, each.estimate.correction) for each in (drive, turn)]
     assert errors[1] < 0.2 * errors[0]
+
+
+@pytest.mark.parametrize("turned", first_of([("slope", 11), ("there and back", 8)]))
+def test_a_turn_whose_gyro_is_bad_is_told_without_it(turned):
+    """Nothing jolts, so nothing pulls; along the road the answer is five times less certain."""
+    kind, number = turned
+    scene, known = by_turn(kind, "cheap", "open")(number)
+    assert calibrate_by(scene.window, known, TURN).reason is Reason.AXES_DISAGREE
+    outcome, drive = calibrate(scene.window, known), calibrate_drive(log_of(scene.window), known)
+    assert outcome.verdict.accepted
+    assert "the gyro's turning does not explain the samples" in outcome.verdict.summary
+    sigmas = [predicted_heading_sigma(each.estimate, 0.0) for each in (outcome, drive)]
+    errors = [turn_error(scene, each.estimate.correction) for each in (outcome, drive)]
+    assert sigmas[0] < 0.25 * sigmas[1]
+    assert errors[0] < min(2.0 * sigmas[0], 0.25 * errors[1])
 
 
 @pytest.mark.parametrize("ned", [False, True], ids=["negative", "NED"])
