@@ -130,6 +130,7 @@ ORDER_OF_ROOMS = (
     "smoothing",
     "methods",
     "multi_turn",
+    "turn_or_drive",
     "calibrate",
     "session",
     "monitoring",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from magcal_ros.core.assessment.grading import Aspect, Grade
 from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning
@@ -19,10 +19,8 @@ from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma, r
 from magcal_ros.core.doctor.refusal import wrong_axes
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog
-
-if TYPE_CHECKING:
-    from magcal_ros.core.calibrate import Outcome
 
 ROBOTS_OWN = (Figure.AXIS_LEAN, Figure.INSTALLATION_ANGLE)
 """What a turn shows of a robot better than a drive."""
@@ -62,13 +60,28 @@ class TurnOrDriveTuning:
 TUNING = TurnOrDriveTuning()
 
 
-def may_be_a_drive(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> bool:
+class Turned(Protocol):
+    """What a turn's model makes of a window."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """How it is judged."""
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why nothing could be found."""
+
+    @property
+    def window(self) -> Window | None:
+        """The samples."""
+
+
+def may_be_a_drive(turn: Turned, log: DriveLog, knowledge: Knowledge) -> bool:
     """Return whether a drive's model is asked what it makes of a turn.
 
     Parameters
     ----------
-    turn : Outcome
-        What the turn's model makes of it.
+    turn : Turned
     log : DriveLog
         What was driven meanwhile.
     knowledge : Knowledge
@@ -80,14 +93,14 @@ def may_be_a_drive(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> bool:
     return not _is_refused_for_good(turn, log, knowledge)
 
 
-def turned_with_a_bad_gyro(turn: Outcome, log: DriveLog) -> bool:
+def turned_with_a_bad_gyro(turn: Turned, log: DriveLog) -> bool:
     """Return whether a turn on the spot was refused for its gyro, which a drive can follow.
 
     Nothing jolted, so that nothing pulled: the turn can be told without a gyro.
 
     Parameters
     ----------
-    turn : Outcome
+    turn : Turned
     log : DriveLog
     """
     return turn.reason is Reason.AXES_DISAGREE and _stayed(log)
@@ -145,7 +158,7 @@ def _stayed(log: DriveLog) -> bool:
     return log.stays or (math.isinf(log.bias_sigma) and log.jolts < TUNING.jolted)
 
 
-def _is_refused_for_good(turn: Outcome, log: DriveLog, known: Knowledge) -> bool:
+def _is_refused_for_good(turn: Turned, log: DriveLog, known: Knowledge) -> bool:
     """Whether a turn was refused for what a drive does not see, or sees no better.
 
     How the sensors are mounted is one; where a robot stays it is all but that the turn was too
