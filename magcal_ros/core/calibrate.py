@@ -14,6 +14,7 @@ from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_doubt import in_doubt
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes, wrong_stamps
 from magcal_ros.core.errors import Misuse, Reason, Refusal
@@ -23,9 +24,9 @@ from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import DriveLog, log_of
 from magcal_ros.core.turn_or_drive import (
+    doubt_of_drive,
     leans_more,
     may_be_a_drive,
-    told_by_drive,
     turned_with_a_bad_gyro,
 )
 
@@ -171,7 +172,7 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
 
     A turn that was accepted stays with the turn's model, which knows that it came back to the same
     place. The drive's answers where that refuses, but for what is wrong with the robot; or where
-    the robot went somewhere and the drive tells more (`told_by_drive`).
+    the robot went somewhere and the drive tells more (`doubt_of_drive`).
 
     Parameters
     ----------
@@ -188,11 +189,13 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
         return turn
     if turn.estimate is None or not turn.verdict.accepted:
         alone = _without_gyro(turn, log, knowledge)
-        return drive if alone is None else _surest(alone, drive)
+        return drive if alone is None else min(alone, drive, key=_heading_sigma)
     if leans_more(drive.verdict, turn.verdict):
         return turn
-    told = told_by_drive(drive.estimate, turn.estimate, log, knowledge)
-    return turn if told is None else judged(told, knowledge, log.window)
+    doubt = doubt_of_drive(drive.estimate, turn.estimate, log, knowledge)
+    if doubt is None:
+        return turn
+    return judged(in_doubt(drive.estimate, doubt), knowledge, log.window) if doubt else drive
 
 
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:
@@ -207,14 +210,9 @@ def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     return judged(replace(alone.estimate, figures=figures), knowledge, window)
 
 
-def _surest(*outcomes: Outcome) -> Outcome:
-    """Return the outcome whose heading is the most certain."""
-
-    def sigma(outcome: Outcome) -> float:
-        estimate = outcome.estimate
-        return math.inf if estimate is None else predicted_heading_sigma(estimate, 0.0)
-
-    return min(outcomes, key=sigma)
+def _heading_sigma(outcome: Outcome) -> float:
+    """Return what an outcome promises of the heading on the level; infinite without an answer."""
+    return math.inf if outcome.estimate is None else predicted_heading_sigma(outcome.estimate, 0.0)
 
 
 def calibrate_turns(

@@ -14,7 +14,6 @@ from magcal_ros.core.assessment.grading import Aspect, Grade
 from magcal_ros.core.assessment.verdict import Verdict, VerdictTuning
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_doubt import in_doubt
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma, rms_apart
 from magcal_ros.core.doctor.refusal import wrong_axes
 from magcal_ros.core.errors import Reason
@@ -118,10 +117,10 @@ def leans_more(drive: Verdict, turn: Verdict) -> bool:
     return any(figure in blamed - fine for figure in ROBOTS_OWN)
 
 
-def told_by_drive(
+def doubt_of_drive(
     drive: Estimate, turn: Estimate, log: DriveLog, knowledge: Knowledge
-) -> Estimate | None:
-    """Return the drive's estimate if of two that were accepted it tells more, else None.
+) -> float | None:
+    """Return what stays in doubt of a drive that tells more than a turn, None where it does not.
 
     It does where the turn is rough, and where along the road the turn's is by far the less likely.
 
@@ -133,8 +132,8 @@ def told_by_drive(
 
     Returns
     -------
-    Estimate or None
-        Less certain by part of what a rough turn differs by.
+    float or None
+        Radians of heading, one sigma, beside the drive's own: part of what a rough turn differs by.
     """
     by_drive, by_turn = (predicted_heading_sigma(each, 0.0) for each in (drive, turn))
     if by_drive > by_turn:
@@ -145,12 +144,12 @@ def told_by_drive(
         is_alike = gap < TUNING.alike * math.hypot(by_drive, by_turn)
         doubted = TUNING.doubted * gap
         is_surer = math.hypot(by_drive, doubted) < by_turn
-        return in_doubt(drive, doubted) if is_alike and is_surer else None
+        return doubted if is_alike and is_surer else None
     from magcal_ros.core.smoothing.fit import favour
 
     nodes = log.nodes(knowledge.mounting.to_body)
     gain = favour(nodes, turn.correction, drive.correction, knowledge).gain
-    return drive if gain > TUNING.clearly else None
+    return 0.0 if gain > TUNING.clearly else None
 
 
 def _stayed(log: DriveLog) -> bool:

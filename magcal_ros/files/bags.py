@@ -110,12 +110,12 @@ class Bag:
                 elif is_field:
                     frame, sample, _ = of_field(data)
                     if frame != field_frame:
-                        field_frame, self.field_frame = frame, _text(frame)
+                        field_frame, self.field_frame = frame, wire.frame_of(frame)
                     yield sample
                 else:
                     frame, reading = of_imu(data)
                     if frame != imu_frame:
-                        imu_frame, self.imu_frame = frame, _text(frame)
+                        imu_frame, self.imu_frame = frame, wire.frame_of(frame)
                     yield reading
 
     def place(self) -> Place | None:
@@ -311,10 +311,6 @@ def _named(path: Path, reader: Any, msgtype: str, wanted: str) -> list[Connectio
 def _listed(reader: Any) -> str:
     names = sorted({f"{plain(c.topic)} ({plain(c.msgtype)})" for c in reader.connections})
     return ", ".join(names) or "nothing"
-
-
-def _text(frame: bytes) -> str:
-    return bytes(frame).decode("utf-8", "replace")
 
 
 def _nanoseconds(seconds: float) -> int:

@@ -10,7 +10,7 @@ from struct import Struct
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.messages import fix_from, speed_from, velocity_from
 from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
-from magcal_ros.files.wire import CDR
+from magcal_ros.files.wire import CDR, frame_of
 
 LENGTH = Struct("<I")
 PLACE = Struct("<3d")
@@ -64,7 +64,7 @@ def speed_in(data: bytes) -> SpeedSample | str:
     at = _aligned(at + size, 8) + POSE_SIZE
     x, y = LINEAR.unpack_from(data, at)
     (mark,) = NUMBER.unpack_from(data, at + TWIST_SIZE)
-    return speed_from(stamp, _text(world), _text(child), mark, x, y)
+    return speed_from(stamp, frame_of(world), frame_of(child), mark, x, y)
 
 
 def _header(data: bytes) -> tuple[float, bytes, int]:
@@ -72,10 +72,6 @@ def _header(data: bytes) -> tuple[float, bytes, int]:
     sec, nanosec, length = CDR.head.unpack_from(data, CDR.start)
     at = CDR.start + CDR.head.size
     return sec + nanosec * 1e-9, data[at : at + length - 1], at + length
-
-
-def _text(frame: bytes) -> str:
-    return frame.decode("utf-8", "replace")
 
 
 def _aligned(at: int, size: int) -> int:

@@ -76,6 +76,11 @@ def is_plain_cdr(data: bytes) -> bool:
     return data[:2] == LITTLE_ENDIAN_CDR
 
 
+def frame_of(text: bytes) -> str:
+    """Return a frame as ROS reads it: to its first zero, and what is no text replaced."""
+    return bytes(text).partition(b"\0")[0].decode("utf-8", "replace")
+
+
 def _reader(layout: Layout) -> Callable[[bytes], tuple[float, bytes, int]]:
     """Return what reads stamp, frame and the place of the first double."""
     start, unpack, size = layout.start, layout.head.unpack_from, layout.head.size

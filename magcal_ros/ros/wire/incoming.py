@@ -28,6 +28,7 @@ _STAMP_PLACE = slice(wire.CDR_START, wire.CDR_START + STAMP.size)
 _COVARIANCE = struct.Struct("<9d")
 _parse_imu = wire.imu_parser(wire.CDR)
 _parse_field = wire.field_parser(wire.CDR)
+_frame_of = lru_cache(maxsize=8)(wire.frame_of)
 
 
 class Unreadable(MagcalError):
@@ -87,7 +88,7 @@ def read_imu(data: bytes) -> ImuArrival:
         except struct.error:
             pass
         else:
-            return ImuArrival(_text(frame), sample, data[_STAMP_PLACE])
+            return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
     message = _by_rclpy(data, Imu)
     return ImuArrival(message.header.frame_id, imu_sample(message), _packed(message.header.stamp))
 
@@ -106,7 +107,7 @@ def read_field(data: bytes) -> FieldArrival:
         except struct.error:
             pass
         else:
-            return FieldArrival(_text(frame), sample, data[_STAMP_PLACE], covariance)
+            return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
     message = _by_rclpy(data, MagneticField)
     return FieldArrival(
         message.header.frame_id,
@@ -143,12 +144,6 @@ def read_stamp(data: bytes) -> float:
 read_speed = _travel_reader(Odometry, speed_in, speed_of)
 read_velocity = _travel_reader(TwistStamped, velocity_in, velocity_of)
 read_fix = _travel_reader(NavSatFix, fix_in, fix_of)
-
-
-@lru_cache(maxsize=8)
-def _text(frame: bytes) -> str:
-    """Return a frame as rclpy reads it: to its first zero, and what is no text replaced."""
-    return frame.partition(b"\0")[0].decode("utf-8", "replace")
 
 
 def _packed(stamp: Time) -> bytes:
