@@ -32,8 +32,11 @@ class TurnOrDriveTuning:
 
     Parameters
     ----------
-    rough : float
-        Radians of heading sigma from which a turn gives way to a drive that is more certain.
+    rough, rough_of_vehicles : float
+        Radians of heading sigma from which a turn gives way to a drive that is more certain; the
+        other where it jolted as vehicles do.
+    surer : float
+        Times the turn's sigma that such a drive's has to be at most.
     alike : float
         Of their sigmas together, how far such a drive may be from the turn: beyond it one of the
         two is wrong, and it is the drive that takes a gyro's bias for what pulls in bends.
@@ -42,13 +45,15 @@ class TurnOrDriveTuning:
     clearly : float
         Independent units of minus log likelihood by which a drive contradicts a turn's calibration.
     jolted : float
-        Radians of jolts (`DriveLog.jolts`) below which a robot whose gyro no rest has
-        shown turned on the spot.
+        Radians of jolts (`DriveLog.jolts`) from which it is a vehicle; below, a robot whose gyro no
+        rest has shown, or whose motors a turn has shown, turned on the spot.
     shortest : float
         Seconds of movement below which a window is a turn or nothing.
     """
 
     rough: float = VerdictTuning().rough
+    rough_of_vehicles: float = math.radians(2.0)
+    surer: float = 0.8
     alike: float = 1.0
     doubted: float = 0.5
     clearly: float = 12.0
@@ -88,7 +93,7 @@ def may_be_a_drive(turn: Turned, log: DriveLog, knowledge: Knowledge) -> bool:
     if log.seconds < TUNING.shortest:
         return False
     if turn.verdict.accepted:
-        return not _stayed(log)
+        return not (_stayed(log) or _shows_motors(turn.verdict, log))
     return not _is_refused_for_good(turn, log, knowledge)
 
 
@@ -110,11 +115,7 @@ def leans_more(drive: Verdict, turn: Verdict) -> bool:
 
     What the turn shows better is then not its own: a bias of the gyro has passed for a pull.
     """
-    blamed, fine = (
-        {check.figure for check in verdict.checks if check.grade.rank >= Grade.WARN.rank}
-        for verdict in (drive, turn)
-    )
-    return any(figure in blamed - fine for figure in ROBOTS_OWN)
+    return not (_blamed(drive) - _blamed(turn)).isdisjoint(ROBOTS_OWN)
 
 
 def doubt_of_drive(
@@ -138,12 +139,12 @@ def doubt_of_drive(
     by_drive, by_turn = (predicted_heading_sigma(each, 0.0) for each in (drive, turn))
     if by_drive > by_turn:
         return None
-    if by_turn > TUNING.rough:
+    if by_turn > (TUNING.rough_of_vehicles if _jolts(log) else TUNING.rough):
         field = turn.strength, turn.inclination
         gap = rms_apart(turn.correction, drive.correction, *field)
         is_alike = gap < TUNING.alike * math.hypot(by_drive, by_turn)
         doubted = TUNING.doubted * gap
-        is_surer = math.hypot(by_drive, doubted) < by_turn
+        is_surer = math.hypot(by_drive, doubted) < TUNING.surer * by_turn
         return doubted if is_alike and is_surer else None
     from magcal_ros.core.smoothing.fit import favour
 
@@ -154,7 +155,20 @@ def doubt_of_drive(
 
 def _stayed(log: DriveLog) -> bool:
     # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
-    return log.stays or (math.isinf(log.bias_sigma) and log.jolts < TUNING.jolted)
+    return log.stays or (math.isinf(log.bias_sigma) and not _jolts(log))
+
+
+def _jolts(log: DriveLog) -> bool:
+    return log.jolts >= TUNING.jolted
+
+
+def _shows_motors(turn: Verdict, log: DriveLog) -> bool:
+    """Whether a turn tells of motors what along the road passes for a place left."""
+    return not _jolts(log) and Figure.MOTOR_FIELD in _blamed(turn)
+
+
+def _blamed(verdict: Verdict) -> set[Figure | Reason]:
+    return {check.figure for check in verdict.checks if check.grade.rank >= Grade.WARN.rank}
 
 
 def _is_refused_for_good(turn: Turned, log: DriveLog, known: Knowledge) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from honesty_cases import draw_case
 from long_form import first_of
-from realistic import by_turn
+from realistic import by_turn, collected, drawn, motors, stop_and_go
 from realistic import heading_error as turn_error
 from smoothing.streets import BOSTON, driven, heading_error
 
@@ -154,6 +154,35 @@ def test_what_a_drive_and_a_rough_turn_differ_by_stays_in_doubt():
     field = turn.estimate.strength, turn.estimate.inclination
     gap = rms_apart(turn.estimate.correction, drive.estimate.correction, *field)
     assert after == pytest.approx(math.hypot(before, 0.5 * gap), rel=0.05)
+
+
+def test_motors_that_a_rest_has_shown_are_not_driven_away():
+    """Along the road a field that begins with the motors is that of a place which was left."""
+    rng = np.random.default_rng([1, 2])
+    scene, known = drawn(rng, stop_and_go)
+    scene = motors(6e-6)(np.random.default_rng([2, 2]), scene)
+    window = collected(scene.window)
+    drive, outcome = calibrate_drive(log_of(window), known), calibrate(window, known)
+    error = turn_error(scene, outcome.estimate.correction)
+    assert error > 4.0 * predicted_heading_sigma(drive.estimate, 0.0)
+    assert "motors add" in outcome.verdict.summary
+    assert error < 2.0 * predicted_heading_sigma(outcome.estimate, 0.0)
+
+
+@pytest.mark.parametrize("surer", [True, False])
+def test_a_turn_gives_way_only_to_a_drive_that_is_surer_by_a_fifth(surer):
+    """Circles that were driven; both models answer, and agree."""
+    drawn = driven(1, legs=joined(standing(2.0), circles(60.0, 3.0, 6.0 if surer else 10.0)))
+    window = Window(drawn.time, drawn.field, drawn.force, drawn.rate)
+    turn, drive = calibrate_by(window, BOSTON, TURN), calibrate_drive(log_of(window), BOSTON)
+    assert turn.verdict.accepted
+    answer = calibrate(window, BOSTON).estimate
+    sigmas = [predicted_heading_sigma(each.estimate, 0.0) for each in (drive, turn)]
+    assert sigmas[1] > math.radians(2.0)
+    assert (sigmas[0] < 0.8 * sigmas[1]) == surer
+    assert answer.method == ("smoother" if surer else TURN)
+    assert predicted_heading_sigma(answer, 0.0) <= (0.8 if surer else 1.0) * sigmas[1] + 1e-12
+    assert heading_error(answer.correction, drawn.vehicle.robot) < 5.0
 
 
 def test_a_drive_that_leans_the_sensor_where_the_turn_does_not_is_not_taken():
