@@ -4,9 +4,10 @@ Each row is a window of a recording: the verdict, the promised heading sigma, th
 median against the truth, what five usual methods reach with the same samples and the same up, and
 what the gyro alone reaches (a linear drift taken off). Degrees; "to best" is our RMS over that of
 the best of the five, chosen afterwards, and "to truth" over that of the twelve numbers that fit
-best where the truth is known: streets leave the rest to whoever calibrates. Headings are scored on
-the whole recording. With `--changed` other sensors have recorded the same drive
-(`changed_recordings.py`; `all` of them).
+best where the truth is known: streets leave the rest to whoever calibrates. "Told" is to the best
+of five what fits the same samples best if their true yaw is given: no calibration of a window knows
+as much. Headings are scored on the whole recording. With `--changed` other sensors have recorded
+the same drive (`changed_recordings.py`; `all` of them).
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ class Line:
     others: tuple[float, ...]
     floor: Score | None
     by_truth: Score | None = None
+    told: Score | None = None
 
     @property
     def answered(self) -> bool:
@@ -60,8 +62,12 @@ class Line:
     @property
     def ratio(self) -> float:
         """Our RMS over the best peer's; NaN where either is missing."""
+        return self.to_best(self.ours)
+
+    def to_best(self, score: Score | None) -> float:
+        """Return a score's RMS over the best peer's; NaN where either is missing."""
         known = [other for other in self.others if math.isfinite(other)]
-        return self.ours.rms / min(known) if self.ours and known else math.nan
+        return score.rms / min(known) if score and known else math.nan
 
     @property
     def to_truth(self) -> float:
@@ -142,19 +148,24 @@ def fitted(
     if isinstance(window, MagcalError):
         return Line(drive.name, name, 0.0, "-", str(window), math.nan, None, (), floor)
     outcome = outcome or outcome_of(window, drive)
-    sigma, ours, by_truth = math.nan, None, None
+    sigma, ours, by_truth, told = math.nan, None, None, None
     if outcome.estimate is not None:
         sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
         correction = outcome.estimate.correction
-        ours = drive.score(heading_by(correction))
-        best = told_by_truth(drive, correction)
-        by_truth = None if best is None else drive.score(heading_by(best))
+        ours = scored(drive, correction)
+        by_truth = scored(drive, told_by_truth(drive, correction))
+        span = float(window.time[0]), float(window.time[-1])
+        told = scored(drive, told_by_truth(drive, correction, span))
     headings = peers(window)
     scores = [drive.score(heading) if heading else None for heading in map(headings.get, PEERS)]
     others = tuple(score.rms if score else math.nan for score in scores)
     seconds = float(np.ptp(window.time))
     grade, why = graded(outcome), outcome.verdict.summary
-    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor, by_truth)
+    return Line(drive.name, name, seconds, grade, why, sigma, ours, others, floor, by_truth, told)
+
+
+def scored(drive: Drive, correction: Correction | None) -> Score | None:
+    return None if correction is None else drive.score(heading_by(correction))
 
 
 def heading_by(correction: Correction) -> Heading:
@@ -176,7 +187,7 @@ def graded(outcome: Outcome) -> str:
 HEADER = (
     f"{'recording':28s}{'window':8s}{'s':>5s} {'verdict':10s}{'sigma':>6s}{'rms':>7s}{'median':>7s}"
     + "".join(f"{name:>10s}" for name in PEERS)
-    + f"{'gyro':>7s}{'to best':>8s}{'to truth':>9s}"
+    + f"{'gyro':>7s}{'to best':>8s}{'told':>7s}{'to truth':>9s}"
 )
 
 
@@ -184,8 +195,11 @@ def row(line: Line) -> str:
     ours = (line.ours.rms, line.ours.median) if line.ours else (math.nan, math.nan)
     numbers = [*(number(v, 7) for v in ours), *(number(v, 10) for v in line.others)]
     numbers += ["         -"] * (len(PEERS) - len(line.others))
-    numbers += [number(line.floor.rms if line.floor else math.nan, 7), number(line.ratio, 8)]
-    numbers.append(number(line.to_truth, 9))
+    numbers += [
+        number(line.floor.rms if line.floor else math.nan, 7),
+        number(line.ratio, 8),
+    ]
+    numbers += [number(line.to_best(line.told), 7), number(line.to_truth, 9)]
     start = f"{line.name:28s}{line.window:8s}{line.seconds:5.0f} {line.grade:10s}"
     wrong = "  WRONG" if line.is_wrong else ""
     return start + number(line.sigma, 6) + "".join(numbers) + wrong
@@ -205,12 +219,14 @@ def summary(lines: list[Line]) -> str:
         clean = sum(line.grade != Grade.WARN.value for line in answered)
         good = sum(line.ratio <= AS_GOOD for line in answered)
         to_best = mean_of([line.ratio for line in answered])
+        told = mean_of([line.to_best(line.told) for line in answered])
         to_truth = mean_of([line.to_truth for line in answered])
         wrong = sum(line.is_wrong for line in answered)
         text.append(
             f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
             f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio"
-            f" {to_best:.2f} (to what the truth tells {to_truth:.2f}), wrong {wrong}"
+            f" {to_best:.2f} ({told:.2f} if the samples' true yaw were given; to what the whole"
+            f" truth tells {to_truth:.2f}), wrong {wrong}"
         )
     return "\n".join(text)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-from recorded_truth import STEEPEST, Drive
+from recorded_truth import LEAST_SCORED, STEEPEST, Drive
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -13,12 +15,14 @@ SCATTER = 3e-6
 """Tesla per axis by which streets bend the field, usually."""
 WITNESSES = 100.0
 """As many places were passed, however many samples there are."""
-FREE = 0.2
+FREE = 0.05
 """How far each of the nine numbers may be from those of the calibration compared."""
 ROUNDS, FREEDOM = 20, 8.0
 
 
-def told_by_truth(drive: Drive, like: Correction) -> Correction | None:
+def told_by_truth(
+    drive: Drive, like: Correction, span: tuple[float, float] = (-math.inf, math.inf)
+) -> Correction | None:
     """Return the twelve numbers that explain a recording's field best where its yaw is known.
 
     Least squares of the raw field against that of the Earth as truth and up turn it, reweighted
@@ -30,11 +34,13 @@ def told_by_truth(drive: Drive, like: Correction) -> Correction | None:
     drive : Drive
     like : Correction
         The calibration that is compared.
+    span : tuple of float
+        First and last stamp of the samples that are looked at, seconds.
 
     Returns
     -------
     Correction or None
-        None without a truth.
+        None without a truth there.
     """
     truth = drive.truth
     if truth is None:
@@ -42,7 +48,11 @@ def told_by_truth(drive: Drive, like: Correction) -> Correction | None:
     everything, up = drive.everything, drive.up
     time = everything.time + drive.delay
     first, last = truth.time[0], truth.time[-1]
-    rows = np.flatnonzero((time >= first) & (time <= last) & (up[:, 2] > np.cos(STEEPEST)))
+    seen = (time >= first) & (time <= last) & (up[:, 2] > np.cos(STEEPEST))
+    seen &= (everything.time >= span[0]) & (everything.time <= span[1])
+    rows = np.flatnonzero(seen)
+    if len(rows) < LEAST_SCORED:
+        return None
     up, raw = up[rows], everything.field[rows]
     yaw = np.interp(time[rows], truth.time, np.unwrap(truth.yaw))
     found = yaw_from_up_and_field(up, like.apply(raw))
