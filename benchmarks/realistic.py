@@ -10,6 +10,7 @@ with the gyro over that without, of the turns that are answered either way: more
 
 With `--turns` each row is a kind of turn instead (`turn_kinds.py`; a fifth without a reference
 field), with perfect, good, typical and cheap sensors; what was warned of and refused is counted.
+With `--rested` the rows are courses that begin and end at rest, as a robot's own turns do.
 With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
 field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
 degree.
@@ -89,6 +90,14 @@ def unevenly(time: FloatArray) -> FloatArray:
 
 def there_and_back(time: FloatArray) -> FloatArray:
     return evenly(time) * np.clip(2.0 * (0.5 * SECONDS - time), -1.0, 1.0)
+
+
+RESTED: dict[str, Course] = {
+    "even": evenly,
+    "uneven": unevenly,
+    "there and back": there_and_back,
+    "stops": stop_and_go,
+}
 
 
 def driven(
@@ -474,24 +483,42 @@ def by_turn(kind: str, sensors: str, place: str) -> Callable[[int], tuple[Scene,
     return scene
 
 
+def by_rested_turn(
+    course: str, sensors: str, place: str
+) -> Callable[[int], tuple[Scene, Knowledge]]:
+    def scene(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([4, list(RESTED).index(course), number])
+        scene, known = drawn(rng, RESTED[course])
+        known = known if rng.random() > 0.2 else Knowledge()
+        scene, around = SENSORS[sensors](rng, scene), PLACES[place]
+        if around is not None:
+            bent = added_field(rng, scene.motion, around) @ scene.robot.distortion.T
+            scene = with_field(scene, bent)
+        return replace(scene, has_course=True), known
+
+    return scene
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--only", default="", help="effects whose name holds this")
     parser.add_argument("--turns", action="store_true", help="kinds of turns instead of effects")
+    parser.add_argument("--rested", action="store_true", help="from rest to rest, instead")
     parser.add_argument("--place", default="open", choices=PLACES, help="of those turns")
     arguments = parser.parse_args()
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s", "wrong")
     print(f"{'effect':28s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
-    if not arguments.turns:
+    if not (arguments.turns or arguments.rested):
         for name in (*EFFECTS, *COURSES):
             if arguments.only in name:
                 show(name, by_effect(name), arguments.runs)
         return
+    scenes = by_rested_turn if arguments.rested else by_turn
     for sensors in SENSORS:
-        for kind in KINDS:
+        for kind in RESTED if arguments.rested else KINDS:
             if arguments.only in f"{sensors} {kind}":
-                show(f"{sensors} {kind}", by_turn(kind, sensors, arguments.place), arguments.runs)
+                show(f"{sensors} {kind}", scenes(kind, sensors, arguments.place), arguments.runs)
 
 
 if __name__ == "__main__":

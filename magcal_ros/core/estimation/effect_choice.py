@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,7 +57,9 @@ def propagated(start: Fit, path: GyroPath, prior: Prior) -> Fit:
     return settled(refined(Fit((begun,), prior), PROPAGATING))
 
 
-def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
+def with_effects_that_show(
+    start: Fit, path: GyroPath, beside: Prior, kinds: Sequence[Effect] = OF_RATE
+) -> Fit:
     """Fit without soft iron, with those effects of the turn rate that stand out of chance.
 
     The clearest first: what is not yet taken off may pass for another.
@@ -68,8 +71,10 @@ def with_effects_that_show(start: Fit, path: GyroPath, beside: Prior) -> Fit:
     beside : Prior
         Of soft iron, where it may be: where the rate follows the heading, as on a turn there and
         back, it looks like motors.
+    kinds : sequence of Effect
+        Those that are looked for.
     """
-    fit, left = propagated(start, path, start.prior), list(OF_RATE)
+    fit, left = propagated(start, path, start.prior), list(kinds)
     effects = _effects(path, fit)
     while left and not _is_lost(fit):
         # On the average of a turn a lever arm is what an accelerometer that is off reads always.

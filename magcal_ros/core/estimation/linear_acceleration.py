@@ -9,7 +9,7 @@ off by little, and a vehicle that is pulled for long is jolted, too.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
@@ -164,15 +164,34 @@ def pulled_or_not(start: Fit, path: GyroPath, beside: Prior) -> Explanation:
         Of soft iron, where it may be.
     """
     plain = with_effects_that_show(start, path, beside)
-    path = gyro_block(plain).path
-    if not _is_strained(plain):
-        return Explanation(plain, may_be_pulled=not path.rests)
     if path.rests:
-        return _by_rests(start, plain)
+        return _with_rests(start, plain, path, beside)
+    if not _is_strained(plain):
+        return Explanation(plain, may_be_pulled=True)
     return _by_what_is_known(start, plain, beside)
 
 
-def _by_rests(start: Fit, plain: Fit) -> Explanation:
+def _with_rests(start: Fit, plain: Fit, bare: GyroPath, beside: Prior) -> Explanation:
+    """Choose where rests show the gyro's bias: a lever arm may stand for a lean, and strain none.
+
+    What it pulls by on the average of a turn is what an accelerometer that is off reads always.
+    """
+    if _is_strained(plain):
+        return _by_rests(start, plain, beside)
+    if Effect.LEVER_ARM not in gyro_block(plain).path.effects:
+        return Explanation(plain)
+    armless = with_effects_that_show(start, bare, beside, [Effect.LATENCY, Effect.MOTORS])
+    if not _is_strained(armless):
+        return Explanation(plain)
+    other = _by_rests(start, armless, beside)
+    if not other.own_lean:
+        return Explanation(plain)
+    factor = min(fit.block.weighting.inefficiency for fit in (plain, other.fit))
+    by_arm, by_other = (propagated_evidence(fit, factor) for fit in (plain, other.fit))
+    return other if by_other < by_arm else Explanation(plain)
+
+
+def _by_rests(start: Fit, plain: Fit, beside: Prior) -> Explanation:
     """Choose by the rests beside the turn: they show the bias, and nothing pulls there."""
     path = gyro_block(plain).path
     pulled = propagated(start, path.with_acceleration(), start.prior)
@@ -185,7 +204,14 @@ def _by_rests(start: Fit, plain: Fit) -> Explanation:
     leaning = propagated(start, _leaning(path, pulled), start.prior)
     neglected = math.hypot(1.0 - share if own else share, sigma)
     gap = min(neglected, 1.0) * heading_gap(leaning, pulled)
-    return Explanation(plain if own else pulled, gap, own_lean=own)
+    chosen = gyro_block(leaning if own else pulled).path
+    return Explanation(_asked_anew(start, chosen, beside), gap, own_lean=own)
+
+
+def _asked_anew(start: Fit, path: GyroPath, beside: Prior) -> Fit:
+    """Fit a path with what stands out of it: what a lean bends passes for what follows the rate."""
+    bare = replace(path, effects=path.effects.only(Effect.PULL))
+    return with_effects_that_show(start, bare, beside)
 
 
 def _own_share(pulled: Fit) -> tuple[float, float]:
