@@ -8,7 +8,7 @@ from drives import ROBOT
 from long_form import first_of
 
 from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
-from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibrate import METHODS, calibrate_by
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Knowledge
@@ -27,8 +27,8 @@ def no_look(monkeypatch):
 
 
 def shown(window, knowledge):
-    outcome = calibrate(window, knowledge)
-    subject = Subject(window, knowledge, outcome, "here", "maximum_likelihood")
+    outcome = calibrate_by(window, knowledge, METHODS[0])
+    subject = Subject(window, knowledge, outcome, "here", METHODS[0])
     return outcome, Turn.of(subject)
 
 
