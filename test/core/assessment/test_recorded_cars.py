@@ -14,7 +14,7 @@ from magcal_ros.core.samples.window import Window
 
 
 def judged(folder, name):
-    """The outcome of one window, our RMS and sigma, and the best peer's RMS, degrees."""
+    """The outcome of a window; degrees: our RMS, its sigma, the best peer's RMS, the gyro's."""
     drive = read_drive(folder, None)
     window = next(found for kind, found in windows(drive) if kind == name)
     assert isinstance(window, Window)
@@ -24,7 +24,7 @@ def judged(folder, name):
     ours = drive.score(lambda up, raw: yaw_from_up_and_field(up, correction.apply(raw))).rms
     found = [drive.score(heading) for heading in peers(window).values() if heading is not None]
     sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
-    return outcome, ours, sigma, min(score.rms for score in found)
+    return outcome, ours, sigma, min(score.rms for score in found), drive.floor().rms
 
 
 @pytest.mark.parametrize(
@@ -43,15 +43,16 @@ def judged(folder, name):
     ],
 )
 def test_a_car_is_answered_as_well_as_the_best_usual_method_and_honestly(recording, car, window):
-    outcome, ours, sigma, best = judged(recording(car), window)
+    outcome, ours, sigma, best, floor = judged(recording(car), window)
     assert outcome.verdict.accepted
     assert ours < 1.15 * best
-    assert ours < 3.0 * sigma
+    # What the gyro, too, is off by is the course's: 6.1 degrees for one car, 1.6 to 2.5 for others.
+    assert math.sqrt(max(ours**2 - floor**2, 0.0)) < 2.5 * sigma
 
 
 @pytest.mark.nightly
 def test_a_car_whose_body_weakens_the_field_gets_its_circle_and_its_reason(recording):
-    outcome, ours, sigma, best = judged(recording("car_neu2024_rohx"), "whole")
+    outcome, ours, sigma, best, _ = judged(recording("car_neu2024_rohx"), "whole")
     assert outcome.verdict.accepted
     assert outcome.verdict.summary.startswith("Calibrated roughly")
     assert ours < 0.6 * best
