@@ -1,0 +1,202 @@
+"""Two estimators on the same turns: `python benchmarks/side_by_side.py [--runs N] [--first K]`.
+
+Each row is a kind of turn. For the estimator in use and for the one smoother (`smoother_one`) it
+prints the RMS of the heading error on the level (degrees), the median of the predicted sigma, NEES
+(the mean squared error over the predicted variance, which should be one), the share of answers
+within one and two sigmas, the largest error in sigmas, how many turns were refused, and the CPU
+time of a turn. The seeds are `--first` and those after it.
+Seeds from 1000 on were used while the smoother was tuned; 0 to 11 were looked at once meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from realistic import (
+    SENSORS,
+    Course,
+    Scene,
+    by_effect,
+    by_rested_turn,
+    by_turn,
+    collected,
+    direction,
+    drawn,
+    evenly,
+    heading_error,
+    rate_of,
+    switched,
+    with_field,
+    with_force,
+)
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.knowledge import Knowledge
+
+Case = Callable[[int], tuple[Scene, Knowledge]]
+METHODS = ("maximum_likelihood", "smoother_one")
+
+
+def with_motors(kind: str, size: float) -> Case:
+    """Return turns from rest to rest of a robot whose motors add a field (tesla)."""
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([5, number])
+        scene, known = drawn(rng, evenly)
+        scene = SENSORS["typical"](rng, scene)
+        rate = scene.motion.angular_rate[:, 2]
+        shapes = {
+            "in step": (np.abs(rate) > 0.02).astype(float),
+            "by rate": rate / np.abs(rate).max(),
+            "switching": (np.abs(rate) > 0.02) * switched(rng, scene.window.time),
+        }
+        added = size * np.outer(shapes[kind], direction(rng))
+        return replace(with_field(scene, added), has_course=True), known
+
+    return case
+
+
+def small_circle(radius: float, course: Course | None = None) -> Case:
+    """Return circles that are driven smoothly; without a course they begin and end in motion."""
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([6, number])
+        scene, known = drawn(rng, course)
+        scene = SENSORS["typical"](rng, scene)
+        rate = scene.motion.angular_rate[:, 2]
+        across = np.array([-direction(rng)[1], 1.0, 0.0])
+        pull = np.outer(radius * rate**2, across / np.linalg.norm(across))
+        return replace(with_force(scene, pull), has_course=course is not None), known
+
+    return case
+
+
+def drifting(size: float) -> Case:
+    """Return turns from rest to rest during which the hard iron drifts by so many tesla."""
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([7, number])
+        scene, known = drawn(rng, evenly)
+        scene = SENSORS["typical"](rng, scene)
+        share = scene.window.time / np.ptp(scene.window.time)
+        added = size * np.outer(share - share.mean(), direction(rng))
+        return replace(with_field(scene, added), has_course=True), known
+
+    return case
+
+
+def shifting(size: float) -> Case:
+    """Return turns whose accelerometer shifts by so many m/s² while the robot turns."""
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([8, number])
+        scene, known = drawn(rng, evenly)
+        scene = SENSORS["typical"](rng, scene)
+        moves = np.abs(rate_of(scene)[:, 2]) > 0.05
+        return replace(
+            with_force(scene, size * np.outer(moves, direction(rng))), has_course=True
+        ), known
+
+    return case
+
+
+def rows() -> dict[str, Case]:
+    """Return the rows by name."""
+    found = {
+        f"rest, turn, rest: {sensors}, {course}": by_rested_turn(course, sensors, "open")
+        for sensors in ("perfect", "good", "typical", "cheap")
+        for course in ("even", "uneven", "there and back", "stops")
+    }
+    found |= {
+        f"rest, turn, rest: {sensors}, {place}": by_rested_turn("even", sensors, place)
+        for sensors in ("typical", "cheap")
+        for place in ("near iron", "indoors")
+    }
+    found |= {
+        f"motors {kind} {size} µT": with_motors(kind, size * 1e-6)
+        for size in (1, 3, 7, 10, 20)
+        for kind in ("in step", "by rate", "switching")
+    }
+    found |= {f"circle of {radius} m, no rest": small_circle(radius) for radius in (0.5, 1.0, 4.0)}
+    found |= {
+        f"no rest: {sensors}, {kind}": by_turn(kind, sensors, "open")
+        for sensors in ("perfect", "typical", "cheap")
+        for kind in ("even", "there and back", "slope")
+    }
+    found |= {
+        f"no rest: {name}": by_effect(name)
+        for name in ("none", "gyro bias 2 °/s", "soft iron 10 %", "axes 3 %", "latency 50 ms")
+    }
+    found |= {f"hard iron drifts by {size} µT": drifting(size * 1e-6) for size in (0.4, 1.0)}
+    found["accelerometer shifts by .12 m/s²"] = shifting(0.12)
+    return found
+
+
+@dataclass
+class Tally:
+    """What one estimator made of a row."""
+
+    errors: list[float] = field(default_factory=list)
+    sigmas: list[float] = field(default_factory=list)
+    refused: int = 0
+    seconds: float = 0.0
+
+    def take(self, scene: Scene, knowledge: Knowledge, method: str) -> None:
+        """Fit one turn."""
+        window = collected(scene.window) if scene.has_course else scene.window
+        began = time.process_time()
+        outcome = calibrate(window, knowledge, method)
+        self.seconds += time.process_time() - began
+        if outcome.estimate is None or (method == METHODS[0] and not outcome.verdict.accepted):
+            self.refused += 1
+            return
+        self.errors.append(math.degrees(heading_error(scene, outcome.estimate.correction)))
+        self.sigmas.append(math.degrees(predicted_heading_sigma(outcome.estimate, 0.0)))
+
+    def text(self) -> str:
+        count = len(self.errors) + self.refused
+        if not self.errors:
+            return f"{'refused':>6s} {self.refused}"
+        errors, sigmas = np.array(self.errors), np.array(self.sigmas)
+        ratio = errors / sigmas
+        rms = math.sqrt(float(np.mean(errors**2)))
+        return (
+            f"{rms:6.2f}{np.median(sigmas):6.2f}{np.mean(ratio**2):6.2f}{np.mean(ratio < 1):6.0%}"
+            f"{np.mean(ratio < 2):6.0%}{ratio.max():6.1f}{self.refused:5d}"
+            f"{self.seconds / count:7.2f}"
+        )
+
+
+COLUMNS = ("rms", "sigma", "NEES", "<1s", "<2s", "worst")
+HEADER = "".join(f"{name:>6s}" for name in COLUMNS) + f"{'ref.':>5s}{'CPU':>7s}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=24)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first turn")
+    parser.add_argument("--only", default="", help="rows whose name holds this")
+    parser.add_argument("--method", choices=METHODS, help="one estimator alone")
+    arguments = parser.parse_args()
+    methods = METHODS if arguments.method is None else (arguments.method,)
+    print(f"{'':42s}" + "   ".join(f"{name:>48s}" for name in methods))
+    print(f"{'':42s}" + "   ".join(HEADER for _ in methods))
+    for name, case in rows().items():
+        if arguments.only not in name:
+            continue
+        tallies = {method: Tally() for method in methods}
+        for number in range(arguments.first, arguments.first + arguments.runs):
+            scene, knowledge = case(number)
+            for method, tally in tallies.items():
+                tally.take(scene, knowledge, method)
+        print(f"{name:42s}" + "   ".join(tally.text() for tally in tallies.values()), flush=True)
+
+
+if __name__ == "__main__":
+    main()

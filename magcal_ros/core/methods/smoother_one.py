@@ -1,0 +1,124 @@
+"""A calibration by the one smoother (doc/estimator.md), for turns and drives alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.estimation.consistency import gyro_compass_swing
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import body_from_enu, unit
+from magcal_ros.core.geometry.rotations import chained
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.factors import distortion
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, smooth
+from magcal_ros.core.smoother.unknowns import AT, MICROTESLA, ON_THE_SPOT, ROLL_PITCH, SIZES, YAW
+
+METHOD = "smoother_one"
+FEWEST_SAMPLES = 20
+BELIEVED = 0.3
+"""Student weight above which a node counts as an inlier."""
+SIGMAS = 3.0
+"""From so many sigmas the motors' field is reported, and a gyro is too noisy to be believed."""
+
+
+def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
+    """Find the twelve numbers of a window by the smoother.
+
+    Parameters
+    ----------
+    window : Window
+        Paired samples with a gyro.
+    knowledge : Knowledge
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    Refusal
+        If there is no gyro, or if the samples cannot carry a calibration.
+    """
+    refuse_empty(window, FEWEST_SAMPLES)
+    if window.angular_rate is None:
+        words = "this method needs a gyro; connect one, or use the method maximum_likelihood"
+        raise Refusal(Reason.NO_SOLUTION, words)
+    return _estimate(smooth(window, knowledge), window, knowledge)
+
+
+def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+    best, nodes = found.fit, found.nodes
+    shared, posterior = best.state.shared, found.posterior
+    part = best.weighted["field"]
+    residual = part.linear.residual @ knowledge.mounting.matrix.T / MICROTESLA
+    belongs = np.searchsorted(nodes.time, window.time).clip(0, len(nodes) - 1)
+    up = best.state.attitude[:, :, 2]
+    steps = np.median(np.abs(np.diff(window.field, axis=0))) / 0.954
+    tilts = np.median(np.abs(np.diff(unit(window.specific_force), axis=0))) / 0.954
+    roll, pitch = shared[ROLL_PITCH]
+    swing = _swing(found)
+    return Estimate(
+        method=METHOD,
+        correction=posterior.correction,
+        covariance=posterior.covariance,
+        installation=Installation(float(roll), float(pitch), float(shared[YAW])),
+        axis=unit(up.mean(axis=0)),
+        arc=_arc(best.state.attitude),
+        strength=posterior.strength,
+        inclination=posterior.inclination,
+        noise_field=max(float(steps), 1e-9),
+        noise_up=float(tilts),
+        inliers=(part.weight * part.variance > BELIEVED)[belongs],
+        residual=residual[belongs],
+        figures={**_figures(found), Figure.GYRO_COMPASS_SWING: swing.rms},
+        message=best.message,
+        swing=swing,
+    )
+
+
+def _swing(found: Smoothed) -> GyroSwing:
+    """Return how the compass swings against the gyro while the robot moves."""
+    best, nodes = found.fit, found.nodes
+    shared, course = best.state.shared, best.point.course
+    motors = course.moving[:, None] * shared[AT["motors_moving"]]
+    motors = motors + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
+    back = np.linalg.inv(distortion(shared))
+    body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
+    attitude = body_from_enu(best.state.attitude[:, :, 2], body)
+    moves = course.moving > 0.0
+    relative = chained(nodes.turned[None])[0]
+    return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
+
+
+def _arc(attitude: FloatArray) -> float:
+    """Return the radians of heading that were seen, by sectors of five degrees."""
+    yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
+    steps = np.linspace(yaw[:-1], yaw[:-1] + np.angle(np.exp(1j * np.diff(yaw))), 8)
+    return math.tau * len(np.unique((steps % math.tau) // math.radians(5.0))) / 72.0
+
+
+def _figures(found: Smoothed) -> dict[Figure, float]:
+    best = found.fit
+    shared, sigma = best.state.shared, np.sqrt(np.diag(best.covariance))
+    turning = float(np.median(found.nodes.rate[:, 2]))
+    motors = shared[AT["motors_moving"]] + shared[AT["motors_rate"]] * turning
+    doubt = float(np.linalg.norm(sigma[AT["motors_moving"]]))
+    size = float(np.linalg.norm(motors))
+    usual = SIZES["gyro"]
+    noisiest = usual.usual * math.exp(SIGMAS * usual.spread)
+    return {
+        Figure.GYRO_CARRIED: float(best.point.sizes["gyro"] < noisiest),
+        Figure.NOT_CONVERGED: float(not best.converged),
+        Figure.ITERATIONS: float(best.rounds),
+        Figure.SOFT_IRON: 1.0,
+        Figure.LATENCY: float(shared[AT["latency"]][0]),
+        Figure.MOTOR_FIELD: size / MICROTESLA if size > SIGMAS * doubt else 0.0,
+        Figure.ON_THE_SPOT: found.weights.get(ON_THE_SPOT, 0.0),
+    }

@@ -1,0 +1,232 @@
+"""What the measurements say of the unknowns: residuals with their derivatives.
+
+Each residual is a measurement less its prediction. Attitudes change on the body's side,
+R <- exp(phi) R; all derivatives are of the prediction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import (
+    exp_rotations,
+    rotation_from_rpy,
+    rotation_vectors,
+    skews,
+)
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.rests import Course
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    ATTITUDE,
+    BODY_FIELD,
+    EARTH,
+    LOCAL,
+    ROLL_PITCH,
+    SHARED,
+    SOFT_IRON,
+    STREET,
+    VELOCITY,
+    YAW,
+)
+
+ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Rows and columns of the numbers of soft iron."""
+
+
+GYRO_ELEMENTS = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
+LEAN_ELEMENTS = ((0, 2), (1, 2))
+"""Rows and columns of the numbers of the gyro's scale and misalignment."""
+
+
+def _element_matrices() -> FloatArray:
+    out = np.zeros((6, 3, 3))
+    for k, (row, column) in enumerate(ELEMENTS):
+        out[k, row, column] = out[k, column, row] = 1.0
+    return out
+
+
+ELEMENT_MATRICES = _element_matrices()
+X, Y, Z = np.eye(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Residuals of one kind with their derivatives.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (k, d)
+    here : ndarray, shape (k, d, LOCAL)
+        By the unknowns of node k.
+    there : ndarray, shape (k, d, LOCAL), or None
+        By those of node k + 1, for residuals between neighbours.
+    shared : ndarray, shape (k, d, s), or None
+        By the shared unknowns; those of the centres of `Places` may be left out at the end.
+    """
+
+    residual: FloatArray
+    here: FloatArray
+    there: FloatArray | None = None
+    shared: FloatArray | None = None
+
+    def by(self, free: IntArray) -> FloatArray:
+        """Return the derivatives by the free shared unknowns, without those left out."""
+        assert self.shared is not None
+        return self.shared[:, :, free[free < self.shared.shape[2]]]
+
+
+def installation(shared: FloatArray) -> FloatArray:
+    """Return the rotation from body axes to the magnetometer's, shape (3, 3)."""
+    roll, pitch = shared[ROLL_PITCH]
+    return rotation_from_rpy(roll, pitch, shared[YAW]).T
+
+
+def soft_iron(shared: FloatArray) -> FloatArray:
+    """Return I + E, shape (3, 3)."""
+    return np.eye(3) + np.tensordot(shared[SOFT_IRON], ELEMENT_MATRICES, 1)
+
+
+def gyro_matrix(shared: FloatArray) -> FloatArray:
+    """Return the gyro's scale and misalignment, shape (3, 3)."""
+    out = np.zeros((3, 3))
+    for name, elements in (("gyro_matrix", GYRO_ELEMENTS), ("gyro_lean", LEAN_ELEMENTS)):
+        rows, columns = np.array(elements).T
+        out[rows, columns] = shared[AT[name]]
+    return out
+
+
+def distortion(shared: FloatArray) -> FloatArray:
+    """Return the matrix from the Earth's field in body axes to the field in nominal axes."""
+    return soft_iron(shared) @ installation(shared)
+
+
+def magnetic(course: Course, state: State, places: Places) -> Linear:
+    """Return what the field says at the nodes (doc/estimator.md, the field)."""
+    nodes, shared = course.nodes, state.shared
+    late = exp_rotations(nodes.rate * shared[AT["latency"]][0])
+    attitude = late @ state.attitude
+    earth = attitude @ state.earth
+    street = np.einsum("nij,nj->ni", attitude, places.disturbance(state))
+    turn, bend = installation(shared), soft_iron(shared)
+    full = bend @ turn
+    by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
+    inside_earth = np.einsum("nij,nj->ni", nodes.inside, earth)
+    inside_street = np.einsum("nij,nj->ni", nodes.inside, street)
+    predicted = (
+        shared[AT["iron"]]
+        + inside_earth @ full.T
+        + inside_street @ turn.T
+        + state.local[:, BODY_FIELD]
+        + course.moving[:, None] * shared[AT["motors_moving"]]
+        + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
+        + course.span[:, None] * shared[AT["drift"]]
+    )
+    count = len(nodes)
+    here = np.zeros((count, 3, LOCAL))
+    here[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
+    by_place = by_street @ attitude
+    here[:, :, STREET] = by_place * places.rest[:, None, None]
+    here[:, :, BODY_FIELD] = np.eye(3)
+    by = np.zeros((count, 3, SHARED + 3 * len(places)))
+    by[:, :, SHARED:] = np.einsum("nk,nij->nikj", places.weights, by_place).reshape(count, 3, -1)
+    by[:, :, AT["iron"]] = np.eye(3)
+    by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
+    turned = inside_earth @ turn.T
+    for k in range(6):
+        by[:, :, SOFT_IRON.start + k] = turned @ ELEMENT_MATRICES[k]
+    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y, YAW: turn @ Z}
+    for k, axis in axes.items():
+        across = np.cross(turned, axis)
+        by[:, :, k] = across @ bend.T + np.cross(inside_street @ turn.T, axis)
+    by[:, :, AT["latency"].start] = np.einsum(
+        "nij,nj->ni", by_earth, np.cross(nodes.rate, earth)
+    ) + np.einsum("nij,nj->ni", by_street, np.cross(nodes.rate, street))
+    by[:, :, AT["motors_moving"]] = course.moving[:, None, None] * np.eye(3)
+    by[:, :, AT["motors_rate"]] = nodes.rate[:, 2, None, None] * np.eye(3)
+    by[:, :, AT["drift"]] = course.span[:, None, None] * np.eye(3)
+    return Linear(nodes.field - predicted, here, None, by)
+
+
+def _about_x(shared: FloatArray) -> FloatArray:
+    return rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
+
+
+QUARTER = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""A quarter turn to the left in the level plane."""
+
+
+def force(course: Course, state: State) -> Linear:
+    """Return what the specific force says between nodes.
+
+    A vehicle's velocity stays level while its body sways, so that its acceleration is reckoned in
+    level axes; the lever arm turns with the body.
+    """
+    nodes, shared = course.nodes, state.shared
+    level, up = course.axes[:, :2], course.axes[:, 2]
+    rate = nodes.link_rate - shared[AT["gyro_bias"]]
+    turning = (rate @ up)[:, None]
+    velocity = state.local[:, VELOCITY]
+    mean = 0.5 * (velocity[1:] + velocity[:-1])
+    seconds = nodes.seconds[:, None]
+    gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
+    spin = skews(rate)
+    by_arm = spin @ spin + skews(nodes.swing)
+    acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
+    predicted = (
+        np.einsum("nij,nj->ni", nodes.along, gravity)
+        + acceleration @ level.T
+        + by_arm @ shared[AT["lever_arm"]]
+    )
+    predicted[:, 2] += shared[AT["upward_offset"]][0]
+    count = len(seconds)
+    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    here[:, :, ATTITUDE] = -nodes.along @ skews(gravity)
+    bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
+    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
+    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    by = np.zeros((count, 3, SHARED))
+    by[:, :, AT["lever_arm"]] = by_arm
+    by[:, 2, AT["upward_offset"].start] = 1.0
+    arm = shared[AT["lever_arm"]]
+    sideways = mean @ QUARTER.T @ level.T
+    # Of w x (w x r) and of the turning about up, with w = measured - bias.
+    by[:, :, AT["gyro_bias"]] = (
+        skews(np.cross(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
+    )
+    return Linear(nodes.force - predicted, here, there, by)
+
+
+def gyro(course: Course, state: State) -> Linear:
+    """Return what the gyro says of the rotation between nodes, radians."""
+    nodes, shared = course.nodes, state.shared
+    matrix = gyro_matrix(shared)
+    error = nodes.seconds[:, None] * shared[AT["gyro_bias"]] + nodes.angle @ matrix.T
+    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
+    off = rotation_vectors(between @ np.swapaxes(nodes.turned, 1, 2) @ exp_rotations(-error))
+    count = len(error)
+    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    here[:, :, ATTITUDE] = -between
+    there[:, :, ATTITUDE] = np.eye(3)
+    by = np.zeros((count, 3, SHARED))
+    by[:, :, AT["gyro_bias"]] = -nodes.seconds[:, None, None] * np.eye(3)
+    for name, elements in (("gyro_matrix", GYRO_ELEMENTS), ("gyro_lean", LEAN_ELEMENTS)):
+        for k, (row, column) in enumerate(elements):
+            by[:, row, AT[name].start + k] = -nodes.angle[:, column]
+    return Linear(-off, here, there, by)
+
+
+def process(state: State, which: slice, keeps: FloatArray) -> Linear:
+    """Return what a process says that forgets, x[k + 1] = keeps[k] x[k] + noise."""
+    values = state.local[:, which]
+    residual = keeps[:, None] * values[:-1] - values[1:]
+    width = which.stop - which.start
+    here, there = (np.zeros((len(keeps), width, LOCAL)) for _ in range(2))
+    here[:, :, which] = -keeps[:, None, None] * np.eye(width)
+    there[:, :, which] = np.eye(width)
+    return Linear(residual, here, there)

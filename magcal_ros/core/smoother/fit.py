@@ -1,0 +1,228 @@
+"""Fit all unknowns of one window for one kind of motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.smoother.model import Model, Point, course_at, evidence, solve_at
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.sizes import (
+    effect_factor,
+    effect_factors,
+    expected_square,
+    noise_sizes,
+)
+from magcal_ros.core.smoother.solver import Solution, Weighted
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, SHARED, KindOfMotion, Priors
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """When the iterations stop.
+
+    Parameters
+    ----------
+    rounds, fewest : int
+        Steps at most and at least.
+    step : float
+        Of the answer, in its own sigmas.
+    size : float
+        Relative change of a noise's size.
+    largest_turn : float
+        Radians that a step may turn any node; longer steps are shortened.
+    places_at : tuple of int
+        Rounds in which the places passed are reckoned anew.
+    held : int
+        Rounds in which the sigmas of effects keep their usual sizes, until the rest fits.
+    gaussian : int
+        Rounds in which all residuals count fully.
+    """
+
+    rounds: int = 40
+    fewest: int = 8
+    step: float = 0.05
+    size: float = 0.05
+    largest_turn: float = 0.4
+    places_at: tuple[int, ...] = (7, 11)
+    held: int = 3
+    gaussian: int = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The optimum for one kind of motion.
+
+    Parameters
+    ----------
+    point : Point
+    covariance : ndarray, shape (SHARED, SHARED)
+        Of the shared unknowns.
+    evidence : float
+        Minus twice the logarithm of the evidence, but for a constant of the window.
+    weighted : dict of str to Weighted
+        The residuals at the optimum.
+    rounds : int
+    converged : bool
+    """
+
+    point: Point
+    covariance: FloatArray
+    evidence: float
+    weighted: dict[str, Weighted]
+    rounds: int
+    converged: bool
+
+    @property
+    def state(self) -> State:
+        """The unknowns."""
+        return self.point.state
+
+    @property
+    def message(self) -> str:
+        """Why it stopped."""
+        return "converged" if self.converged else f"no convergence in {self.rounds} rounds"
+
+
+def fit(
+    nodes: Nodes,
+    priors: Priors,
+    start: State,
+    kind: KindOfMotion,
+    tolerances: Tolerances = Tolerances(),
+    like: Fit | None = None,
+) -> Fit:
+    """Fit a window by Gauss-Newton steps; the sizes of noises and effects follow.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    priors : Priors
+        About the start.
+    start : State
+    kind : KindOfMotion
+    tolerances : Tolerances
+    like : Fit, optional
+        The optimum of another kind of motion to begin at.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a matrix is not positive definite.
+    """
+    model = Model.of(nodes, priors, start, kind)
+    point, sizes = (
+        Point.begin(model, start) if like is None else like.point.moved_to(model),
+        _Sizes(),
+    )
+    fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
+    for rounds in range(tolerances.rounds + 1):
+        if model.travels and rounds in tolerances.places_at:
+            point = _with_places(model, point)
+        weighted, solution = solve_at(model, point)
+        share, moved = _share(solution, tolerances), _moved(model, solution)
+        converged = rounds > fewest and share == 1.0 and moved < tolerances.step
+        converged = converged and sizes.change < tolerances.size
+        if converged or rounds == tolerances.rounds:
+            break
+        sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
+        point = _stepped(model, point, solution, share)
+        if rounds >= tolerances.held:
+            point = replace(point, groups=effect_factors(model, point, solution))
+        if rounds >= tolerances.gaussian:
+            point = replace(point, is_robust=True)
+    found = evidence(model, point, weighted, solution)
+    covariance = _covariance(model, point, solution, sizes.shown)
+    return Fit(point, covariance, found, weighted, rounds, converged)
+
+
+def _share(solution: Solution, tolerances: Tolerances) -> float:
+    """Return how much of a step is taken."""
+    largest = float(np.abs(solution.local[:, ATTITUDE]).max())
+    return min(1.0, tolerances.largest_turn / max(largest, 1e-9))
+
+
+def _moved(model: Model, solution: Solution) -> float:
+    """Return the largest step of the answer, in its own sigmas."""
+    answer = np.flatnonzero(model.free < AT["axes"].stop)
+    sigma = np.sqrt(np.diag(solution.covariance)[answer])
+    return float((np.abs(solution.shared[answer]) / sigma).max())
+
+
+def _stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
+    """Return the point after a step."""
+    shared = np.zeros(SHARED + 3 * len(point.places))
+    free = len(model.free)
+    shared[model.free] = solution.shared[:free]
+    shared[SHARED:] = solution.shared[free:]
+    state = point.state.moved(share * solution.local, share * shared)
+    return replace(point, state=state, course=course_at(model, state))
+
+
+def _with_places(model: Model, point: Point) -> Point:
+    """Return the same point with places along the way as it is reckoned now."""
+    places = Places.along(point.course, point.state, model.priors.lengths.street)
+    state = places.retold(point.state, point.places.disturbance(point.state))
+    return replace(point, places=places, state=state)
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """How the sizes of the noises have changed."""
+
+    pace: dict[str, float] | None = None
+    steps: dict[str, float] | None = None
+    shown: dict[str, float] | None = None
+
+    @property
+    def change(self) -> float:
+        """The largest relative step."""
+        return max((abs(step) for step in (self.steps or {}).values()), default=math.inf)
+
+    def next(
+        self,
+        model: Model,
+        point: Point,
+        weighted: dict[str, Weighted],
+        solution: Solution,
+        counted: bool,
+    ) -> tuple[_Sizes, Point]:
+        """Return the change and the point after it; where steps alternate, they get shorter."""
+        if not counted:
+            return self, point
+        wanted, shown, doubt = noise_sizes(model, point, weighted, solution)
+        pace, steps = {}, {}
+        for name, size in wanted.items():
+            step = math.log(size / point.sizes[name])
+            before = (self.steps or {}).get(name, 0.0)
+            last = (self.pace or {}).get(name, 1.0)
+            pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
+            steps[name] = pace[name] * step
+        sizes = {name: size * math.exp(steps[name]) for name, size in point.sizes.items()}
+        return _Sizes(pace, steps, shown), replace(point, sizes=sizes, doubt=doubt)
+
+
+def _covariance(
+    model: Model, point: Point, solution: Solution, shown: dict[str, float] | None
+) -> FloatArray:
+    """Return the covariance of the shared unknowns, that of the sizes included.
+
+    Nothing but the size of the soft iron tells of the yaw that crooked axes turn, so that it
+    counts by its mean square.
+    """
+    beliefs = model.priors.sizes
+    wide = {
+        name: expected_square(size, (shown or {}).get(name, 0.0), beliefs[name])
+        for name, size in point.sizes.items()
+    }
+    axes = effect_factor(model, point, solution, "axes", expected=True)
+    groups = {**point.groups, "axes": max(axes, point.groups["axes"])}
+    _, widened = solve_at(model, replace(point, sizes=wide, groups=groups))
+    out, free = np.zeros((SHARED, SHARED)), model.free
+    out[np.ix_(free, free)] = widened.covariance[: len(free), : len(free)]
+    return out

@@ -1,0 +1,262 @@
+"""The model at a point: residuals with their variances, priors, and the evidence."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.rests import Course, level_axes
+from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    BODY_FIELD,
+    EARTH,
+    KINDS,
+    ON_THE_SPOT,
+    SHARED,
+    STREET,
+    UNKNOWNS,
+    VELOCITY,
+    KindOfMotion,
+    Priors,
+)
+
+GAUSSIAN = 1e9
+"""Degrees of freedom at which a Student distribution is Gaussian."""
+LEAST_VARIANCE = 1e-9
+"""Added to the variance of the processes' steps, which would be zero at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """What does not change while the smoother iterates.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    axes : ndarray, shape (3, 3)
+        The body's level axes (`level_axes`).
+    priors : Priors
+    speed : float
+        m/s per axis that are usual for the kind of motion.
+    travels : bool
+        Whether the kind of motion leaves the spot.
+    """
+
+    nodes: Nodes
+    axes: FloatArray
+    priors: Priors
+    speed: float
+    travels: bool
+
+    @classmethod
+    def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
+        """Return the model of one kind of motion."""
+        scale = priors.scale.copy()
+        scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
+        axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
+        travels = kind.speed > KINDS[ON_THE_SPOT].speed
+        return cls(nodes, axes, replace(priors, scale=scale), kind.speed, travels)
+
+    @property
+    def free(self) -> IntArray:
+        """Which of the shared unknowns are free; those of the centres of places come after."""
+        return np.flatnonzero(self.priors.scale > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A value of all unknowns and of the sizes of noises and effects.
+
+    Parameters
+    ----------
+    state : State
+    course : Course
+    sizes : dict of str to float
+        Of the noises (`SIZES`).
+    groups : dict of str to float
+        Factors of the sigmas of the shared unknowns (`Unknown`).
+    places : Places
+    doubt : ndarray, shape (n,)
+        Variance of the nodes' velocities, both axes together, (m/s)².
+    is_robust : bool
+        Whether residuals follow Student distributions; at first they are Gaussian, or the few
+        residuals that show an effect, as rests show the motors, would pass for outliers.
+    """
+
+    state: State
+    course: Course
+    sizes: dict[str, float]
+    groups: dict[str, float]
+    places: Places
+    doubt: FloatArray = field(repr=False)
+    is_robust: bool = False
+
+    @classmethod
+    def begin(cls, model: Model, state: State) -> Point:
+        """Return the point where the iterations begin."""
+        return cls(
+            state,
+            course_at(model, state),
+            {name: size.usual for name, size in model.priors.sizes.items()},
+            dict.fromkeys(AT, 1.0),
+            Places.none(len(model.nodes), model.priors.lengths.street),
+            np.full(len(model.nodes), 2.0 * model.speed**2),
+        )
+
+    def moved_to(self, model: Model) -> Point:
+        """Return the same value of the unknowns as a beginning for another kind of motion."""
+        places = Places.none(len(model.nodes), model.priors.lengths.street)
+        state = places.retold(self.state, self.places.disturbance(self.state))
+        local = state.local.copy()
+        local[:, VELOCITY] *= min(
+            1.0, model.speed / max(float(np.abs(local[:, VELOCITY]).max()), 1e-9)
+        )
+        return replace(self, state=replace(state, local=local), places=places)
+
+
+def course_at(model: Model, state: State) -> Course:
+    """Return where the robot rests, by the bias at a state."""
+    bias = state.shared[AT["gyro_bias"]]
+    return Course.of(model.nodes, model.axes, bias, model.priors.lengths)
+
+
+def weigh(model: Model, point: Point) -> dict[str, Weighted]:
+    """Return all residuals with their variances."""
+    nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
+    seconds, beliefs, places = nodes.seconds, model.priors.sizes, point.places
+    per_node = np.median(nodes.count) / nodes.count
+    with np.errstate(divide="ignore"):
+        per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
+
+    def freedom(name: str) -> float:
+        return beliefs[name].freedom if point.is_robust else GAUSSIAN
+
+    def forgets(name: str, which: slice, per_step: FloatArray, level: float) -> Weighted:
+        keeps = np.exp(-per_step)
+        variance = level**2 * (1.0 - keeps**2) + LEAST_VARIANCE
+        return Weighted(factors.process(state, which, keeps), variance, freedom(name))
+
+    def measured(name: str, linear: Linear, scale: FloatArray) -> Weighted:
+        return Weighted(linear, sizes[name] ** 2 * scale, freedom(name))
+
+    course, change = point.course, sizes["speed_change"] / model.speed
+    steps = way_between(model, point) / places.length
+    return {
+        "field": measured("field", factors.magnetic(course, state, places), per_node),
+        "force": measured("force", factors.force(course, state), per_link),
+        "gyro": measured("gyro", factors.gyro(course, state), seconds),
+        "street": forgets("street", STREET, steps, sizes["street"]),
+        "body_field": forgets(
+            "body_field", BODY_FIELD, seconds / lengths.body_field, sizes["body_field"]
+        ),
+        "speed_change": forgets("speed_change", VELOCITY, 0.5 * seconds * change**2, model.speed),
+    }
+
+
+def way_between(model: Model, point: Point) -> FloatArray:
+    """Return the metres that the magnetometer goes between nodes, shape (n - 1,).
+
+    By the expected square of the velocity.
+    """
+    velocity, nodes, moving = point.state.local[:, VELOCITY], model.nodes, point.course.moving
+    mean = 0.5 * (velocity[1:] + velocity[:-1])
+    square = np.sum(mean**2, axis=1) + 0.5 * (point.doubt[1:] + point.doubt[:-1])
+    around = model.priors.lengths.beside * np.linalg.norm(nodes.link_rate, axis=1)
+    share = 0.5 * (moving[1:] + moving[:-1])
+    return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)
+
+
+def _scales(model: Model, groups: dict[str, float]) -> FloatArray:
+    """Return the sigmas of the shared unknowns' priors, shape (SHARED,)."""
+    scale = model.priors.scale.copy()
+    for name, at in AT.items():
+        scale[at] *= groups[name]
+    return scale
+
+
+def prior_at(model: Model, point: Point) -> Prior:
+    """Return the priors at a point."""
+    state, sizes, places = point.state, point.sizes, point.places
+    local = np.full_like(state.local, LEAST_VARIANCE)
+    local[0, VELOCITY] = model.speed**-2.0
+    local[0, STREET] = sizes["street"] ** -2.0
+    local[0, BODY_FIELD] = sizes["body_field"] ** -2.0
+    local[point.course.still, VELOCITY] = model.priors.lengths.creep**-2.0
+    count = SHARED + 3 * len(places)
+    information = np.zeros((count, count))
+    free = model.free
+    information[free, free] = _scales(model, point.groups)[free] ** -2.0
+    information[EARTH, EARTH] = np.linalg.inv(model.priors.earth)
+    information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
+    offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
+    counted = counted_unknowns(model, places)
+    return Prior(local, -state.local, information[np.ix_(counted, counted)], offset[counted])
+
+
+def counted_unknowns(model: Model, places: Places) -> IntArray:
+    """Return which shared unknowns are solved for: the free ones, then those of the centres."""
+    return np.concatenate([model.free, np.arange(SHARED, SHARED + 3 * len(places))])
+
+
+def solve_at(model: Model, point: Point) -> tuple[dict[str, Weighted], Solution]:
+    """Return the residuals at a point and the step from there.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    weighted = weigh(model, point)
+    counted = counted_unknowns(model, point.places)
+    return weighted, solve(list(weighted.values()), prior_at(model, point), counted)
+
+
+def evidence(
+    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
+) -> float:
+    """Return minus twice the logarithm of the evidence by Laplace's approximation.
+
+    But for a constant of the window; the sizes are at their most likely values.
+    """
+    state, sizes, places = point.state, point.sizes, point.places
+    cost = sum(part.cost for part in weighted.values()) + solution.log_determinant
+    levels = (
+        (VELOCITY, model.speed),
+        (STREET, sizes["street"]),
+        (BODY_FIELD, sizes["body_field"]),
+    )
+    for which, level in levels:
+        first = state.local[0, which]
+        cost += float(first @ first) / level**2 + 2.0 * len(first) * math.log(level)
+    creep = state.local[point.course.still, VELOCITY] / model.priors.lengths.creep
+    cost += float(np.sum(creep**2))
+    centres = state.centres / sizes["street"]
+    cost += float(np.sum(places.information * (centres @ centres.T)))
+    cost += 3.0 * (places.log_determinant + 2.0 * len(places) * math.log(sizes["street"]))
+    for name, belief in model.priors.sizes.items():
+        cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
+    return cost + _cost_of_shared(model, point)
+
+
+def _cost_of_shared(model: Model, point: Point) -> float:
+    """Return minus twice the logarithm of the shared unknowns' prior."""
+    off, scales, cost = point.state.shared - model.priors.mean, _scales(model, point.groups), 0.0
+    for name, at in AT.items():
+        if name == "earth":
+            cost += float(off[at] @ np.linalg.solve(model.priors.earth, off[at]))
+            continue
+        seen = scales[at] > 0.0
+        scale, spread = scales[at][seen], model.priors.spread[name]
+        cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
+        if spread > 0.0:
+            cost += (math.log(point.groups[name]) / spread) ** 2
+    return cost

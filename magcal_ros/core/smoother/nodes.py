@@ -1,0 +1,236 @@
+"""From samples to nodes: means of the samples, with the rotation that the gyro measured between."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
+from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.unknowns import MICROTESLA
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """How samples are averaged to nodes.
+
+    Parameters
+    ----------
+    longest : float
+        Seconds of a node.
+    most_turn : float
+        Radians that a robot turns during a node.
+    most : int
+        Nodes; beyond, all become longer.
+    """
+
+    longest: float = 0.6
+    most_turn: float = math.radians(6.0)
+    most: int = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Means of samples, and the links between the middles of neighbouring nodes.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds of the middles.
+    field : ndarray, shape (n, 3)
+        Mean raw field in nominal body axes, microtesla.
+    inside : ndarray, shape (n, 3, 3)
+        Mean rotation from the body axes in the middle to those of the samples.
+    rate : ndarray, shape (n, 3)
+        Mean turn rate by the gyro, rad/s.
+    count : ndarray, shape (n,)
+        Samples in each mean.
+    quiet : ndarray of bool, shape (n,)
+        Whether force and rate shake as little as they do at rest.
+    seconds : ndarray, shape (n - 1,)
+        Between the middles of neighbours.
+    turned : ndarray, shape (n - 1, 3, 3)
+        Rotation from the body axes of a node to those of the next, by the gyro.
+    angle : ndarray, shape (n - 1, 3)
+        The integral of the turn rate there, radians.
+    force : ndarray, shape (n - 1, 3)
+        Mean specific force between the middles, m/s².
+    along : ndarray, shape (n - 1, 3, 3)
+        Mean rotation from the body axes of the first node to those of the force's samples.
+    swing : ndarray, shape (n - 1, 3)
+        Change of the turn rate, rad/s².
+    samples : ndarray, shape (n - 1,)
+        Of force in each mean; zero where there is none.
+    """
+
+    time: FloatArray
+    field: FloatArray
+    inside: FloatArray
+    rate: FloatArray
+    count: FloatArray
+    quiet: BoolArray
+    seconds: FloatArray
+    turned: FloatArray
+    angle: FloatArray
+    force: FloatArray
+    along: FloatArray
+    swing: FloatArray
+    samples: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def link_rate(self) -> FloatArray:
+        """Mean turn rate between neighbours, rad/s, shape (n - 1, 3)."""
+        return np.asarray(self.angle / self.seconds[:, None])
+
+
+def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) -> Nodes:
+    """Average a window that has a gyro.
+
+    Parameters
+    ----------
+    window : Window
+    to_body : ndarray, shape (3, 3)
+        From sensor axes to nominal body axes (`Mounting.to_body`).
+    spacing : Spacing
+    """
+    rate, time = window.angular_rate, window.time
+    assert rate is not None
+    field = window.field @ to_body.T * MICROTESLA
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
+    attitude = chained(exp_rotations(-steps)[None])[0]
+    first = _first_rows(time, np.linalg.norm(steps, axis=1), spacing)
+    last = np.append(first[1:], len(time))
+    middle = (first + last - 1) // 2
+    count = (last - first).astype(float)
+    from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
+    mean_rate = _means(rate, first, count)
+    shaking = _spread(window.specific_force, first, count)
+    rocking = _spread(rate, first, count)
+    links = _Links.of(window, attitude, middle)
+    nodes = Nodes(
+        time[middle],
+        _means(field, first, count),
+        _means(from_middle, first, count),
+        mean_rate,
+        count,
+        _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002),
+        np.diff(time[middle]),
+        attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
+        links.angle,
+        links.force,
+        links.along,
+        np.diff(mean_rate, axis=0) / np.diff(time[middle])[:, None],
+        np.diff(middle).astype(float),
+    )
+    for rest in window.rests:
+        beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
+        end = middle[0] if rest.beside <= time[len(time) // 2] else middle[-1]
+        to_rest = rest.turned @ attitude[beside] @ attitude[end].T
+        nodes = _with_rest(nodes, rest, to_rest, to_body)
+    return nodes
+
+
+def _first_rows(time: FloatArray, turned: FloatArray, spacing: Spacing) -> IntArray:
+    """Return the first row of each node."""
+    worth = np.maximum(np.diff(time) / spacing.longest, turned / spacing.most_turn)
+    clock = np.concatenate([[0.0], np.cumsum(worth)])
+    clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
+    return np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
+
+
+def _means(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
+    shape = (-1, *([1] * (values.ndim - 1)))
+    return np.asarray(np.add.reduceat(values, first, axis=0) / count.reshape(shape))
+
+
+def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
+    """Return the largest standard deviation of the three axes within each node."""
+    mean = _means(values, first, count)
+    square = _means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first, count)
+    return np.asarray(np.sqrt(square).max(axis=1))
+
+
+def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
+    return np.asarray(spread < 1.6 * np.quantile(spread, 0.1) + least)
+
+
+@dataclass(frozen=True, eq=False)
+class _Links:
+    """Means between the middles of neighbours, by the trapezoidal rule."""
+
+    angle: FloatArray
+    force: FloatArray
+    along: FloatArray
+
+    @classmethod
+    def of(cls, window: Window, attitude: FloatArray, middle: IntArray) -> _Links:
+        rate, seconds = window.angular_rate, np.diff(window.time[middle])
+        assert rate is not None
+        ends = np.diff(middle)
+        start = np.repeat(middle[:-1], ends)
+        rows = np.arange(middle[0], middle[-1])
+        step = np.diff(window.time)[rows]
+        back = np.swapaxes(attitude[start], 1, 2)
+        begin = middle[:-1] - middle[0]
+
+        def mean(left: FloatArray, right: FloatArray) -> FloatArray:
+            shape = (-1, *([1] * (left.ndim - 1)))
+            inside = 0.5 * (left + right) * step.reshape(shape)
+            return np.asarray(np.add.reduceat(inside, begin, axis=0) / seconds.reshape(shape))
+
+        force = window.specific_force
+        return cls(
+            mean(rate[rows], rate[rows + 1]) * seconds[:, None],
+            mean(force[rows], force[rows + 1]),
+            mean(attitude[rows] @ back, attitude[rows + 1] @ back),
+        )
+
+
+def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
+    """Add a rest before or after a window as two nodes, its beginning and its end.
+
+    `to_rest` is the rotation from the body axes of the nearest node to those at rest.
+    """
+    is_before = rest.beside <= nodes.time[len(nodes) // 2]
+    at = 0 if is_before else len(nodes)
+    side = 0 if is_before else len(nodes) - 1
+    gap = max(abs(nodes.time[side] - rest.beside), 0.1)
+    near = nodes.time[side] - gap if is_before else nodes.time[side] + gap
+    far = near - rest.seconds if is_before else near + rest.seconds
+    times = np.array([far, near] if is_before else [near, far])
+    per_second = nodes.count.sum() / max(np.ptp(nodes.time), 1e-3)
+    count = np.full(2, max(0.5 * rest.seconds * per_second, 1.0))
+    turned = to_rest.T if is_before else to_rest
+    order = slice(None) if is_before else slice(None, None, -1)
+    links = [(np.eye(3), rest.force, rest.seconds, count[0]), (turned, np.zeros(3), gap, 0.0)]
+    links = links[order]
+    lag = at if is_before else at - 1
+
+    def put(values: FloatArray, rows: FloatArray, where: int) -> FloatArray:
+        return np.insert(values, where, rows, axis=0)
+
+    field = np.tile(to_body @ rest.field * MICROTESLA, (2, 1))
+    seconds = np.array([link[2] for link in links])
+    angles = -rotation_vectors(np.array([link[0] for link in links]))
+    return Nodes(
+        put(nodes.time, times, at),
+        put(nodes.field, field, at),
+        put(nodes.inside, np.tile(np.eye(3), (2, 1, 1)), at),
+        put(nodes.rate, np.zeros((2, 3)), at),
+        put(nodes.count, count, at),
+        np.insert(nodes.quiet, at, np.array([True, True])),
+        put(nodes.seconds, seconds, lag),
+        put(nodes.turned, np.array([link[0] for link in links]), lag),
+        put(nodes.angle, angles, lag),
+        put(nodes.force, np.array([link[1] for link in links]), lag),
+        put(nodes.along, np.tile(np.eye(3), (2, 1, 1)), lag),
+        put(nodes.swing, np.zeros((2, 3)), lag),
+        put(nodes.samples, np.array([link[3] for link in links]), lag),
+    )

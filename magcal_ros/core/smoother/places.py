@@ -1,0 +1,125 @@
+"""The local disturbance as a field over places: what is passed again brings nothing new.
+
+The disturbance is a Gaussian process over the plane with covariance `s^2 exp(-distance / L)`. Its
+values at a few centres on the way are shared unknowns. What these leave open at a node is an
+Ornstein-Uhlenbeck process along the way (FITC: Snelson and Ghahramani, Sparse Gaussian processes
+using pseudo-inputs, 2006).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.smoother.rests import Course
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
+
+MOST = 32
+"""Centres at most."""
+CLOSEST = 5.0
+"""Metres between centres at least."""
+SMALL = 0.03
+"""Share of the disturbance's variance that is of small extent, as of a manhole cover."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Centres of the disturbance's field, and what they say at the nodes.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (n, k)
+        The expected disturbance at the nodes is `weights @ values at the centres`.
+    chosen : ndarray of int, shape (k,)
+        The nodes where the centres are.
+    rest : ndarray, shape (n,)
+        Standard deviation of what is left, over the disturbance's own.
+    information : ndarray, shape (k, k)
+        Inverse correlation of the centres.
+    log_determinant : float
+        Of the correlation.
+    length : float
+        Metres over which what is left is alike.
+    """
+
+    weights: FloatArray
+    chosen: IntArray
+    rest: FloatArray
+    information: FloatArray
+    log_determinant: float
+    length: float
+
+    @classmethod
+    def none(cls, count: int, length: float) -> Places:
+        """Return no centres."""
+        empty = np.zeros(0, dtype=int)
+        return cls(np.zeros((count, 0)), empty, np.ones(count), np.zeros((0, 0)), 0.0, length)
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    @classmethod
+    def along(cls, course: Course, state: State, length: float) -> Places:
+        """Choose centres along the reckoned way.
+
+        Parameters
+        ----------
+        course : Course
+        state : State
+            Its attitudes and velocities tell the way.
+        length : float
+            Metres over which the disturbance is alike.
+        """
+        way = reckoned(course, state)
+        chosen, apart = _spread_out(way, CLOSEST)
+        if len(chosen) < 2:
+            return cls.none(len(way), length)
+        centres = way[chosen]
+        among = np.exp(-_distances(centres, centres) / length) + 1e-6 * np.eye(len(centres))
+        to_nodes = np.exp(-_distances(way, centres) / length)
+        information = np.asarray(np.linalg.inv(among), dtype=np.float64)
+        weights = to_nodes @ information
+        explained = (1.0 - SMALL) * np.sum(weights * to_nodes, axis=1)
+        rest = np.sqrt(np.clip(1.0 - explained, SMALL, 1.0))
+        determinant = float(np.linalg.slogdet(among)[1])
+        return cls(weights, np.array(chosen), rest, information, determinant, min(apart, length))
+
+    def disturbance(self, state: State) -> FloatArray:
+        """Return the local disturbance at the nodes, µT, world axes, shape (n, 3)."""
+        by_centres = np.asarray(self.weights @ state.centres)
+        return by_centres + self.rest[:, None] * state.local[:, STREET]
+
+    def retold(self, state: State, disturbance: FloatArray) -> State:
+        """Return a state with the same disturbance by these centres."""
+        centres = disturbance[self.chosen]
+        local = state.local.copy()
+        local[:, STREET] = (disturbance - self.weights @ centres) / self.rest[:, None]
+        return replace(state, local=local, centres=centres)
+
+
+def reckoned(course: Course, state: State) -> FloatArray:
+    """Return the places of the nodes, east and north from the first, metres, shape (n, 2)."""
+    in_body = state.local[:, VELOCITY] @ course.axes[:, :2].T * course.moving[:, None]
+    velocity = np.einsum("nji,nj->ni", state.attitude, in_body)[:, :2]
+    steps = 0.5 * (velocity[1:] + velocity[:-1]) * course.nodes.seconds[:, None]
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def _distances(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(one[:, None] - other, axis=2))
+
+
+def _spread_out(way: FloatArray, closest: float) -> tuple[list[int], float]:
+    """Return rows as far from one another as can be, and the distance that is left to them.
+
+    At most `MOST` rows (farthest-point sampling).
+    """
+    chosen = [0]
+    distance = np.linalg.norm(way - way[0], axis=1)
+    while len(chosen) < MOST and distance.max() > closest:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(way - way[chosen[-1]], axis=1))
+    return chosen, max(float(distance.max()), closest)

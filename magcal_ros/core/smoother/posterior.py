@@ -1,0 +1,108 @@
+"""The twelve numbers of a fit, with their covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy, skew
+from magcal_ros.core.smoother.factors import (
+    ELEMENT_MATRICES,
+    X,
+    Y,
+    Z,
+    distortion,
+    installation,
+    soft_iron,
+)
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    EARTH,
+    MICROTESLA,
+    ROLL_PITCH,
+    SHARED,
+    SOFT_IRON,
+    YAW,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """A calibration with its covariance, SI units.
+
+    Parameters
+    ----------
+    correction : Correction
+    covariance : ndarray, shape (12, 12)
+    strength, inclination : float
+        Of the Earth's field after the fit: tesla, radians.
+    """
+
+    correction: Correction
+    covariance: FloatArray
+    strength: float
+    inclination: float
+
+    @property
+    def heading_sigma(self) -> float:
+        """Standard deviation of the heading on the level, radians."""
+        return rms_sigma(self.heading_jacobian, self.covariance)
+
+    @property
+    def heading_jacobian(self) -> FloatArray:
+        """Derivative of the heading on the level by the twelve numbers, shape (24, 12)."""
+        level, down = np.cos(self.inclination), np.sin(self.inclination)
+        field = self.strength * np.array([0.0, level, -down])
+        return heading_jacobian(self.correction, field, 0.0)
+
+    def apart(self, other: Posterior) -> float:
+        """Return the RMS difference of heading on the level, radians."""
+        return rms_apart(self.correction, other.correction, self.strength, self.inclination)
+
+
+def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
+    """Return the calibration of a fit.
+
+    Parameters
+    ----------
+    fit : Fit
+    to_sensor : ndarray, shape (3, 3)
+        From nominal body axes to sensor axes (`Mounting.matrix`).
+    """
+    shared = fit.state.shared
+    correction = correction_of(shared, to_sensor)
+    jacobian = _by_shared(shared, correction, to_sensor)
+    covariance = jacobian @ fit.covariance @ jacobian.T
+    level, down = shared[EARTH] / MICROTESLA
+    return Posterior(
+        correction,
+        0.5 * (covariance + covariance.T),
+        float(np.hypot(level, down)),
+        float(np.arctan2(down, level)),
+    )
+
+
+def correction_of(shared: FloatArray, to_sensor: FloatArray) -> Correction:
+    """Return the correction of the shared unknowns, SI units."""
+    matrix = np.asarray(np.linalg.inv(to_sensor @ distortion(shared)))
+    return Correction(matrix, to_sensor @ shared[AT["iron"]] / MICROTESLA)
+
+
+def _by_shared(shared: FloatArray, correction: Correction, to_sensor: FloatArray) -> FloatArray:
+    """Return the derivative of the twelve numbers by the shared unknowns, (12, SHARED)."""
+    out = np.zeros((12, SHARED))
+    out[9:, AT["iron"]] = to_sensor / MICROTESLA
+    turn, bend = installation(shared), soft_iron(shared)
+    changes = {SOFT_IRON.start + k: ELEMENT_MATRICES[k] @ turn for k in range(6)}
+    roll = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
+    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y, YAW: turn @ Z}
+    for k, axis in axes.items():
+        changes[k] = -bend @ skew(axis) @ turn
+    for k, change in changes.items():
+        out[:9, k] = -(correction.matrix @ to_sensor @ change @ correction.matrix).ravel()
+    return out

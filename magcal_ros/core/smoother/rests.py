@@ -1,0 +1,53 @@
+"""When a robot moves and when it rests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.unknowns import Lengths
+
+
+def level_axes(up: FloatArray) -> FloatArray:
+    """Return level axes as columns, shape (..., 3, 3): x lies under body x; z is up, (..., 3)."""
+    left = unit(np.cross(up, np.array([1.0, 0.0, 0.0])))
+    return np.stack([np.cross(left, unit(up)), left, unit(up)], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What does not change while the smoother iterates.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    axes : ndarray, shape (3, 3)
+        The body's level axes: ahead, left and up in body axes, as columns.
+    moving : ndarray, shape (n,)
+        One where the robot moves, else zero.
+    still : ndarray of bool, shape (n,)
+        Whether the robot rests there.
+    span : ndarray, shape (n,)
+        Time over the window's length, its middle at zero.
+    """
+
+    nodes: Nodes
+    axes: FloatArray
+    moving: FloatArray
+    still: BoolArray
+    span: FloatArray
+
+    @classmethod
+    def of(cls, nodes: Nodes, axes: FloatArray, bias: FloatArray, lengths: Lengths) -> Course:
+        """Find where a robot rests, given its level axes and the gyro's bias."""
+        speed = np.linalg.norm(nodes.rate - bias, axis=1)
+        slow = speed < lengths.moving + 0.1 * np.quantile(speed, 0.9)
+        quiet = nodes.quiet & slow
+        lonely = ~(np.append(quiet[1:], False) | np.insert(quiet[:-1], 0, False))
+        still = quiet & ~lonely
+        span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
+        return cls(nodes, axes, (~still).astype(float), still, span)

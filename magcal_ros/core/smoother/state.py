@@ -1,0 +1,46 @@
+"""A value of all unknowns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A value of all unknowns.
+
+    Parameters
+    ----------
+    attitude : ndarray, shape (n, 3, 3)
+        Magnetic ENU to body axes.
+    local : ndarray, shape (n, LOCAL)
+        The nodes' other unknowns; the attitude's columns are zero.
+    shared : ndarray, shape (SHARED,)
+    centres : ndarray, shape (k, 3)
+        Local disturbance at the centres of `Places`, µT, world axes.
+    """
+
+    attitude: FloatArray
+    local: FloatArray
+    shared: FloatArray
+    centres: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def moved(self, local: FloatArray, shared: FloatArray) -> State:
+        """Return the state after a step; `shared` holds the steps of the centres at its end."""
+        turned = exp_rotations(local[:, ATTITUDE]) @ self.attitude
+        values = self.local + local
+        values[:, ATTITUDE] = 0.0
+        centres = self.centres + shared[SHARED:].reshape(-1, 3)
+        return State(turned, values, self.shared + shared[:SHARED], centres)
+
+    @property
+    def earth(self) -> FloatArray:
+        """The Earth's field in magnetic ENU, µT."""
+        level, down = self.shared[EARTH]
+        return np.array([0.0, level, -down])

@@ -1,0 +1,272 @@
+"""The unknowns of the smoother, their order, and their priors: the one table of numbers.
+
+Units inside the smoother: microtesla, radians, seconds, metres.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Knowledge
+
+MICROTESLA = 1e6
+"""Microtesla in a tesla."""
+
+ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
+"""Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
+local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT)."""
+LOCAL = 11
+
+
+class Unknown(NamedTuple):
+    """One group of shared unknowns with its prior.
+
+    The prior is Gaussian about zero. Its sigma is uncertain itself: the whole group is larger or
+    smaller by one factor with a truncated log-normal prior, which is estimated with the unknowns.
+    An effect that the samples do not show stays near zero, and one that they show is not held back.
+
+    Parameters
+    ----------
+    sigma : tuple of float
+        Median of the sigma of each number.
+    spread : float
+        Standard deviation of the natural logarithm of the factor; zero for a fixed sigma.
+    most : float
+        Largest factor.
+    unit, meaning, source : str
+    """
+
+    sigma: tuple[float, ...]
+    spread: float
+    most: float
+    unit: str
+    meaning: str
+    source: str
+
+
+class Size(NamedTuple):
+    """The standard deviation of one kind of noise: estimated, with a log-normal prior.
+
+    Parameters
+    ----------
+    usual : float
+        Median.
+    spread : float
+        Standard deviation of its natural logarithm.
+    freedom : float
+        Degrees of freedom of the Student distribution of the noise itself.
+    unit, meaning, source : str
+    """
+
+    usual: float
+    spread: float
+    freedom: float
+    unit: str
+    meaning: str
+    source: str
+
+
+UNKNOWNS: dict[str, Unknown] = {
+    "iron": Unknown((100.0,) * 3, 0.0, 1.0, "µT", "hard iron about its start", "wider than any"),
+    "installation": Unknown(
+        (0.07, 0.07), 0.5, 3.0, "rad", "roll and pitch", "boards are level by hand"
+    ),
+    "axes": Unknown(
+        (0.003,) * 3 + (0.002,) * 3 + (0.002,),
+        1.2,
+        20.0,
+        "-",
+        "soft iron (xx, yy, zz, xy, xz, yz) and the yaw that crooked axes turn",
+        "data sheets of MEMS magnetometers: axes .3 to 1.2% out of square",
+    ),
+    "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
+    "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
+    "gyro_matrix": Unknown(
+        (0.008,) * 7,
+        0.5,
+        3.0,
+        "-",
+        "gyro scale and misalignment: xx, xy, yx, yy, zx, zy, zz",
+        "MEMS: .2 to 2%",
+    ),
+    "gyro_lean": Unknown(
+        (0.005,) * 2,
+        0.7,
+        10.0,
+        "-",
+        "gyro misalignment xz, yz: lean of its z axis from the accelerometer's up",
+        "accelerometer offsets of .02 to .5 m/s² count as well",
+    ),
+    "lever_arm": Unknown(
+        (0.08,) * 3, 0.5, 4.0, "m", "accelerometer from the pivot", "small robots"
+    ),
+    "latency": Unknown(
+        (0.005,), 1.0, 20.0, "s", "by how much the field is late", "drivers: 0 to 20 ms"
+    ),
+    "motors_moving": Unknown(
+        (0.05,) * 3, 2.0, 600.0, "µT", "field while the robot moves", "most: none"
+    ),
+    "motors_rate": Unknown((0.05,) * 3, 2.0, 2000.0, "µT s", "field per turn rate", "most: none"),
+    "drift": Unknown(
+        (0.15,) * 3, 0.7, 30.0, "µT", "drift of hard iron over the window", ".2 to 1 µT"
+    ),
+    "upward_offset": Unknown((0.1,), 0.7, 10.0, "m/s²", "accelerometer offset along z", "MEMS: .1"),
+}
+
+SIZES: dict[str, Size] = {
+    "field": Size(0.3, 1.5, 6.0, "µT", "noise of a node's field", "MEMS: .1 to 1 µT a sample"),
+    "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's force", "vibration: .01 to .5"),
+    "gyro": Size(0.001, 0.6, 6.0, "rad/√s", "angle random walk", "MEMS: .0002 to .003"),
+    "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
+    "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body", "currents: .05 to .5"),
+    "speed_change": Size(0.05, 1.2, 4.0, "m/s/√s", "change of velocity", "cars .5, on the spot 0"),
+}
+
+
+class KindOfMotion(NamedTuple):
+    """A kind of motion: the usual velocity (m/s per axis) and lever arm (m)."""
+
+    speed: float
+    lever_arm: float
+
+
+ON_THE_SPOT = "on the spot"
+KINDS: dict[str, KindOfMotion] = {
+    ON_THE_SPOT: KindOfMotion(0.02, 0.08),
+    "small circle": KindOfMotion(0.6, 0.15),
+    "drive": KindOfMotion(6.0, 1.0),
+}
+"""The kinds of motion that are tried; they differ in nothing else."""
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How far and how long what is correlated stays so.
+
+    Parameters
+    ----------
+    street : float
+        Metres over which the local disturbance is alike (e to the minus one).
+    body_field : float
+        Seconds over which the body's coloured noise is alike.
+    beside : float
+        Metres of the magnetometer from the pivot: the way it goes while the robot turns.
+    creep : float
+        m/s that a robot at rest may still move.
+    moving : float
+        rad/s of turn rate from which a robot on the spot counts as moving.
+    """
+
+    street: float = 30.0
+    body_field: float = 4.0
+    beside: float = 0.15
+    creep: float = 0.01
+    moving: float = 0.03
+
+
+def _slices() -> tuple[dict[str, slice], int]:
+    found, at = {}, 0
+    for name, unknown in UNKNOWNS.items():
+        found[name] = slice(at, at + len(unknown.sigma))
+        at += len(unknown.sigma)
+    return found, at
+
+
+AT, SHARED = _slices()
+"""Where each group of shared unknowns stands, and how many numbers there are."""
+ROLL_PITCH, SOFT_IRON, YAW = (
+    AT["installation"],
+    slice(AT["axes"].start, AT["axes"].stop - 1),
+    AT["axes"].stop - 1,
+)
+EARTH = AT["earth"]
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """What is believed of the unknowns before the samples.
+
+    Parameters
+    ----------
+    mean : ndarray, shape (SHARED,)
+    scale : ndarray, shape (SHARED,)
+        Sigma of each number; zero for one that is known.
+    earth : ndarray, shape (2, 2)
+        Covariance of level and downward field, µT².
+    spread : mapping of str to float
+        Of the groups' factors (`Unknown`).
+    sizes : mapping of str to Size
+    lengths : Lengths
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    earth: FloatArray
+    spread: Mapping[str, float] = field(
+        default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
+    )
+    sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
+    lengths: Lengths = Lengths()
+
+    def about(self, iron: FloatArray, level: float) -> Priors:
+        """Return the priors about a start: hard iron, and the level field where it is unknown."""
+        mean = self.mean.copy()
+        mean[AT["iron"]] = iron
+        if self.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
+            mean[EARTH.start] = level
+        return replace(self, mean=mean)
+
+
+def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
+    """Return the priors that go with what is known of a robot and its place.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    bias_sigma : float
+        rad/s per axis of the gyro's bias, where a rest has shown it; else infinite.
+    """
+    mean = np.zeros(SHARED)
+    scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])
+    spread = {name: each.spread for name, each in UNKNOWNS.items()}
+    if math.isfinite(bias_sigma):
+        scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
+        spread["gyro_bias"] = 0.0
+    mean[EARTH], earth = _earth(knowledge)
+    if knowledge.systematics.are_none:
+        for name in (
+            "gyro_matrix",
+            "gyro_lean",
+            "lever_arm",
+            "latency",
+            "motors_moving",
+            "motors_rate",
+        ):
+            scale[AT[name]] = 0.0
+        for name in ("drift", "upward_offset"):
+            scale[AT[name]] = 0.0
+        scale[YAW] = 0.0
+    if knowledge.soft_iron.sigma_diagonal == 0.0:
+        scale[AT["axes"]] = 0.0
+    return Priors(mean, scale, earth, spread)
+
+
+def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:
+    """Return the expected level and downward field, µT, and their covariance."""
+    wide = np.square(UNKNOWNS["earth"].sigma)
+    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
+    if strength.is_unknown and dip.is_unknown:
+        return np.array([25.0, 20.0]), np.diag(wide)
+    size = 45.0 if strength.is_unknown else strength.value * MICROTESLA
+    angle = math.radians(55.0) if dip.is_unknown else dip.value
+    size_sigma = 20.0 if strength.is_unknown else max(strength.sigma * MICROTESLA, 1e-3)
+    angle_sigma = 0.7 if dip.is_unknown else max(dip.sigma, 1e-5)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    spread = np.diag([size_sigma**2, (size * angle_sigma) ** 2])
+    return size * turn[:, 0], turn @ spread @ turn.T

@@ -1,0 +1,102 @@
+"""Every derivative against a difference quotient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.nodes import nodes_of
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.rests import Course
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import LOCAL, SHARED, STREET, Lengths, priors_of
+
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def course() -> Course:
+    window = measure(Robot(), turn(samples=60, duration=6.0), np.random.default_rng(3), gyro=True)
+    axes = np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    return Course.of(nodes_of(window, np.eye(3)), axes, np.zeros(3), Lengths())
+
+
+@pytest.fixture(scope="module")
+def state(course: Course) -> State:
+    """Return a state near the gyro's path, so that what is left of the rotations is small."""
+    rng = np.random.default_rng(5)
+    nodes = course.nodes
+    attitude = [np.eye(3)]
+    for turned in nodes.turned:
+        attitude.append(turned @ attitude[-1])
+    local = 0.3 * rng.standard_normal((len(nodes), LOCAL))
+    local[:, :3] = 0.0
+    shared = priors_of(Robot().knowledge()).mean + 1e-3 * rng.standard_normal(SHARED)
+    return State(np.array(attitude), local, shared, rng.standard_normal((4, 3)))
+
+
+def places(count: int) -> Places:
+    weights = np.random.default_rng(6).uniform(0.0, 0.5, (count, 4))
+    return Places(weights, np.arange(4), np.linspace(0.2, 1.0, count), np.eye(4), 0.0, 30.0)
+
+
+def magnetic(course: Course, state: State) -> Linear:
+    return factors.magnetic(course, state, places(len(course.nodes)))
+
+
+def process(_: Course, state: State) -> Linear:
+    return factors.process(state, STREET, np.full(len(state.local) - 1, 0.7))
+
+
+FACTORS = (magnetic, factors.force, factors.gyro, process)
+
+
+def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
+    """Return the derivative of a prediction along a step."""
+    high, low = (
+        factor(course, state.moved(sign * STEP * local, sign * STEP * shared)).residual
+        for sign in (1.0, -1.0)
+    )
+    return (low - high) / (2.0 * STEP)
+
+
+@pytest.mark.parametrize("factor", FACTORS, ids=lambda f: f.__name__)
+def test_derivatives_by_the_nodes_unknowns(
+    course: Course, state: State, factor: Callable[[Course, State], Linear]
+) -> None:
+    linear = factor(course, state)
+    scale = max(np.abs(linear.here).max(), 1.0)
+    count, none = len(linear.residual), np.zeros(SHARED + 12)
+    for unknown in range(LOCAL):
+        for parity in (0, 1):
+            local = np.zeros((len(state.local), LOCAL))
+            local[parity::2, unknown] = 1.0
+            expected = np.zeros_like(linear.residual)
+            expected[parity::2] = linear.here[parity::2, :, unknown]
+            if linear.there is not None:
+                rows = np.arange(1 - parity, count, 2)
+                expected[rows] += linear.there[rows, :, unknown]
+            found = change(factor, course, state, local, none)
+            np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
+
+
+@pytest.mark.parametrize("factor", FACTORS[:3], ids=lambda f: f.__name__)
+def test_derivatives_by_the_shared_unknowns(
+    course: Course, state: State, factor: Callable[[Course, State], Linear]
+) -> None:
+    linear = factor(course, state)
+    assert linear.shared is not None
+    scale = max(np.abs(linear.shared).max(), 1.0)
+    local = np.zeros((len(state.local), LOCAL))
+    for unknown in range(SHARED + 12):
+        shared = np.zeros(SHARED + 12)
+        shared[unknown] = 1.0
+        found = change(factor, course, state, local, shared)
+        has = unknown < linear.shared.shape[2]
+        expected = linear.shared[:, :, unknown] if has else np.zeros_like(found)
+        np.testing.assert_allclose(found, expected, atol=1e-3 * scale)

@@ -1,0 +1,129 @@
+"""What the smoother recovers, and how certain it says it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uneven_turns import ROBOT, collected, driven, evenly
+
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.methods.smoother_one import fit
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Robot,
+    heading_errors,
+    measure,
+    turn,
+)
+from magcal_ros.core.smoother.kinds_of_motion import smooth
+from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
+
+
+def known(robot: Robot):
+    """Return what is known of a robot whose sensors have the usual errors."""
+    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+
+
+def error_of(estimate, robot: Robot) -> float:
+    gap = heading_errors(estimate.correction, robot)[:, LEVEL_TILT]
+    return math.sqrt(float(np.mean(gap**2)))
+
+
+def with_motors(window: Window, motion, size: float, *, by_rate: bool) -> Window:
+    """Return a window with a field of the motors (tesla), in step with motion or by the rate."""
+    rate = motion.angular_rate[:, 2]
+    shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)
+    return replace(window, field=window.field + size * np.outer(shape, [0.6, -0.8, 0.0]))
+
+
+def test_a_clean_turn_is_recovered():
+    robot = Robot(noise_field=0.3e-6)
+    estimate = fit(measure(robot, turn(), np.random.default_rng(1), gyro=True), known(robot))
+    assert error_of(estimate, robot) < 0.15 * DEGREE
+    assert predicted_heading_sigma(estimate, 0.0) < 0.4 * DEGREE
+    assert estimate.arc > 0.95 * math.tau
+    assert estimate.message == "converged"
+    assert estimate.figures[Figure.GYRO_COMPASS_SWING] < 0.5 * DEGREE
+
+
+@pytest.mark.parametrize("by_rate", [False, True])
+@pytest.mark.parametrize("size", [3e-6, 20e-6])
+def test_rests_tell_the_motors_field_from_hard_iron(size, by_rate):
+    motion, window = driven(evenly, ROBOT, 3.0)
+    estimate = fit(collected(with_motors(window, motion, size, by_rate=by_rate)), known(ROBOT))
+    error = error_of(estimate, ROBOT)
+    assert error < 0.5 * DEGREE
+    assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
+    assert estimate.figures[Figure.ON_THE_SPOT] > 0.9
+    assert estimate.figures[Figure.MOTOR_FIELD] == pytest.approx(size, rel=0.1)
+
+
+def test_a_smooth_circle_leaves_a_doubt_that_sigma_holds():
+    """A bias of the gyro across up looks the same where nothing rests."""
+    robot = replace(ROBOT, inclination=68.0 * DEGREE)
+    motion, window = driven(lambda time: 1.0 + 0.0 * time, robot, 0.0)
+    rate = motion.angular_rate[:, 2]
+    force = window.specific_force + np.outer(4.0 * rate**2, [0.8, 0.6, 0.0])
+    found = smooth(replace(window, specific_force=force), known(robot))
+    gap = heading_errors(found.posterior.correction, robot)[:, LEVEL_TILT]
+    assert found.weights["small circle"] > 0.1
+    assert found.posterior.heading_sigma > 1.0 * DEGREE
+    assert math.sqrt(float(np.mean(gap**2))) < 3.0 * found.posterior.heading_sigma
+
+
+def test_a_bent_field_shows_in_the_swing_of_compass_against_gyro():
+    motion, window = driven(evenly, ROBOT, 3.0)
+    yaw = np.arctan2(motion.attitude[:, 0, 1], motion.attitude[:, 0, 0])
+    bent = 3e-6 * np.column_stack([np.cos(yaw), np.sin(2.0 * yaw), np.zeros(len(yaw))])
+    field = window.field + np.einsum("nij,nj->ni", motion.attitude, bent)
+    estimate = fit(collected(replace(window, field=field)), known(ROBOT))
+    assert estimate.figures[Figure.GYRO_COMPASS_SWING] > 1.0 * DEGREE
+
+
+def test_soft_iron_is_found():
+    iron = np.diag([0.04, -0.04, 0.0])
+    robot = Robot(soft_iron=iron, noise_field=0.3e-6)
+    estimate = fit(measure(robot, turn(), np.random.default_rng(1), gyro=True), known(robot))
+    error = error_of(estimate, robot)
+    assert error < 0.3 * DEGREE
+    assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
+
+
+def test_effects_that_are_not_there_stay_near_zero():
+    robot = Robot(noise_field=0.3e-6)
+    window = measure(robot, turn(), np.random.default_rng(2), gyro=True)
+    shared = smooth(window, known(robot)).fit.state.shared
+    for name in ("axes", "motors_moving", "motors_rate", "drift", "latency"):
+        usual = np.array(UNKNOWNS[name].sigma)
+        assert (np.abs(shared[AT[name]]) < 1.5 * usual).all(), name
+
+
+def test_a_window_without_a_gyro_is_refused_in_words():
+    robot = Robot()
+    window = measure(robot, turn(), np.random.default_rng(1))
+    with pytest.raises(Refusal, match="needs a gyro"):
+        fit(window, known(robot))
+
+
+@pytest.mark.nightly
+def test_squared_errors_are_as_large_as_their_variance():
+    ratios = []
+    for seed in range(24):
+        rng = np.random.default_rng([11, seed])
+        robot = Robot(
+            noise_field=0.3e-6,
+            hard_iron=rng.normal(0.0, 20e-6, 3),
+            gyro_bias=rng.normal(0.0, 0.002, 3),
+            soft_iron=np.diag(rng.normal(0.0, 0.005, 3)),
+        )
+        estimate = fit(measure(robot, turn(), rng, gyro=True), known(robot))
+        ratios.append((error_of(estimate, robot) / predicted_heading_sigma(estimate, 0.0)) ** 2)
+    assert np.mean(ratios) < 1.5
