@@ -1,0 +1,249 @@
+"""What all logs share: limits, axes, and the choice among several sensors."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from magcal_ros.core.driving.local_plane import LocalPlane
+from magcal_ros.core.earth_field.position import Fix, place_of
+from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.travel_samples import TravelSample, VelocitySample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import damage_in_words, open_regular
+from magcal_ros.files.recording import Recording
+
+GIGABYTE = 1 << 30
+LARGEST_LOG = GIGABYTE
+"""Bytes: half a day of an autopilot's usual log. Its samples, and the libraries' index of all its
+messages, are held in memory."""
+
+LONGEST_READING = 600.0
+"""Seconds. The libraries step through damaged bytes one by one, which may take days."""
+
+FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
+"""Forward, right, down to forward, left, up; and the other way."""
+
+GRAVITY = 9.80665
+
+Told = Callable[[float], None]
+"""Is given the share of a log that has been read, 0 to 1."""
+
+
+class Deadline:
+    """Ends a reading that takes too long.
+
+    Parameters
+    ----------
+    path : Path
+        For words.
+    seconds : float
+        How long it may take.
+    """
+
+    def __init__(self, path: Path, seconds: float | None = None) -> None:
+        self._path = path
+        self._allowed = LONGEST_READING if seconds is None else seconds
+        self._end = time.monotonic() + self._allowed
+
+    def check(self) -> None:
+        """Raise FileTrouble if the time is over."""
+        if time.monotonic() > self._end:
+            raise FileTrouble(
+                f"reading {plain(str(self._path))} takes longer than {self._allowed:g} s: it is "
+                "damaged or too long. Cut it with the autopilot's own tools, or record again"
+            )
+
+
+@dataclass
+class LogTables:
+    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes.
+
+    Attributes
+    ----------
+    imus, fields : dict of int to array
+        As in `Recording`, by the number of the sensor.
+    frames : dict of int to str
+        What a calibration remembers of each magnetometer, for `export`.
+    fixes : list of Fix
+    velocities : list of VelocitySample
+    yaw : array, shape (n, 2)
+        Stamp and the autopilot's own yaw, ENU, true north.
+    notes : list of str
+        What is to be said of the log.
+    """
+
+    imus: dict[int, FloatArray] = field(default_factory=dict)
+    fields: dict[int, FloatArray] = field(default_factory=dict)
+    frames: dict[int, str] = field(default_factory=dict)
+    fixes: list[Fix] = field(default_factory=list)
+    velocities: list[VelocitySample] = field(default_factory=list)
+    yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Names:
+    """What a kind of log calls its sensors, and what to do where one is missing."""
+
+    imu: str
+    field: str
+    no_imu: str
+    no_field: str
+
+
+def recording_of(
+    path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
+) -> Recording:
+    """Choose the sensors and return what they recorded.
+
+    Parameters
+    ----------
+    path : Path
+        For words.
+    tables : LogTables
+    names : Names
+    imu, mag : str
+        The sensors the user chose, as "MAG[1]" or "1"; empty for the first that lives.
+
+    Raises
+    ------
+    FileTrouble
+        If there is no such sensor, or none that lives.
+    """
+    notes = list(tables.notes)
+    one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
+    other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
+    travel, place = _travel(tables)
+    return Recording(
+        _in_order(tables.imus[one]),
+        _in_order(tables.fields[other]),
+        travel=travel,
+        place=place,
+        imu_topic=f"{names.imu}[{one}]",
+        field_topic=f"{names.field}[{other}]",
+        field_frame=tables.frames.get(other, ""),
+        yaw=_in_order(tables.yaw),
+        notes=tuple(notes),
+    )
+
+
+def _chosen(
+    path: Path,
+    sensors: Mapping[int, FloatArray],
+    name: str,
+    wanted: str,
+    option: str,
+    remedy: str,
+    notes: list[str],
+) -> int:
+    """Return the number of the sensor to take."""
+    numbers = sorted(sensors)
+    every = ", ".join(f"{name}[{k}]" for k in numbers)
+    if wanted:
+        found = [k for k in numbers if wanted in (f"{name}[{k}]", str(k))]
+        if not found:
+            raise FileTrouble(
+                f"{plain(str(path))} has no {plain(wanted)}; it has: {every or 'none'}. "
+                f"Choose with {option}"
+            )
+        numbers = found
+    if not numbers:
+        raise FileTrouble(f"{plain(str(path))} has no {name} data: {remedy}")
+    alive = [k for k in numbers if is_alive(sensors[k][:, 1:4])]
+    if not alive:
+        what = "magnetometer" if option == "--mag" else "accelerometer"
+        count = len(sensors[numbers[0]])
+        raise FileTrouble(
+            f"{plain(str(path))} has no living {what}: {name}[{numbers[0]}] holds one value, or "
+            f"none, in all its {count} samples. {remedy[:1].upper()}{remedy[1:]}"
+        )
+    if len(numbers) > 1:
+        dead = [f"{name}[{k}]" for k in numbers if k not in alive]
+        told = f" ({', '.join(dead)} never changes)" if dead else ""
+        notes.append(
+            f"the log has {every}{told}: {name}[{alive[0]}] is taken, choose another with {option}"
+        )
+    return alive[0]
+
+
+def is_alive(vectors: FloatArray) -> bool:
+    """Whether a sensor measures anything: one that hangs, or is not there, repeats one value."""
+    finite = vectors[np.isfinite(vectors).all(axis=1)]
+    return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
+
+
+def _travel(tables: LogTables) -> tuple[tuple[TravelSample, ...], Place | None]:
+    """Return fixes and velocities by stamp, and the place of the first good fix."""
+    plane = LocalPlane()
+    found: list[TravelSample] = [*tables.velocities]
+    found += [each for each in map(plane.position, tables.fixes) if each is not None]
+    place = next((each for each in map(place_of, tables.fixes) if isinstance(each, Place)), None)
+    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
+
+
+def _in_order(table: FloatArray) -> FloatArray:
+    """Return the rows by stamp: loggers of several threads mix them up by milliseconds."""
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
+def velocity(stamp: float, speed: float, course: float, sigma: float) -> VelocitySample:
+    """Return a speed over ground (m/s) along a course (rad from north, clockwise)."""
+    return VelocitySample(stamp, speed * math.sin(course), speed * math.cos(course), sigma)
+
+
+def begun_with(path: Path, count: int) -> bytes:
+    """Return the first bytes of a log.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be read, or is larger than can be held.
+    """
+    try:
+        with open_regular(path) as handle:
+            size = handle.seek(0, io.SEEK_END)
+            handle.seek(0)
+            begun = handle.read(count)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise FileTrouble(f"cannot read {plain(str(path))}: {reason}") from error
+    if size > LARGEST_LOG:
+        raise FileTrouble(
+            f"{plain(str(path))} has {size / GIGABYTE:.1f} GiB, and logs up to "
+            f"{LARGEST_LOG / GIGABYTE:g} GiB are read: record the turn in a log of its own"
+        )
+    return begun
+
+
+@contextlib.contextmanager
+def quietly(path: Path, deadline: Deadline) -> Iterator[None]:
+    """Keep a library's own words from the terminal, and turn its errors into ours."""
+    heard = _Heard(deadline)
+    with (
+        damage_in_words(path, "no log of its kind", lambda: "Download it again"),
+        contextlib.redirect_stdout(heard),
+        contextlib.redirect_stderr(heard),
+    ):
+        yield
+
+
+class _Heard(io.TextIOBase):
+    """Swallows a library's words; each is also a chance to look at the clock."""
+
+    def __init__(self, deadline: Deadline) -> None:
+        super().__init__()
+        self._deadline = deadline
+
+    def write(self, text: str) -> int:
+        self._deadline.check()
+        return len(text)

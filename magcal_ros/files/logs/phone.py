@@ -1,0 +1,203 @@
+"""Folders that a phone's Sensor Logger or phyphox exports, unpacked.
+
+Sensor Logger writes a file a sensor: `time` (ns since 1970), `seconds_elapsed`, z, y, x; fields in
+microtesla. phyphox names the unit in its header: `"Time (s)","Magnetic field x (µT)"`. A phone's x
+points to the right of its screen, y to its upper edge and z out of the screen; here x is the upper
+edge, y the left one. How the phone lay in the vehicle is told with --imu-rpy-deg.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.logs.common import (
+    GRAVITY,
+    LogTables,
+    Names,
+    recording_of,
+    velocity,
+)
+from magcal_ros.files.plain import plain
+from magcal_ros.files.recording import Recording
+from magcal_ros.files.tables import read_header, read_numbers
+
+NANOSECOND = 1e9
+FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+LOGGER_AXES = ("x", "y", "z")
+METADATA = "Metadata.csv"
+NAMES = Names(
+    "phone IMU",
+    "phone magnetometer",
+    "record accelerometer (with gravity) and gyroscope",
+    "not every phone has one; record the magnetometer, best uncalibrated",
+)
+FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
+MICRO = re.compile(r"[µμu]T")
+UNIT = re.compile(r"\(([^()]*)\)\s*$")
+LEAST_GRAVITY = 0.5 * GRAVITY
+"""m/s². An accelerometer whose usual reading is less had gravity taken off."""
+
+
+def is_phone_folder(path: Path) -> bool:
+    """Whether a folder looks like a phone's: CSV files with headers of one of the two programs."""
+    return path.is_dir() and any(
+        _is_logger(header) or _is_phyphox(header) for header in _headers(path).values()
+    )
+
+
+def read_phone(path: Path) -> Recording:
+    """Read a folder of Sensor Logger or phyphox.
+
+    Raises
+    ------
+    FileTrouble
+        If a sensor is missing, or gravity was taken off; the text says what to record.
+    """
+    headers = _headers(path)
+    logger = any(map(_is_logger, headers.values()))
+    notes: list[str] = []
+    read = _logger_sensors if logger else _phyphox_sensors
+    force, rate, field = read(path, headers, notes)
+    if force is None or rate is None or field is None:
+        missing = [
+            name
+            for name, table in (("accelerometer", force), ("gyroscope", rate), ("field", field))
+            if table is None
+        ]
+        raise FileTrouble(
+            f"{plain(str(path))} has no {' and no '.join(missing)}. Record accelerometer (with "
+            "gravity), gyroscope and magnetometer with the phone, and unpack what it exports"
+        )
+    size = float(np.median(np.linalg.norm(force[:, 1:], axis=1)))
+    if size < LEAST_GRAVITY:
+        raise FileTrouble(
+            f"{plain(str(path))} has acceleration without gravity ({size:.1f} m/s²): record the "
+            "accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
+            "Acceleration, or Gravity beside the accelerometer)"
+        )
+    tables = LogTables(notes=notes)
+    turns = interpolated(force[:, 0], rate[:, 0], rate[:, 1:4])
+    turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
+    imu = [force[:, 0], force[:, 1:] @ FLU_FROM_PHONE.T, turns @ FLU_FROM_PHONE.T]
+    tables.imus[0] = np.column_stack(imu)
+    tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
+    _add_fixes(path, headers, tables)
+    recording = recording_of(path, tables, NAMES)
+    return replace(recording, imu_topic=NAMES.imu, field_topic=NAMES.field)
+
+
+def _headers(path: Path) -> dict[str, list[str]]:
+    """Return the header of each CSV file, by its name."""
+    found = {}
+    for file in sorted(path.glob("*.csv")):
+        # Whatever else lies there is nobody's trouble here.
+        with contextlib.suppress(FileTrouble):
+            found[file.name] = read_header(file)
+    return found
+
+
+def _is_logger(header: list[str]) -> bool:
+    return {"time", "seconds_elapsed", *LOGGER_AXES} <= set(header)
+
+
+def _is_phyphox(header: list[str]) -> bool:
+    return header[0] == "Time (s)" and len(header) > 3
+
+
+Sensors = tuple[FloatArray | None, FloatArray | None, FloatArray | None]
+"""Stamps and the phone's x, y, z of acceleration with gravity, rate, and field in microtesla."""
+
+
+def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str]) -> Sensors:
+    def read(name: str) -> FloatArray | None:
+        header = headers.get(f"{name}.csv", [])
+        if not _is_logger(header):
+            return None
+        columns = [header.index(each) for each in ("time", *LOGGER_AXES)]
+        return _in_order(read_numbers(path / f"{name}.csv", columns, NANOSECOND))
+
+    force = read("TotalAcceleration")
+    if force is None:
+        own, gravity = read("Accelerometer"), read("Gravity")
+        if own is not None and gravity is not None:
+            own[:, 1:] += interpolated(own[:, 0], gravity[:, 0], gravity[:, 1:])
+            force = own
+    if force is None:
+        force = read("AccelerometerUncalibrated")
+        if force is not None and np.median(np.linalg.norm(force[:, 1:], axis=1)) < LEAST_GRAVITY:
+            force[:, 1:] *= GRAVITY
+    if force is not None and _points_down(path, headers):
+        force[:, 1:] *= -1.0
+    rate = read("Gyroscope")
+    field = read("MagnetometerUncalibrated")
+    if field is None:
+        field = read("Magnetometer")
+        notes.append(
+            "the phone's own calibration is in its field, which may jump while it learns: record "
+            "the uncalibrated magnetometer"
+        )
+    return force, rate if rate is not None else read("GyroscopeUncalibrated"), field
+
+
+def _points_down(path: Path, headers: dict[str, list[str]]) -> bool:
+    """Whether the accelerometer has the sign of iOS: -1 g on z where the screen looks up."""
+    header = headers.get(METADATA, [])
+    if not {"platform", "standardisation"} <= set(header):
+        return False
+    lines = (path / METADATA).read_text(encoding="utf-8", errors="replace").splitlines()
+    cells = lines[1].split(",") if len(lines) > 1 else []
+    if len(cells) != len(header):
+        return False
+    said = dict(zip(header, cells, strict=True))
+    return said["platform"].lower() == "ios" and said["standardisation"].lower() != "true"
+
+
+def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) -> Sensors:
+    found: dict[str, FloatArray] = {}
+    for name, header in headers.items():
+        if not _is_phyphox(header) or "linear" in f"{name} {header[1]}".lower():
+            continue
+        unit = UNIT.search(header[1])
+        kind = "" if unit is None else FIELD if MICRO.match(unit[1]) else unit[1]
+        if kind in (FORCE, RATE, FIELD) and kind not in found:
+            found[kind] = _in_order(read_numbers(path / name, range(4)))
+    return found.get(FORCE), found.get(RATE), found.get(FIELD)
+
+
+def _add_fixes(path: Path, headers: dict[str, list[str]], tables: LogTables) -> None:
+    """Add fixes and velocities of `Location.csv`, or of whichever file has latitudes."""
+    for name, header in headers.items():
+        plain_names = [each.split(" (")[0].lower() for each in header]
+        if not {"time", "latitude", "longitude"} <= set(plain_names) or name.startswith("Watch"):
+            continue
+        second = NANOSECOND if "seconds_elapsed" in plain_names else 1.0
+        speed = "speed" if "speed" in plain_names else "velocity"
+        course = "bearing" if "bearing" in plain_names else "direction"
+        wanted = ["time", "latitude", "longitude"]
+        moving = {speed, course} <= set(plain_names)
+        wanted += [speed, course] if moving else []
+        columns = [plain_names.index(each) for each in wanted]
+        for stamp, latitude, longitude, *motion in read_numbers(
+            path / name, columns, second
+        ).tolist():
+            tables.fixes.append(Fix(True, latitude, longitude, math.nan, stamp))
+            if moving and min(motion) >= 0.0:  # negative or NaN: the phone does not know
+                way = velocity(stamp, motion[0], math.radians(motion[1]), RECEIVER_SPEED_SIGMA)
+                tables.velocities.append(way)
+        return
+
+
+def _in_order(table: FloatArray) -> FloatArray:
+    """Return the rows by stamp, each stamp once."""
+    table = table[np.isfinite(table[:, 0])]
+    return table[np.unique(table[:, 0], return_index=True)[1]]

@@ -1,0 +1,248 @@
+"""PX4's logs (.ulg), read by pyulog.
+
+`sensor_mag` is the raw field in gauss, in the sensor's own forward-right-down axes;
+`vehicle_magnetometer` is `R S (raw - OFF)` in the body's, with the parameters CAL_MAGn of the
+device (lib/sensor_calibration). The raw one is taken where it was logged, else the calibration is
+taken off the other.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
+from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.logs.common import (
+    FLU_FROM_FRD,
+    Deadline,
+    LogTables,
+    Names,
+    Told,
+    begun_with,
+    quietly,
+    recording_of,
+)
+from magcal_ros.files.plain import plain
+from magcal_ros.files.recording import Recording
+
+MAGIC = b"ULog\x01\x12\x35"
+TESLA = 1e-4
+"""In a gauss."""
+
+FIX_3D = 3
+MOST_SENSORS = 4
+TOPICS = (
+    "sensor_combined",
+    "sensor_mag",
+    "vehicle_magnetometer",
+    "vehicle_gps_position",
+    "vehicle_attitude",
+)
+NAMES = Names(
+    "sensor_combined",
+    "sensor_mag",
+    "set SDLOG_PROFILE to its default and record again",
+    "look at SYS_HAS_MAG and the wiring, and record again",
+)
+RIGHT_ANGLES = (
+    *((0, 0, 45 * k) for k in range(8)),
+    *((180, 0, 45 * k) for k in range(4)),
+    (0, 180, 0),
+    *((180, 0, 45 * k) for k in range(5, 8)),
+    *((90, 0, 45 * k) for k in range(4)),
+    *((270, 0, 45 * k) for k in range(4)),
+    (0, 90, 0),
+    (0, 270, 0),
+    (0, 180, 90),
+    (0, 180, 270),
+    (90, 90, 0),
+    (180, 90, 0),
+    (270, 90, 0),
+    (90, 180, 0),
+    (270, 180, 0),
+    (90, 270, 0),
+    (180, 270, 0),
+    (270, 270, 0),
+    (90, 180, 90),
+    (90, 0, 270),
+    (90, 68, 293),
+    (0, 315, 0),
+    (90, 315, 0),
+)
+"""Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
+
+
+def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None) -> Recording:
+    """Read a ULog.
+
+    Parameters
+    ----------
+    path : Path
+        Ends in .ulg.
+    imu, mag : str
+        Which sensors, as "sensor_mag[1]"; empty for the first that lives.
+    told : callable, optional
+        Is given the share that has been read.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be read, or has no living sensors; the text says what to do.
+    """
+    if begun_with(path, len(MAGIC)) != MAGIC:
+        raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
+    try:
+        from pyulog import ULog
+    except ImportError as error:
+        raise FileTrouble(
+            f"reading {plain(str(path))} needs the Python library pyulog: "
+            "pip install 'magcal_ros[px4]', or pip install pyulog"
+        ) from error
+    deadline = Deadline(path)
+    with quietly(path, deadline), _Watched(path, deadline, told) as handle:
+        tables = _tables(ULog(handle, list(TOPICS)))
+    return recording_of(path, tables, NAMES, imu, mag)
+
+
+class _Watched(io.BufferedReader):
+    """A file whose reading may end by time, and tells how far it is."""
+
+    def __init__(self, path: Path, deadline: Deadline, told: Told | None) -> None:
+        super().__init__(io.FileIO(path))
+        self._deadline, self._told = deadline, told
+        self._size, self._count = max(path.stat().st_size, 1), 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._count += 1
+        if self._count % 1000 == 0:
+            self._deadline.check()
+            if self._told is not None:
+                self._told(self.tell() / self._size)
+        return super().read(size)
+
+
+def rotation_of(number: int) -> FloatArray:
+    """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down.
+
+    Raises
+    ------
+    FileTrouble
+        If the number is not one of MAV_SENSOR_ORIENTATION.
+    """
+    if not 0 <= number < len(RIGHT_ANGLES):
+        raise FileTrouble(
+            f"the rotation {number} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not "
+            "known here: choose another magnetometer with --mag"
+        )
+    return rotation_from_rpy(*(math.radians(angle) for angle in RIGHT_ANGLES[number]))
+
+
+def _tables(log: Any) -> LogTables:
+    parameters = {**log.initial_parameters, **{name: v for _, name, v in log.changed_parameters}}
+    data = {(each.name, each.multi_id): each.data for each in log.data_list}
+    shift = _epoch(data.get(("vehicle_gps_position", 0)))
+    tables = LogTables()
+    for (name, number), topic in data.items():
+        stamps = 1e-6 * topic["timestamp"] + shift
+        if name == "sensor_combined":
+            force = _vectors(topic, "accelerometer_m_s2") * FLU_FROM_FRD
+            rate = _vectors(topic, "gyro_rad") * FLU_FROM_FRD
+            tables.imus[number] = np.column_stack([stamps, force, rate])
+            if "magnetometer_ga[0]" in topic:  # releases before 1.9
+                field = _vectors(topic, "magnetometer_ga") * FLU_FROM_FRD * TESLA
+                tables.fields.setdefault(0, np.column_stack([stamps, field]))
+        elif name == "vehicle_attitude":
+            w, x, y, z = (topic[f"q[{k}]"] for k in range(4))
+            yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+            tables.yaw = np.column_stack([stamps, 0.5 * math.pi - yaw])
+        elif name == "vehicle_gps_position" and number == 0:
+            _take_fixes(tables, topic, stamps)
+    for number in range(MOST_SENSORS):
+        _take_field(tables, data, number, parameters, shift)
+    return tables
+
+
+def _take_field(
+    tables: LogTables,
+    data: Mapping[tuple[str, int], Mapping[str, FloatArray]],
+    number: int,
+    parameters: Mapping[str, float],
+    shift: float,
+) -> None:
+    """Add a magnetometer, raw, in the body's forward-left-up axes."""
+    raw, corrected = (data.get((name, number)) for name in ("sensor_mag", "vehicle_magnetometer"))
+    topic = raw if raw is not None else corrected
+    if topic is None:
+        return
+    device = int(topic["device_id"][-1]) if "device_id" in topic else 0
+    slot = next((k for k in range(MOST_SENSORS) if _device(parameters, k) == device), None)
+    mounted = int(parameters.get(f"CAL_MAG{slot}_ROT", -1))
+    board = int(parameters.get("SENS_BOARD_ROT", 0))
+    rotation = board if mounted < 0 else mounted
+    pose = rotation_of(rotation)
+    if raw is not None:
+        field = np.column_stack([raw[axis] for axis in "xyz"]) @ pose.T
+    else:
+        offset, matrix = _calibration(slot, parameters)
+        corrected_field = _vectors(topic, "magnetometer_ga")
+        inner = np.linalg.solve(matrix, (corrected_field @ pose).T).T + offset
+        field = inner @ pose.T
+    stamps = 1e-6 * topic["timestamp"] + shift
+    tables.fields[number] = np.column_stack([stamps, field * FLU_FROM_FRD * TESLA])
+    tables.frames[number] = f"px4_mag{0 if slot is None else slot}_rot{rotation}"
+
+
+def _device(parameters: Mapping[str, float], slot: int) -> int:
+    """Return the device of a slot as the topics write it; parameters are signed."""
+    return int(parameters.get(f"CAL_MAG{slot}_ID", 0)) % (1 << 32)
+
+
+def _calibration(
+    slot: int | None, parameters: Mapping[str, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Return offset and matrix of a slot; those of a sensor without one change nothing."""
+
+    def of(name: str, default: float) -> list[float]:
+        return [parameters.get(f"CAL_MAG{slot}_{axis}{name}", default) for axis in "XYZ"]
+
+    (x, y, z), (xy, xz, yz) = of("SCALE", 1.0), of("ODIAG", 0.0)
+    return np.array(of("OFF", 0.0)), np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
+
+
+def _take_fixes(tables: LogTables, topic: Mapping[str, FloatArray], stamps: FloatArray) -> None:
+    degrees = "latitude_deg" in topic  # since 1.14
+    latitude = topic["latitude_deg"] if degrees else 1e-7 * topic["lat"]
+    longitude = topic["longitude_deg"] if degrees else 1e-7 * topic["lon"]
+    height = topic["altitude_msl_m"] if degrees else 1e-3 * topic["alt"]
+    has_fix = topic["fix_type"] >= FIX_3D
+    for row in zip(has_fix, latitude, longitude, height, stamps, strict=True):
+        tables.fixes.append(Fix(bool(row[0]), *map(float, row[1:])))
+    moving = np.column_stack([stamps, topic["vel_e_m_s"], topic["vel_n_m_s"]])[has_fix]
+    tables.velocities += [
+        VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
+        for stamp, east, north in moving[np.isfinite(moving).all(axis=1)].tolist()
+    ]
+
+
+def _epoch(topic: Mapping[str, FloatArray] | None) -> float:
+    """Return what takes the log's clock to seconds since 1970, by the receiver; else zero."""
+    if topic is None or "time_utc_usec" not in topic:
+        return 0.0
+    told = np.flatnonzero(topic["time_utc_usec"])
+    if not len(told):
+        return 0.0
+    return 1e-6 * (float(topic["time_utc_usec"][told[0]]) - float(topic["timestamp"][told[0]]))
+
+
+def _vectors(topic: Mapping[str, FloatArray], name: str) -> FloatArray:
+    return np.column_stack([topic[f"{name}[{axis}]"] for axis in range(3)]).astype(np.float64)

@@ -1,0 +1,197 @@
+"""A log of an autopilot or a phone goes through the commands, and the result back to it."""
+
+import io
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from drives import drive
+from log_writers import FRD, GAUSS, logged, write_bin, write_sensor_logger, write_ulog
+
+from magcal_ros.cli import recorded
+from magcal_ros.cli.main import main
+from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.files.logs.px4 import rotation_of
+
+REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
+ROBOT = Robot(roll=0.02, pitch=-0.01)
+SAMPLES = drive(400.0, ROBOT)
+FIELDS = np.array([s.field for s in SAMPLES if isinstance(s, FieldSample)])
+
+
+def fitted(path, tmp_path, *arguments):
+    assert main(["fit", str(path), "--output", str(tmp_path / "f"), *REFERENCE, *arguments]) == 0
+    return str(tmp_path / "f" / "calibration.yaml")
+
+
+def exported(calibration, to, capsys):
+    capsys.readouterr()
+    assert main(["export", calibration, "--to", to]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line[0] != "#"]
+    pairs = [line.replace("param set ", "").replace(",", " ").split() for line in lines]
+    return {name: float(value) for name, value in pairs}
+
+
+def symmetric(values, diagonal, beside):
+    x, y, z = (values[diagonal.format(axis)] for axis in "XYZ")
+    xy, xz, yz = (values[beside.format(axis)] for axis in "XYZ")
+    return np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
+
+
+def level_circle(field):
+    """Scatter of the level field's size over it, after the tilt of the turn's axis is left out."""
+    _, _, axes = np.linalg.svd(field - field.mean(axis=0))
+    sizes = np.linalg.norm((field @ axes.T)[:, :2], axis=1)
+    return float(sizes.std() / sizes.mean())
+
+
+def test_ardupilot_flies_with_what_was_found_in_its_log(tmp_path, capsys):
+    pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
+    path = write_bin(tmp_path / "a.BIN", SAMPLES, offsets=(-200, 150, 80))
+    found = exported(fitted(path, tmp_path), "ardupilot", capsys)
+    offsets = np.array([found[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
+    assert offsets == pytest.approx(-1e7 * FRD @ ROBOT.hard_iron, abs=25.0)
+    matrix = symmetric(found, "COMPASS_DIA_{}", "COMPASS_ODI_{}")
+    corrected = np.array([logged(field, offsets, matrix) for field in FIELDS])
+    before = np.array([logged(field, np.zeros(3), np.eye(3)) for field in FIELDS])
+    assert level_circle(corrected) < 0.02 < level_circle(before)
+
+
+@pytest.mark.parametrize("rotation", [0, 6])
+def test_px4_flies_with_what_was_found_in_its_log(tmp_path, capsys, rotation):
+    pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES, offset=(0.1, 0.2, -0.1), rotation=rotation)
+    found = exported(fitted(path, tmp_path), "px4", capsys)
+    offset = np.array([found[f"CAL_MAG1_{axis}OFF"] for axis in "XYZ"])
+    scale = symmetric(found, "CAL_MAG1_{}SCALE", "CAL_MAG1_{}ODIAG")
+    turn = rotation_of(rotation)
+    own = GAUSS * FIELDS @ FRD @ turn
+    assert level_circle((own - offset) @ scale @ turn.T) < 0.02 < level_circle(own)
+
+
+def test_check_compares_with_the_autopilots_own_yaw(tmp_path, capsys):
+    pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
+    bare = write_bin(tmp_path / "a.BIN", SAMPLES)
+    calibration = fitted(bare, tmp_path)
+    stamps = np.array([s.stamp for s in SAMPLES])
+    turn = np.degrees(0.5 * (stamps - stamps[0]))
+    yaws = list(zip(stamps.tolist(), (-turn).tolist(), strict=True))
+    path = write_bin(tmp_path / "b.BIN", SAMPLES, yaws=yaws[::10])
+    capsys.readouterr()
+    arguments = ["--calibration", calibration, "--output", str(tmp_path / "c"), *REFERENCE]
+    main(["check", str(path), *arguments, "--json"])
+    own = [w for w in json.loads(capsys.readouterr().out)["about"] if "own yaw" in w]
+    assert len(own) == 1
+    assert "declination, which is not known" in own[0]
+    assert float(own[0].split("scattered by ")[1].split("°")[0]) < 5.0
+
+
+def test_the_doctor_reads_a_log(tmp_path, capsys):
+    pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
+    assert main(["doctor", str(write_bin(tmp_path / "a.BIN", SAMPLES)), *REFERENCE]) in (0, 4)
+    assert "field: unit" in capsys.readouterr().out
+
+
+def test_a_phone_that_stands_upright_is_fitted_with_its_mounting(tmp_path, capsys):
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # its x looks up
+    samples = [
+        s._replace(field=tuple(turn.T @ s.field))
+        if isinstance(s, FieldSample)
+        else s._replace(force=tuple(turn.T @ s.force), rate=tuple(turn.T @ s.rate))
+        for s in SAMPLES
+    ]
+    path = write_sensor_logger(tmp_path / "phone", samples)
+    fitted(path, tmp_path, "--imu-rpy-deg", "0", "-90", "0", "--json")
+    numbers = json.loads(capsys.readouterr().out)["numbers"]
+    iron = [numbers[f"hard_iron_{axis}_ut"] for axis in "xyz"]
+    assert iron == pytest.approx(1e6 * ROBOT.hard_iron, abs=2.5)
+
+
+def test_a_mounting_is_not_for_bags(tmp_path, capsys):
+    (tmp_path / "a.mcap").write_bytes(b"")
+    assert main(["fit", str(tmp_path / "a.mcap"), "--imu-rpy-deg", "0", "0", "90"]) == 2
+    assert "--imu-rpy-deg is for logs" in capsys.readouterr().err
+
+
+def test_a_long_fit_shows_that_it_goes_on(monkeypatch):
+    monkeypatch.setattr(recorded, "REDRAW", 0.01)
+    monkeypatch.setattr(recorded, "LINE_EVERY", 0.05)
+    out = io.StringIO()
+    with recorded.at_work(lambda: "fitting 7 messages", out):
+        time.sleep(0.3)
+    lines = out.getvalue().splitlines()
+    assert 2 <= len(lines) <= 6
+    assert lines[0] == "fitting 7 messages: 0 s"
+
+
+class TestASlowImu:
+    def slow(self, samples, every):
+        """Means over `every` seconds of a drive at 50 Hz, as phones write them."""
+        kinds, out = {}, []
+        for sample in samples:
+            kinds.setdefault((type(sample), int(sample.stamp / every)), []).append(sample)
+        for (kind, _), several in kinds.items():
+            stamp = float(np.mean([s.stamp for s in several]))
+            parts = zip(*(s[1:] for s in several), strict=True)
+            out.append(kind(stamp, *(tuple(np.mean(part, axis=0)) for part in parts)))
+        return sorted(out, key=lambda s: s.stamp)
+
+    def test_one_second_means_of_a_slow_turn_are_used(self, tmp_path, capsys):
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
+        path = write_sensor_logger(tmp_path / "phone", slow)
+        main(["fit", str(path), "--output", str(tmp_path / "f"), *REFERENCE, "--json"])
+        told = json.loads(capsys.readouterr().out)
+        assert told["numbers"]["samples"] > 50
+        assert any("it comes at 1 Hz" in words for words in told["recording"]["complaints"])
+        iron = [told["numbers"][f"hard_iron_{axis}_ut"] for axis in "xy"]
+        assert iron == pytest.approx(1e6 * ROBOT.hard_iron[:2], abs=2.0)
+
+    @pytest.mark.parametrize("command", ["fit", "drive"])
+    def test_what_is_too_slow_ends_with_its_rate_before_the_work(self, tmp_path, capsys, command):
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 3.0)
+        path = write_sensor_logger(tmp_path / "phone", slow)
+        assert main([command, str(path), "--output", str(tmp_path / "f")]) == 3
+        err = capsys.readouterr().err
+        assert "it comes at 0.33 Hz" in err
+        assert "Hz or more" in err
+
+    def test_a_drive_needs_a_faster_field_and_says_so_before_the_work(self, tmp_path, capsys):
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
+        path = write_sensor_logger(tmp_path / "phone", slow)
+        assert main(["drive", str(path), "--output", str(tmp_path / "f")]) == 3
+        err = capsys.readouterr().err
+        assert "phone magnetometer: it comes at 1 Hz" in err
+        assert "2 Hz or more" in err
+
+    def test_a_refusal_names_the_rate(self, tmp_path, capsys):
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
+        bent = [
+            s._replace(field=tuple(1e-5 * math.sin(k) + np.array(s.field)))
+            if isinstance(s, FieldSample)
+            else s
+            for k, s in enumerate(slow)
+        ]
+        path = write_sensor_logger(tmp_path / "phone", bent)
+        assert main(["fit", str(path), "--output", str(tmp_path / "f"), *REFERENCE]) != 0
+        first = capsys.readouterr().out.splitlines()[0]
+        assert "it comes at 1 Hz" in first
+
+    def test_check_does_not_say_that_there_is_no_gyro(self, tmp_path, capsys):
+        calibration = fitted(write_sensor_logger(tmp_path / "fast", SAMPLES), tmp_path)
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
+        path = write_sensor_logger(tmp_path / "phone", slow)
+        arguments = ["--calibration", calibration, "--output", str(tmp_path / "c"), *REFERENCE]
+        capsys.readouterr()
+        main(["check", str(path), *arguments])
+        out = capsys.readouterr().out
+        assert "there is no gyro" not in out
+        assert "at most between field samples" in out
+
+    def test_the_doctor_names_it(self, tmp_path, capsys):
+        slow = self.slow(drive(400.0, ROBOT, rate=math.radians(5.0)), 1.0)
+        main(["doctor", str(write_sensor_logger(tmp_path / "phone", slow)), "--json"])
+        found = {each["key"]: each for each in json.loads(capsys.readouterr().out)["findings"]}
+        assert "10 Hz or more" in found["slow"]["remedy"]

@@ -1,0 +1,152 @@
+"""ArduPilot's logs are read as raw fields; MAG's own calibration is taken off."""
+
+import sys
+
+import numpy as np
+import pytest
+from drives import drive
+from log_writers import write_bin, write_text_log, write_tlog
+
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import PositionSample, VelocitySample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.logs import common
+from magcal_ros.files.sources import open_recording
+
+pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
+
+SAMPLES = drive(60.0)
+IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])
+FIELD = np.array([s.field for s in SAMPLES if isinstance(s, FieldSample)])
+SOFT_IRON = np.array([[1.1, 0.05, 0.02], [0.05, 0.9, -0.03], [0.02, -0.03, 1.05]])
+
+
+def read(path, **options):
+    with open_recording(path, **options) as source:
+        return source, list(source.readings())
+
+
+def numbers(readings):
+    imu = np.array([[*s.force, *s.rate] for s in readings if isinstance(s, ImuSample)])
+    return imu, np.array([s.field for s in readings if isinstance(s, FieldSample)])
+
+
+@pytest.mark.parametrize(("name", "write"), [("a.BIN", write_bin), ("a.log", write_text_log)])
+def test_a_dataflash_log_gives_what_the_sensors_measured(tmp_path, name, write):
+    path = write(tmp_path / name, SAMPLES, offsets=(120, -45, 300), matrix=SOFT_IRON)
+    source, readings = read(path)
+    imu, field = numbers(readings)
+    assert imu == pytest.approx(IMU, abs=1e-5)
+    assert field == pytest.approx(FIELD, abs=1.2e-7)  # a milligauss is 0.1 µT
+    assert (source.imu_topic, source.field_topic) == ("IMU[0]", "MAG[0]")
+    assert source.field_frame == "ardupilot_compass"
+
+
+def test_stamps_are_the_autopilots_at_the_time_of_its_receiver(tmp_path):
+    fixes = [(SAMPLES[0].stamp + 1.0, 48.1, 11.5, 3.0, 90.0)]
+    source, readings = read(write_bin(tmp_path / "a.bin", SAMPLES, fixes=fixes))
+    gaps = np.diff([s.stamp for s in readings if isinstance(s, ImuSample)])
+    expected = np.diff([s.stamp for s in SAMPLES if isinstance(s, ImuSample)])
+    assert gaps == pytest.approx(expected, abs=2e-6)
+    assert 1.6e9 < source.begun() < 1.9e9
+    assert source.place().latitude_deg == pytest.approx(48.1)
+    place, moving = sorted(source.travel(), key=lambda each: len(each))
+    assert isinstance(place, PositionSample)
+    assert isinstance(moving, VelocitySample)
+    assert (moving.east, moving.north) == pytest.approx((3.0, 0.0), abs=1e-6)
+
+
+def test_logs_of_old_releases_number_their_sensors_by_the_messages_name(tmp_path):
+    imu, mag = "GyrX,GyrY,GyrZ,AccX,AccY,AccZ", "MagX,MagY,MagZ,OfsX,OfsY,OfsZ"
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        f"FMT, 130, 31, IMU, Iffffff, TimeMS,{imu}",
+        f"FMT, 131, 31, IMU2, Iffffff, TimeMS,{imu}",
+        f"FMT, 132, 19, MAG2, Ihhhhhh, TimeMS,{mag}",
+    ]
+    for ms in (1000, 1100, 1200):
+        lines += [f"{name}, {ms}, 0, 0, 0.1, 0, 0.0{ms}, -9.8" for name in ("IMU", "IMU2")]
+        lines.append(f"MAG2, {ms}, {ms // 100}, 200, 300, 10, 20, 30")
+    path = tmp_path / "old.log"
+    path.write_text("\n".join(lines) + "\n")
+    source, readings = read(path, imu="IMU[1]")
+    assert (source.imu_topic, source.field_topic) == ("IMU[1]", "MAG[1]")
+    assert np.diff([s.stamp for s in readings if isinstance(s, FieldSample)]) == pytest.approx(0.1)
+    assert numbers(readings)[1][0] == pytest.approx([0.0, -18e-6, -27e-6])
+
+
+def test_telemetry_is_read_and_says_where_offsets_are_not_known(tmp_path):
+    path = write_tlog(tmp_path / "a.tlog", SAMPLES, offsets=(120, -45, 300))
+    source, readings = read(path)
+    imu, field = numbers(readings)
+    assert field == pytest.approx(FIELD, abs=1.2e-7)
+    assert np.linalg.norm(imu[:, :3], axis=1) == pytest.approx(9.81, abs=0.3)
+    assert not source.notes
+    bare = write_tlog(tmp_path / "b.tlog", SAMPLES, with_parameters=False)
+    source, _ = read(bare)
+    assert "COMPASS_OFS" in source.notes[0]
+
+
+def two_compasses(sample):
+    return {0: (1e-5, 0.0, 0.0), 1: sample.field}
+
+
+def test_the_first_living_compass_is_taken_and_another_can_be_chosen(tmp_path):
+    path = write_bin(tmp_path / "a.bin", SAMPLES, compasses=two_compasses)
+    source, readings = read(path)
+    assert source.field_topic == "MAG[1]"
+    assert "MAG[0] never changes" in source.notes[0]
+    assert numbers(readings)[1] == pytest.approx(FIELD, abs=1.2e-7)
+    with pytest.raises(FileTrouble, match=r"MAG\[0\] holds one value"):
+        read(path, field="MAG[0]")
+    with pytest.raises(FileTrouble, match=r"no MAG\[7\]; it has: MAG\[0\], MAG\[1\]"):
+        read(path, field="MAG[7]")
+
+
+def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
+    dead = write_bin(tmp_path / "a.bin", SAMPLES, compasses=lambda _: {0: (0.0, 0.0, 0.0)})
+    with pytest.raises(FileTrouble, match=r"no living magnetometer.*COMPASS_ENABLE"):
+        read(dead)
+    without = write_bin(tmp_path / "b.bin", SAMPLES, compasses=lambda _: {})
+    with pytest.raises(FileTrouble, match="no MAG data: look at COMPASS_ENABLE"):
+        read(without)
+
+
+def test_without_the_library_the_words_name_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    with pytest.raises(FileTrouble, match="pip install"):
+        read(write_bin(tmp_path / "a.bin", SAMPLES))
+
+
+@pytest.mark.faults
+@pytest.mark.parametrize("name", ["a.bin", "a.log", "a.tlog", "a.ulg"])
+def test_anything_else_by_that_name_is_trouble_in_words(tmp_path, name):
+    path = tmp_path / name
+    for content in (b"", b"\xa3\x95" + bytes(range(256)) * 30, b"FMT, 1\nFMT,", b"\0" * 9000):
+        path.write_bytes(content)
+        with pytest.raises(FileTrouble, match=r"a\."):
+            read(path)
+
+
+@pytest.mark.faults
+def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path, capsys):
+    path = write_bin(tmp_path / "a.bin", SAMPLES)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2] + b"\0" * 5000 + whole[len(whole) // 2 :])
+    _, readings = read(path)
+    assert len(readings) > 0.9 * len(SAMPLES)
+    path.write_bytes(whole[: len(whole) // 2])
+    assert len(read(path)[1]) > 0.4 * len(SAMPLES)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.faults
+def test_size_and_time_are_limited(tmp_path, monkeypatch):
+    path = write_bin(tmp_path / "a.bin", SAMPLES)
+    monkeypatch.setattr(common, "LONGEST_READING", 0.0)
+    with pytest.raises(FileTrouble, match="takes longer than 0 s"):
+        read(path)
+    with path.open("r+b") as handle:
+        handle.truncate(common.LARGEST_LOG + 1)
+    with pytest.raises(FileTrouble, match=r"has 1\.0 GiB"):
+        read(path)

@@ -1,0 +1,89 @@
+"""PX4's logs are read as raw fields in the body's axes."""
+
+import itertools
+
+import numpy as np
+import pytest
+from drives import drive
+from log_writers import write_ulog
+
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.logs.px4 import RIGHT_ANGLES, rotation_of
+from magcal_ros.files.sources import open_recording
+
+pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
+
+SAMPLES = drive(60.0)
+IMU = np.array([[*s.force, *s.rate] for s in SAMPLES if isinstance(s, ImuSample)])
+FIELD = np.array([s.field for s in SAMPLES if isinstance(s, FieldSample)])
+SCALE = np.array([[1.1, 0.05, 0.02], [0.05, 0.9, -0.03], [0.02, -0.03, 1.05]])
+
+
+@pytest.mark.parametrize("raw", [True, False], ids=["raw", "corrected"])
+@pytest.mark.parametrize("rotation", [0, 6, 28])
+def test_a_ulog_gives_what_the_sensors_measured_whatever_the_calibration(tmp_path, raw, rotation):
+    options = {"offset": (0.1, -0.2, 0.05), "scale": SCALE, "rotation": rotation, "raw": raw}
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES, **options)
+    with open_recording(path) as source:
+        readings = list(source.readings())
+    imu = np.array([[*s.force, *s.rate] for s in readings if isinstance(s, ImuSample)])
+    field = np.array([s.field for s in readings if isinstance(s, FieldSample)])
+    assert imu == pytest.approx(IMU, abs=1e-5)
+    assert field == pytest.approx(FIELD, abs=1e-10)
+    assert source.field_frame == f"px4_mag1_rot{rotation}"
+
+
+def test_the_receiver_tells_time_place_and_course_and_the_autopilot_its_yaw(tmp_path):
+    first = SAMPLES[0].stamp
+    path = write_ulog(
+        tmp_path / "a.ulg",
+        SAMPLES,
+        fixes=[(first + 1.0, 1.7e9, 48.1, 11.5, 0.0, 3.0)],
+        bearings=[(first + 1.0, 90.0), (first + 2.0, 0.0)],
+    )
+    with open_recording(path) as source:
+        assert source.begun() == pytest.approx(1.7e9 - 1.0, abs=1e-3)
+        assert source.place().latitude_deg == pytest.approx(48.1)
+        moving = [each for each in source.travel() if isinstance(each, VelocitySample)]
+        assert [(each.east, each.north) for each in moving] == [(3.0, 0.0)]
+        assert source.yaw()[:, 1] == pytest.approx([0.0, np.pi / 2.0], abs=1e-6)
+
+
+def test_rotations_are_mavlinks():
+    enums = pytest.importorskip("pymavlink.dialects.v20.ardupilotmega").enums
+    for number, angles in enumerate(RIGHT_ANGLES):
+        words = enums["MAV_SENSOR_ORIENTATION"][number].name.split("_")
+        named = dict.fromkeys(("ROLL", "PITCH", "YAW"), 0)
+        named |= {a: int(b) for a, b in itertools.pairwise(words) if a in named}
+        assert tuple(named.values()) == angles
+
+
+def test_an_unknown_rotation_is_trouble():
+    with pytest.raises(FileTrouble, match="rotation 77"):
+        rotation_of(77)
+
+
+def test_a_log_without_a_living_magnetometer_says_so(tmp_path):
+    hanging = [
+        s._replace(field=(1e-5, 2e-5, 3e-5)) if isinstance(s, FieldSample) else s for s in SAMPLES
+    ]
+    with (
+        pytest.raises(FileTrouble, match=r"no living magnetometer.*SYS_HAS_MAG"),
+        open_recording(write_ulog(tmp_path / "a.ulg", hanging)),
+    ):
+        pass
+
+
+@pytest.mark.faults
+def test_a_damaged_log_is_read_as_far_as_it_goes_or_refused_in_words(tmp_path, capsys):
+    path = write_ulog(tmp_path / "a.ulg", SAMPLES)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with open_recording(path) as source:
+        assert len(list(source.readings())) > 0.4 * len(SAMPLES)
+    path.write_bytes(whole[:300] + b"\xff" * 3000)
+    with pytest.raises(FileTrouble, match=r"a\.ulg"), open_recording(path):
+        pass
+    assert capsys.readouterr() == ("", "")
