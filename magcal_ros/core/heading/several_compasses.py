@@ -1,0 +1,378 @@
+"""One heading from several magnetometers: weighed, and without those that are wrong.
+
+All of them measure the same field. Each sample is corrected by its own sensor's calibration and
+turned by the gyro to the moment of the message that is answered; the mean of them, weighed by
+their variances, is one field with one heading, and goes the way of a single sensor's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.disturbance import FieldDoubt
+from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
+from magcal_ros.core.heading.fusion_tuning import SeveralTuning
+from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.yaw_agreement import (
+    SMALLEST_VARIANCE,
+    Witness,
+    believed,
+    excess_variance,
+    misfit,
+)
+from magcal_ros.core.up import Up
+
+
+class Share(NamedTuple):
+    """How one magnetometer takes part in the heading.
+
+    Parameters
+    ----------
+    weight : float
+        0 to 1.
+    why : str
+        What is wrong with it, in words; empty if nothing is.
+    """
+
+    weight: float
+    why: str = ""
+
+
+@dataclass
+class _Member:
+    """A magnetometer with its calibration, and what came of it last.
+
+    `arrived` and `changed` are stamps of the IMU: when a message came, and when one came with
+    other values than before. `doubt_variance` is what its field adds to its yaw's variance. `off`
+    is how far its yaw is ahead of the origin of all, smoothed, radians; `offset` its field less
+    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` tells whether
+    it did with others since it speaks.
+    """
+
+    compass: Compass
+    doubt: FieldDoubt
+    moment: Moment | None = None
+    arrived: float = -math.inf
+    changed: float = -math.inf
+    doubt_variance: float = 0.0
+    off: float = math.nan
+    offset: Triple = (0.0, 0.0, 0.0)
+    learnt: float = 0.0
+    has_agreed: bool = False
+    share: Share = field(default_factory=lambda: Share(0.0))
+
+    def forget(self) -> None:
+        """Begin anew, as a sensor that was never heard."""
+        self.moment, self.off = None, math.nan
+        self.arrived = self.changed = -math.inf
+        self.offset, self.learnt, self.has_agreed = (0.0, 0.0, 0.0), 0.0, False
+
+    def take(self, moment: Moment, now: float) -> None:
+        """Take a message of this magnetometer."""
+        if self.moment is None or moment.field != self.moment.field:
+            self.changed = now
+        self.moment, self.arrived = moment, now
+        if moment.up is not None and moment.heading is not None:
+            up = moment.up
+            told = self.doubt.add(moment.stamp, moment.field, up.direction, up.variance)
+            self.doubt_variance = told
+
+    @property
+    def own_variance(self) -> float:
+        """Variance of the yaw by calibration and noise, rad²; tilt is common to all."""
+        assert self.moment is not None
+        assert self.moment.heading is not None
+        lasting = self.moment.heading.lasting_variance
+        return max(lasting + self.noise_variance, SMALLEST_VARIANCE)
+
+    @property
+    def noise_variance(self) -> float:
+        """The part of it that is new with each message, rad²."""
+        assert self.moment is not None
+        assert self.moment.heading is not None
+        return self.moment.heading.noise_variance
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether its field departs from the calibrated one by more than is said of it."""
+        return self.doubt_variance > self.own_variance
+
+
+class SeveralCompasses:
+    """Joins the moments of several magnetometers.
+
+    Parameters
+    ----------
+    tuning : SeveralTuning, optional
+        What is taken for granted.
+
+    Attributes
+    ----------
+    disagreement : float
+        Radians between those that disagree while none of them is known to be wrong; else zero.
+    """
+
+    def __init__(self, tuning: SeveralTuning | None = None) -> None:
+        self.tuning = tuning or SeveralTuning()
+        self._members: dict[int, _Member] = {}
+        self._now = self._stamp = -math.inf
+        self._forget()
+
+    def put_in_force(self, number: int, calibration: Calibration | None) -> None:
+        """Use another calibration for a magnetometer; None leaves it out."""
+        self._members.pop(number, None)
+        if calibration is not None:
+            self._members[number] = _Member(Compass(calibration), FieldDoubt(calibration))
+        self._forget()
+
+    @property
+    def lead(self) -> Compass | None:
+        """The compass in whose terms the joined field is: the first that is calibrated."""
+        return self._members[min(self._members)].compass if self._members else None
+
+    @property
+    def shares(self) -> dict[int, Share]:
+        """How each magnetometer with a calibration takes part, by its number."""
+        return {number: self._members[number].share for number in sorted(self._members)}
+
+    def add(
+        self, number: int, moment: Moment, now: float, fused: FusedYaw | None = None
+    ) -> Moment | None:
+        """Take a magnetometer's moment; returns that of all if this message tells the time.
+
+        The first magnetometer that speaks tells it, so the heading comes at one sensor's rate.
+
+        Parameters
+        ----------
+        number : int
+            Whose it is.
+        moment : Moment
+            What its message comes to by its own calibration.
+        now : float
+            Stamp of the newest IMU message, seconds: the clocks of drivers may differ.
+        fused : FusedYaw, optional
+            The gyro's yaw, which tells who is wrong where they disagree.
+        """
+        member = self._members.get(number)
+        if member is None:
+            return None
+        if moment.up is None:
+            return moment
+        if now < self._now:
+            self._forget()
+        self._now = now
+        member.take(moment, now)
+        speaking = [k for k, each in self._members.items() if self._is_new(each.arrived)]
+        if number != min(speaking):
+            return None
+        return self._joined(moment, moment.up, fused)
+
+    def _forget(self) -> None:
+        self._now = self._stamp = -math.inf
+        self._is_by_gyro = False
+        self._left_out: frozenset[int] = frozenset()
+        self._between = self._lasting = self.disagreement = 0.0
+        for member in self._members.values():
+            member.forget()
+
+    def _is_new(self, stamp: float) -> bool:
+        return self._now - stamp <= self.tuning.lost
+
+    def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
+        seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
+        witnesses = self._witnesses(moment, up.direction, fused, seconds)
+        if not witnesses:
+            return moment
+        known = fused.yaw_variance if fused is not None and self._is_by_gyro else math.inf
+        kept = self._believed(witnesses, known)
+        self._note_disagreement(witnesses, kept, seconds)
+        weights = [1.0 / (each.variance + self._between) for each in kept]
+        shares = [weight / sum(weights) for weight in weights]
+        self._note_shares(witnesses, kept, shares)
+        joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
+        self._learn_offsets(kept, shares, seconds)
+        return self._with_heading(moment._replace(field=joined), up, kept, shares)
+
+    def _witnesses(
+        self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
+    ) -> list[Witness]:
+        """Return what those say that speak, and not always the same."""
+        turned: dict[int, Triple] = {}
+        # Where nothing changes at all, a robot with coarse sensors stands.
+        changes = any(self._is_new(member.changed) for member in self._members.values())
+        for number, member in sorted(self._members.items()):
+            is_heard = self._is_new(member.changed if changes else member.arrived)
+            seen = self._seen(member, moment, up) if is_heard else None
+            if seen is None:
+                member.share = Share(0.0, self._silence(member))
+                member.off, member.has_agreed = math.nan, False
+            else:
+                turned[number] = seen
+        if not turned:
+            return []
+        origin = None if fused is None else fused.north_at(moment.stamp)
+        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= self.tuning.lost:
+            self._is_by_gyro = origin is not None
+            for member in self._members.values():
+                member.off = math.nan
+        north = levelled(next(iter(turned.values())), up) if origin is None else origin
+        assert north is not None
+        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.memory)
+        return [
+            self._witness(k, seen, yaw_ahead(north, seen, up), share) for k, seen in turned.items()
+        ]
+
+    def _seen(self, member: _Member, moment: Moment, up: Triple) -> Triple | None:
+        """Return a member's field at a moment, in the lead's terms; None if it has none."""
+        then, lead = member.moment, self.lead
+        if then is None or then.heading is None or lead is None:
+            return None
+        since = moment.stamp - then.stamp
+        if abs(since) > self.tuning.lost:
+            return None
+        seen, rate = then.field, moment.rate
+        if since and rate is not None and math.isfinite(rate[0]):
+            seen = propagated(seen, (rate[0] * since, rate[1] * since, rate[2] * since))
+        level = levelled(seen, up)
+        if level is None:
+            return None
+        # That two calibrations found another strength or dip is no disturbance.
+        own, common = member.compass.calibration, lead.calibration
+        further = common.strength * math.cos(common.inclination)
+        further -= own.strength * math.cos(own.inclination)
+        higher = own.strength * math.sin(own.inclination)
+        higher -= common.strength * math.sin(common.inclination)
+        return (
+            seen[0] + further * level[0] + higher * up[0],
+            seen[1] + further * level[1] + higher * up[1],
+            seen[2] + further * level[2] + higher * up[2],
+        )
+
+    def _witness(self, number: int, seen: Triple, ahead: float, share: float) -> Witness:
+        member = self._members[number]
+        variance = member.own_variance + member.doubt_variance
+        change = wrapped(ahead - member.off)
+        # What is too far for noise need not be averaged.
+        leaps = abs(change) > self.tuning.left_out_from * math.sqrt(member.noise_variance)
+        if math.isnan(change) or leaps:
+            member.off = ahead
+        else:
+            member.off = wrapped(member.off + share * change)
+        return Witness(number, seen, member.off, variance)
+
+    def _silence(self, member: _Member) -> str:
+        if not self._is_new(member.arrived):
+            return "it is silent"
+        if not self._is_new(member.changed):
+            return "it says the same values again and again"
+        return "its stamps are far from the others', or its field tells no direction"
+
+    def _believed(self, witnesses: list[Witness], known: float) -> list[Witness]:
+        """Leave out who is wrong.
+
+        The gyro shows who has changed, so it is no help between those that never agreed. `known`
+        is the variance of its yaw, rad².
+        """
+        gate = self._gate
+        if not all(self._members[each.number].has_agreed for each in witnesses):
+            known = math.inf
+        kept = believed(witnesses, known, gate)
+        if len(kept) > 1 and misfit(kept) <= gate:
+            for each in kept:
+                self._members[each.number].has_agreed = True
+        self._left_out = frozenset(each.number for each in witnesses if each not in kept)
+        return kept
+
+    @property
+    def _gate(self) -> float:
+        """Squared sigmas; who was left out must come back further."""
+        tuning = self.tuning
+        return (tuning.believed_below if self._left_out else tuning.left_out_from) ** 2
+
+    def _note_disagreement(
+        self, witnesses: list[Witness], kept: list[Witness], seconds: float
+    ) -> None:
+        """Learn the variance by which they disagree without a reason.
+
+        Who is left alone because the others are silent keeps what they disagreed by.
+        """
+        self.disagreement = 0.0
+        if len(witnesses) < 2:
+            self._between = self._lasting
+            return
+        # A field that is seen to be bent is a reason.
+        sound = [each for each in kept if not self._members[each.number].is_doubted] or kept
+        self._between = excess_variance(sound)
+        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.lasting)
+        self._lasting += share * (self._between - self._lasting)
+        if len(sound) > 1 and misfit(sound) > self._gate:
+            first = sound[0].ahead
+            self.disagreement = max(abs(wrapped(each.ahead - first)) for each in sound)
+
+    def _learn_offsets(self, kept: list[Witness], shares: list[float], seconds: float) -> None:
+        """Learn how each field differs from the mean, while nothing seems wrong with any.
+
+        A difference of hard iron stays in the axes of the body. With it taken off, those that are
+        left go on where all of them were.
+        """
+        are_sound = not any(self._members[each.number].is_doubted for each in kept)
+        if len(kept) < 2 or self.disagreement or not are_sound or seconds <= 0.0:
+            return
+        mean = _mean([each.field for each in kept], shares)
+        for each in kept:
+            member = self._members[each.number]
+            step = min(seconds, self.tuning.lost)
+            member.learnt = min(member.learnt + step, self.tuning.offset_memory)
+            new = minus(each.field, mean)
+            member.offset = between(member.offset, new, step / member.learnt)
+
+    def _note_shares(
+        self, witnesses: list[Witness], kept: list[Witness], shares: list[float]
+    ) -> None:
+        weights = {each.number: share for each, share in zip(kept, shares, strict=True)}
+        first = kept[0].ahead
+        for each in witnesses:
+            member = self._members[each.number]
+            why = ""
+            if each.number in self._left_out:
+                off = math.degrees(wrapped(each.ahead - first))
+                why = f"its yaw is {off:+.0f}° from what the others and the gyro say"
+            elif member.is_doubted:
+                why = "its field is not the calibrated one"
+            member.share = Share(weights.get(each.number, 0.0), why)
+
+    def _with_heading(
+        self, moment: Moment, up: Up, kept: list[Witness], shares: list[float]
+    ) -> Moment:
+        """Return the moment with the heading of its joined field, and what is not known of it."""
+        assert self.lead is not None
+        heading = self.lead.heading(moment.field, up.direction, up.variance)
+        if heading is None:
+            return moment._replace(heading=None)
+        by_tilt = heading.yaw_variance - heading.lasting_variance - heading.noise_variance
+        lasting = noise = 0.0
+        for share, each in zip(shares, kept, strict=True):
+            of_one = self._members[each.number].moment
+            assert of_one is not None
+            assert of_one.heading is not None
+            lasting += share**2 * (of_one.heading.lasting_variance + self._between)
+            noise += share**2 * of_one.heading.noise_variance
+        return moment._replace(
+            heading=heading._replace(
+                yaw_variance=by_tilt + lasting + noise,
+                lasting_variance=lasting,
+                noise_variance=noise,
+            )
+        )
+
+
+def _mean(vectors: list[Triple], shares: list[float]) -> Triple:
+    """Return the mean by shares whose sum is one."""
+    x, y, z = (sum(s * v[k] for s, v in zip(shares, vectors, strict=True)) for k in range(3))
+    return (x, y, z)
