@@ -1,0 +1,86 @@
+"""How this package's programs run: one thread of linear algebra, and no code from where they run.
+
+Python looks for modules in the current folder where a program is started by `-m` or `-c`, and
+where PYTHONPATH has an empty entry. A robot's node may be started anywhere, also in a folder in
+which somebody keeps a `select.py` of their own, so the processes of this package do without.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import subprocess
+
+POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+START = """
+import sys
+sys.path[:] = [sys.argv[1], *filter(None, sys.path)]
+import magcal_ros
+del sys.path[0]
+from importlib import import_module
+del sys.argv[:2]
+sys.exit(import_module(sys.argv[0]).main())
+"""
+"""Runs `main` of a module of this very package, wherever another one is installed as well."""
+
+
+def use_one_thread() -> None:
+    """Let numpy compute in one thread, unless the user has said otherwise.
+
+    The matrices here are small: threads would hold each other up, and take the cores from others.
+    It holds for a numpy that is loaded later, and for processes started from this one.
+    """
+    for pool in POOLS:
+        os.environ.setdefault(pool, "1")
+
+
+def start(
+    module: str, *arguments: str, extra: Mapping[str, str] | None = None, **options: Any
+) -> subprocess.Popen[bytes]:
+    """Start `main` of a module in a process of its own.
+
+    Parameters
+    ----------
+    module : str
+        Of this package, by its whole name.
+    *arguments : str
+        What the module finds in `sys.argv`, after its name.
+    extra : mapping of str to str, optional
+        Environment variables beyond this process's.
+    **options
+        Of `subprocess.Popen`.
+
+    Raises
+    ------
+    OSError
+        If the system has no room for another process.
+    """
+    import subprocess
+
+    root = str(Path(__file__).resolve().parent.parent)
+    environment = {**os.environ, **(extra or {})}
+    given = environment.pop("PYTHONPATH", "").split(os.pathsep)
+    if absolute := [entry for entry in given if os.path.isabs(entry)]:
+        environment["PYTHONPATH"] = os.pathsep.join(absolute)
+    command = [sys.executable, "-c", START, root, module, *arguments]
+    return subprocess.Popen(command, env=environment, **options)
+
+
+def leave_out_current_folder() -> None:
+    """Let this process import nothing more from the current folder, unless it is named in full."""
+    try:
+        here = os.getcwd()
+    except FileNotFoundError:
+        return
+    given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    relative = {os.path.normpath(os.path.join(here, e)) for e in given if not os.path.isabs(e)}
+    if sys.path and sys.path[0] in ("", here):
+        del sys.path[0]
+    if os.environ.get("PYTHONPATH"):
+        sys.path[:] = [entry for entry in sys.path if entry in given or entry not in relative]

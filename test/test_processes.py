@@ -1,0 +1,93 @@
+"""How programs run: one thread unless told otherwise, and no code from where they were started."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from magcal_ros import processes
+
+SCRIPT = "import magcal_ros.cli.main, os; print(os.environ['{pool}'])"
+
+
+@pytest.mark.parametrize(
+    ("pool", "given"), [("OMP_NUM_THREADS", None), ("OPENBLAS_NUM_THREADS", "3")]
+)
+def test_the_command_takes_one_thread_unless_the_user_says_otherwise(pool, given):
+    environment = {name: value for name, value in os.environ.items() if name != pool}
+    if given is not None:
+        environment[pool] = given
+    answer = subprocess.run(
+        [sys.executable, "-c", SCRIPT.format(pool=pool)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert answer.stdout.strip() == (given or "1")
+
+
+SHADOWS = ["select", "argparse", "subprocess", "multiprocessing", "selectors", "pickle", "rclpy"]
+SHADOWS += ["importlib", "runpy", "geometry_msgs", "numpy", "magcal_ros"]
+
+
+@pytest.fixture
+def trap(tmp_path, monkeypatch):
+    """Work in a folder whose modules give themselves away; returns what they have done."""
+    for name in SHADOWS:
+        betray = (
+            f"open({str(tmp_path / 'was_run')!r}, 'a').write({name!r} + ' ')\nraise ImportError"
+        )
+        (tmp_path / f"{name}.py").write_text(betray)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    was_run = tmp_path / "was_run"
+    return lambda: was_run.read_text() if was_run.exists() else ""
+
+
+PATHS = ("", os.pathsep, f"/nowhere{os.pathsep}", f".{os.pathsep}/nowhere")
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_nothing_in_the_current_folder_is_run_by_a_process_of_ours(trap, monkeypatch, path):
+    monkeypatch.setenv("PYTHONPATH", path)
+    process = processes.start("magcal_ros.cli.main", "--version", stdout=subprocess.PIPE)
+    said, _ = process.communicate()
+    assert trap() == ""
+    assert process.returncode == 0
+    assert said.startswith(b"magcal_ros ")
+
+
+LATER = """
+import json, os, sys
+sys.path.insert(0, {root!r})
+from magcal_ros import processes
+sys.path.pop(0)
+processes.leave_out_current_folder()
+print(json.dumps(sys.path))
+"""
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_a_program_that_runs_takes_nothing_more_from_the_current_folder(tmp_path, path):
+    code = LATER.format(root=os.path.dirname(os.path.dirname(processes.__file__)))
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        check=True,
+    )
+    left = json.loads(done.stdout)
+    assert not {"", str(tmp_path)} & set(left)
+    assert ("/nowhere" in left) == ("/nowhere" in path)
+
+
+def test_a_folder_that_is_named_in_full_counts_wherever_one_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}{tmp_path}")
+    monkeypatch.setattr(sys, "path", ["/bin", str(tmp_path)])
+    processes.leave_out_current_folder()
+    assert sys.path == ["/bin", str(tmp_path)]
