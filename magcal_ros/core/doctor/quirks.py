@@ -1,0 +1,167 @@
+"""Habits of drivers that are known: how they show in a log, and what mends them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.doctor.finding import Finding, looked_at
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.units import FIELD_UNITS
+
+WRAP = 2.0**32 * 1e-6
+"""Seconds after which a clock of 32 bits that counts microseconds begins anew."""
+
+AK8963_IN_MPU9250 = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
+"""Rows: the magnetometer's axes in those of the same chip's accelerometer."""
+
+INVERTED = -np.eye(3)
+"""As a field that points up looks where the inclination is known."""
+
+FIELD_POINTS_UP = (
+    "the field points up where the reference says down, or down where it says up. A simulator may "
+    "publish its world's field in north-east-down (NED) axes: in Gazebo, give the magnetometer's "
+    "plugin <use_earth_frame_ned>false</use_earth_frame_ned>. On a robot, check the sign of "
+    "reference.inclination_deg"
+)
+
+
+@dataclass(frozen=True)
+class Quirk:
+    """A habit of a driver.
+
+    Parameters
+    ----------
+    driver : str
+        Who has it.
+    habit : str
+        What it publishes.
+    remedy : str
+        What to change.
+    line : str
+        Which line of the page names it; empty where a log of field and IMU cannot show it.
+    shows : callable, optional
+        Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
+        err; None where the line that finds the fault names the driver itself.
+    """
+
+    driver: str
+    habit: str
+    remedy: str
+    line: str = "driver"
+    shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
+
+
+def _every_other_is_void(log: SensorLog, _: FloatArray | None) -> bool:
+    void = np.asarray(~(np.abs(log.field) < 1e100).all(axis=1))
+    # Of random gaps as many, half of the changes would be missing.
+    return len(void) > 1 and float(np.mean(void[1:] != void[:-1])) > 0.75
+
+
+def _leads(log: SensorLog) -> FloatArray:
+    """Return by how many seconds the field's stamps lead, at the beginning and at the end."""
+    times = [time[np.isfinite(time)] for time in (log.imu_time, log.field_time)]
+    if not all(len(time) for time in times):
+        return np.full(2, math.nan)
+    imu, field = times
+    return np.array([field[0] - imu[0], field[-1] - imu[-1]])
+
+
+def _one_wrap_ahead(log: SensorLog, _: FloatArray | None) -> bool:
+    return bool((np.abs(_leads(log) - WRAP) < 1.0).all())
+
+
+def _old_by_most_of_a_second(log: SensorLog, _: FloatArray | None) -> bool:
+    leads = _leads(log)
+    return bool((np.abs(leads + 0.8) < 0.2).all())
+
+
+def _sits_as(habit: FloatArray) -> Callable[[SensorLog, FloatArray | None], bool]:
+    return lambda _, axes: axes is not None and np.array_equal(axes, habit)
+
+
+QUIRKS: tuple[Quirk, ...] = (
+    *(
+        Quirk(
+            drivers,
+            f"publishes the field in {name} instead of tesla",
+            f"multiply by {factor} in the driver",
+            "field: unit",
+        )
+        for _, _, name, factor, drivers in FIELD_UNITS
+        if drivers
+    ),
+    Quirk(
+        "Phidgets Spatial",
+        "publishes NaN or 1e296 in every second message, between two of its magnetometer",
+        "lower the driver's data rate to the magnetometer's; until then those are left out",
+        shows=_every_other_is_void,
+    ),
+    Quirk(
+        "SBG Systems",
+        "stamps the field 4294.97 s ahead of the IMU: its clock of microseconds has wrapped",
+        "let the driver stamp with the ROS time (time_reference: ros), or restart the sensor",
+        shows=_one_wrap_ahead,
+    ),
+    Quirk(
+        "ZED 2i",
+        "stamps the field 0.8 s before the IMU that comes with it",
+        "stamp the field with the time at which it is received, or use another magnetometer",
+        shows=_old_by_most_of_a_second,
+    ),
+    Quirk(
+        "MPU-9250",
+        "publishes the magnetometer's own axes, which are the accelerometer's y, x, -z",
+        "give the mount_rpy_deg that is named, or turn the axes in the driver",
+        shows=_sits_as(AK8963_IN_MPU9250),
+    ),
+    Quirk(
+        "ICM-20948 or a driver in forward-right-down axes",
+        "publishes the magnetometer's own axes, which are the accelerometer's x, -y, -z",
+        "give the mount_rpy_deg that is named, or turn the axes in the driver",
+        shows=_sits_as(AK09916_IN_ICM20948),
+    ),
+    Quirk(
+        "Gazebo",
+        "publishes its world's field in north-east-down axes (NED): it points up",
+        "set use_earth_frame_ned to false in the magnetometer's plugin",
+        shows=_sits_as(INVERTED),
+    ),
+    Quirk(
+        "BNO08x",
+        "publishes the game rotation vector as orientation: a yaw that knows no north",
+        "enable its magnetometer's report and take the yaw from here, or its rotation vector",
+        "",
+    ),
+)
+
+
+def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
+    """Return a line for each driver whose habit a log shows.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As published.
+    axes : ndarray, shape (3, 3), optional
+        The magnetometer's axes, rows in the IMU's, where they alone err.
+    """
+    return [
+        looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
+        for each in QUIRKS
+        if each.shows is not None and each.shows(log, axes)
+    ]
+
+
+def as_markdown() -> str:
+    """Return the table for people."""
+    rows = ["| driver | what it does | what mends it | named in |", "|---|---|---|---|"]
+    for each in QUIRKS:
+        named = f"`{each.line}`" if each.line else "not by `doctor`, which reads no orientation"
+        rows.append(f"| {each.driver} | {each.habit} | {each.remedy} | {named} |")
+    return "\n".join(rows) + "\n"

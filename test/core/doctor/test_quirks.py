@@ -1,0 +1,143 @@
+"""Each habit of a driver is named where it is put on good sensors, and nowhere else."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imu_faults_cases import good_case
+from long_form import first_of
+
+from magcal_ros.core.doctor.page import examine
+from magcal_ros.core.doctor.quirks import (
+    AK09916_IN_ICM20948,
+    AK8963_IN_MPU9250,
+    QUIRKS,
+    WRAP,
+    as_markdown,
+)
+from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+
+MOTION = "half minute"
+
+
+def case_of(seed):
+    return good_case(np.random.default_rng([34, seed]), MOTION)
+
+
+def wrong_lines(case, log):
+    page = examine(log, case.knowledge, Told(case.turned_left))
+    return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
+
+
+def scaled(per_tesla):
+    return lambda rng, log: replace(log, field=per_tesla * log.field)
+
+
+def normed(size):
+    def published(rng, log):
+        # The sensor's own unit is the field of where it was made, not the field here.
+        whole = np.median(np.linalg.norm(log.field, axis=1)) * rng.uniform(0.93, 1.07)
+        return replace(log, field=size * log.field / whole)
+
+    return published
+
+
+def void(value):
+    def published(rng, log):
+        field = log.field.copy()
+        field[rng.integers(2) :: 2] = value
+        return replace(log, field=field)
+
+    return published
+
+
+def stamped(off):
+    def published(rng, log):
+        # The IMU's stream ends within a message or two of the field's.
+        return replace(log, field_time=log.field_time + off + rng.uniform(-0.05, 0.05))
+
+    return published
+
+
+def turned(axes):
+    return lambda rng, log: replace(log, field=log.field @ axes.T)
+
+
+CASES = {
+    "imu_3dm_gx4": scaled(1e4),
+    "MAVROS": scaled(1e10),
+    "Xsens": normed(1.0),
+    "Inertial Sense": normed(1.4),
+    "Phidgets": void(np.nan),
+    "Phidgets Spatial": void(1e296),
+    "SBG": stamped(WRAP),
+    "ZED 2i": stamped(-0.8),
+    "MPU-9250": turned(AK8963_IN_MPU9250),
+    "ICM-20948": turned(AK09916_IN_ICM20948),
+}
+
+
+def is_named(name, seed):
+    case = case_of(seed)
+    log = CASES[name](np.random.default_rng([35, seed]), case.log)
+    return any(name in line for line in wrong_lines(case, log))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_driver_is_named(name):
+    assert is_named(name, 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("MPU-9250", "mount_rpy_deg: [180.0, 0.0, 90.0]"),
+        ("ICM-20948", "mount_rpy_deg: [180.0, 0.0, 0.0]"),
+    ],
+)
+def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
+    case = case_of(0)
+    log = CASES[name](np.random.default_rng([35, 0]), case.log)
+    page = examine(log, case.knowledge, Told(case.turned_left))
+    assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
+    sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
+    assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")
+
+
+def _rotation(line):
+    angles = re.findall(r"-?[\d.]+", line.partition(":")[2])
+    return rotation_from_rpy(*(np.radians(float(angle)) for angle in angles))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", CASES)
+def test_the_driver_is_named_in_99_of_100(name):
+    assert sum(is_named(name, seed) for seed in range(1, 101)) >= 99
+
+
+@pytest.mark.parametrize("seed", first_of(range(100), 2))
+def test_no_driver_is_named_where_nothing_is_wrong(seed):
+    case = case_of(seed)
+    lines = " ".join(wrong_lines(case, case.log))
+    assert not any(quirk.driver in lines for quirk in QUIRKS)
+
+
+@pytest.mark.parametrize("seed", first_of(range(1, 51), 2))
+def test_a_field_that_points_up_is_told_as_a_simulators(seed):
+    """Gazebo turns the world's north, east and down into the robot's axes as if they were ENU."""
+    case = case_of(seed)
+    known = case.knowledge.reference
+    if abs(known.inclination.value) < 0.3:
+        pytest.skip("where the field is nearly level both signs say the same")
+    other = replace(known.inclination, value=-known.inclination.value)
+    knowledge = replace(case.knowledge, reference=replace(known, inclination=other))
+    lines = wrong_lines(replace(case, knowledge=knowledge), case.log)
+    assert any("NED" in line for line in lines)
+
+
+def test_the_page_for_people_shows_the_same_table():
+    page = Path(__file__).parents[3] / "doc" / "drivers.md"
+    assert as_markdown() in page.read_text(encoding="utf-8")

@@ -1,0 +1,143 @@
+"""Launch files and samples of configuration: they load, and every name in them exists.
+
+`launch` has no wheels, so the files run with stand-ins that note what they are given; the real ones
+run in the images of `.github/workflows/ci.yml`.
+"""
+
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+
+import pytest
+import yaml
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+LAUNCHES = sorted((CHECKOUT / "launch").glob("*.launch.py"))
+SAMPLES = sorted((CHECKOUT / "config" / "sensors").glob("*.yaml"))
+CONSUMERS = yaml.safe_load((CHECKOUT / "test" / "consumers.yaml").read_text())
+FILTERS = CONSUMERS["robot_localization"]["parameters"]
+EXECUTABLES = {"magcal_ros": {"calibrator"}, "robot_localization": set(FILTERS)}
+HEARD = {
+    "calibrator": {"imu/data_raw", "imu/mag", "gps/fix", "odom", "cmd_vel"},
+    "ekf_node": {"imu/data_raw", "odom", "odometry/filtered"},
+    "navsat_transform_node": {"imu", "gps/fix", "odometry/filtered"},
+}
+"""What may be remapped."""
+
+STAND_INS = {
+    "launch": ["LaunchDescription"],
+    "launch.actions": ["DeclareLaunchArgument"],
+    "launch.substitutions": ["LaunchConfiguration", "PathJoinSubstitution"],
+    "launch_ros.actions": ["Node"],
+    "launch_ros.substitutions": ["FindPackageShare"],
+}
+
+
+class Made(SimpleNamespace):
+    """What a launch file has made of one class, with its arguments."""
+
+
+@pytest.fixture(params=LAUNCHES, ids=lambda path: path.name)
+def described(request, monkeypatch):
+    """Return what a launch file describes: its arguments and nodes by name, and their files."""
+    monkeypatch.setitem(sys.modules, "launch_ros", ModuleType("launch_ros"))
+    for name, classes in STAND_INS.items():
+        module = ModuleType(name)
+        for each in classes:
+            made = lambda *given, kind=each, **named: Made(kind=kind, given=given, named=named)  # noqa: E731
+            setattr(module, each, made)
+        monkeypatch.setitem(sys.modules, name, module)
+    (entities,) = runpy.run_path(str(request.param))["generate_launch_description"]().given
+    arguments = {
+        each.given[0]: each.named for each in entities if each.kind == "DeclareLaunchArgument"
+    }
+    nodes = {each.named["name"]: each.named for each in entities if each.kind == "Node"}
+    assert len(arguments) + len(nodes) == len(entities)
+    path = arguments["params_file"]["default_value"]
+    package, *rest = path.given[0]
+    assert package.given == ("magcal_ros",)
+    return arguments, nodes, CHECKOUT.joinpath(*rest)
+
+
+def mentioned(value):
+    """Return the names of all arguments that a value of a launch file refers to."""
+    if isinstance(value, Made):
+        return set(value.given) if value.kind == "LaunchConfiguration" else set()
+    if isinstance(value, dict):
+        return mentioned(list(value.values()))
+    return set().union(*map(mentioned, value)) if isinstance(value, list | tuple) else set()
+
+
+def parameters_in(path):
+    """Return the parameters of a file, dotted, by what stands before them."""
+
+    def flat(tree, before=""):
+        for key, value in tree.items():
+            if isinstance(value, dict):
+                yield from flat(value, f"{before}{key}.")
+            else:
+                yield f"{before}{key}", value
+
+    document = yaml.safe_load(path.read_text())
+    return {node: dict(flat(tree["ros__parameters"])) for node, tree in document.items()}
+
+
+OURS = parameters_in(CHECKOUT / "config" / "calibrator.yaml")["/**"]
+
+
+def test_every_argument_is_declared_used_and_explained(described):
+    arguments, nodes, _ = described
+    assert mentioned(nodes) == set(arguments)
+    assert all(each["description"] for each in arguments.values())
+
+
+def test_every_executable_and_remapped_topic_exists(described):
+    _, nodes, _ = described
+    for node in nodes.values():
+        assert node["executable"] in EXECUTABLES[node["package"]]
+        assert {old for old, _ in node["remappings"]} <= HEARD[node["executable"]]
+
+
+def test_every_parameter_is_one_of_its_node(described):
+    _, nodes, path = described
+    for name, parameters in parameters_in(path).items():
+        executable = nodes[name.rpartition("/")[2]]["executable"] if name != "/**" else "calibrator"
+        known = OURS if executable == "calibrator" else FILTERS[executable]
+        assert set(parameters) <= set(known), name
+
+
+def test_the_filters_take_each_quantity_from_where_it_is_known():
+    found = parameters_in(CHECKOUT / "config" / "robot_localization.yaml")
+    yaw, yaw_rate = 5, 11
+    taken = {}
+    for name in ("ekf_filter_node_odom", "ekf_filter_node_map"):
+        parameters = found[f"/**/{name}"]
+        for key, value in parameters.items():
+            if key.endswith("_config"):
+                assert len(value) == 15
+                source = parameters[key.removesuffix("_config")]
+                taken[name, source] = [k for k, used in enumerate(value) if used]
+    assert taken == {
+        ("ekf_filter_node_odom", "odom"): [6, 7],
+        ("ekf_filter_node_odom", "imu/data_raw"): [yaw_rate],
+        ("ekf_filter_node_map", "odom"): [6, 7],
+        ("ekf_filter_node_map", "odometry/gps"): [0, 1],
+        ("ekf_filter_node_map", "imu/data_raw"): [yaw_rate],
+        ("ekf_filter_node_map", "compass/true/enu/imu"): [yaw],
+    }
+    transform = found["/**/navsat_transform"]
+    assert transform["magnetic_declination_radians"] == transform["yaw_offset"] == 0.0
+
+
+@pytest.mark.parametrize("path", SAMPLES, ids=lambda path: path.stem)
+def test_a_sample_for_a_sensor_sets_what_there_is_and_names_habits(path):
+    assert set(parameters_in(path)["/**"]) <= set(OURS)
+    assert "# Habits\n# - " in path.read_text()
+
+
+def test_launch_files_and_samples_are_installed():
+    setup = (CHECKOUT / "setup.py").read_text()
+    for folder in ("launch", "config", "config/sensors"):
+        assert f'(f"share/{{NAME}}/{folder}", sorted(glob("{folder}/*.*")))' in setup
+    assert "graft launch" in (CHECKOUT / "MANIFEST.in").read_text()
