@@ -43,6 +43,10 @@ KILTED_WHEELS = [
 BAG_READER = ["rosbags>=0.10"]
 LIVE_VIEW = ["rich>=12"]
 
+# Reads logs of autopilots.
+ARDUPILOT_LOGS = ["pymavlink>=2.4.40"]
+PX4_LOGS = ["pyulog>=1.0"]
+
 REPORT = ["matplotlib>=3.5.1"]
 
 TEST_TOOLS = [
@@ -52,6 +56,7 @@ TEST_TOOLS = [
     # A second evaluation of the World Magnetic Model to compare with.
     "pygeomag>=1.1",
     "pytest>=8",
+    "pytest-rerunfailures>=15",
     "pytest-timeout>=2.3",
     "pytest-xdist>=3.5",
     "ruff>=0.6",
@@ -80,18 +85,29 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*"))),
+        (f"share/{NAME}/config", sorted(glob("config/*.*"))),
+        (f"share/{NAME}/config/sensors", sorted(glob("config/sensors/*.*"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.*"))),
     ],
     python_requires=">=3.10",
     # The floors are Ubuntu 22.04's: `make matrix` tests on them.
     install_requires=["setuptools", "numpy>=1.21.5", "scipy>=1.8.0", "PyYAML>=5.4.1"],
     extras_require={
+        "ardupilot": ARDUPILOT_LOGS,
         "bags": BAG_READER,
         "live": LIVE_VIEW,
+        "px4": PX4_LOGS,
         "report": REPORT,
         "ros": JAZZY_WHEELS,
         "ros-kilted": KILTED_WHEELS,
-        "test": [*BAG_READER, *LIVE_VIEW, *REPORT, *TEST_TOOLS],
+        "test": [
+            *ARDUPILOT_LOGS,
+            *BAG_READER,
+            *LIVE_VIEW,
+            *PX4_LOGS,
+            *REPORT,
+            *TEST_TOOLS,
+        ],
     },
     zip_safe=True,
     author="magcal_ros contributors",
