@@ -20,7 +20,7 @@ LIBRARIES = {
 
 TEST_TOOLS = ["pytest>=6.2.5", "pytest-timeout", "pytest-xdist>=3.5", "hypothesis>=6.36"]
 ON_EVERY_CORE = ["--numprocesses", "auto", "--dist", "worksteal"]
-PACKAGE = ".[bags,live,report,wmm]"
+PACKAGE = ".[ardupilot,bags,live,px4,report]"
 COLCON = "colcon-common-extensions==0.3.0"
 
 nox.options.reuse_venv = "yes"
@@ -78,7 +78,7 @@ def types(session: nox.Session) -> None:
 @nox.parametrize("extra", ["ros", "ros-kilted"], ids=["jazzy", "kilted"])
 def ros(session: nox.Session, extra: str) -> None:
     """Run the node's tests and the demo, on the wheels of a distribution."""
-    session.install("--editable", f".[bags,live,report,wmm,{extra}]", COLCON, *TEST_TOOLS)
+    session.install("--editable", f".[bags,live,report,{extra}]", COLCON, *TEST_TOOLS)
     session.run("python", "-m", "pytest", "--numprocesses", "2", "test/ros", *session.posargs)
     session.run("magcal", "demo")
 

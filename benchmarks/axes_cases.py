@@ -74,9 +74,9 @@ def good_case(rng: np.random.Generator) -> tuple[Window, Knowledge]:
     iron = rng.uniform(-0.1, 0.1, (3, 3)) * rng.uniform(0.0, 1.0)
     robot = replace(cheap_robot(rng, np.eye(3)), soft_iron=0.5 * (iron + iron.T))
     trouble = Trouble(
-        outliers=rng.choice([0.0, 0.02]),
+        outliers=float(rng.choice([0.0, 0.02])),
         disturbance=rng.choice([0.0, 0.1, 0.3]) * robot.strength,
-        vibration=rng.choice([0.0, 0.5]),
+        vibration=float(rng.choice([0.0, 0.5])),
     )
     motion = movement(rng, str(rng.choice([*MOTIONS, "slope"])))
     window = measure(robot, motion, rng, gyro=True, trouble=trouble)

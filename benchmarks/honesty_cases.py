@@ -234,7 +234,7 @@ def wrong_gravity(rng: np.random.Generator, case: Case) -> Case:
 def wrong_reference(rng: np.random.Generator, case: Case) -> Case:
     robot = case.robot
     strength = robot.strength * math.exp(rng.choice([-1, 1]) * rng.uniform(0.05, 0.5))
-    dip = robot.inclination + rng.choice([-1, 1]) * rng.uniform(3, 20) * DEGREE
+    dip = robot.inclination + float(rng.choice([-1.0, 1.0])) * rng.uniform(3, 20) * DEGREE
     sigma = float(rng.choice([0.0, 0.03]))
     dip = float(np.clip(dip, -79 * DEGREE, 79 * DEGREE))
     beliefs = Belief(strength, sigma * strength), Belief(dip, sigma * 0.6)

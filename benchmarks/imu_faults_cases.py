@@ -96,7 +96,7 @@ def drive(rng: np.random.Generator, kind: str, habit: Habit = USUAL) -> Drive:
     angle = rng.uniform(75.0, 110.0) if kind == "quarter" else rng.uniform(*habit.angle)
     ramp, left = rng.uniform(0.4, 1.0), 1.0
     if kind in ("turn", "lift"):
-        left = rng.choice([-1.0, 1.0])
+        left = float(rng.choice([-1.0, 1.0]))
     halt = 2.0
     turning = angle * DEGREE / speed + habit.pauses * halt
     lift, lasts = rng.uniform(15.0, 25.0) * DEGREE, rng.uniform(3.0, 5.0)

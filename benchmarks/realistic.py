@@ -11,6 +11,8 @@ with the gyro over that without, of the turns that are answered either way: more
 With `--turns` each row is a kind of turn instead (`turn_kinds.py`; a fifth without a reference
 field), with perfect, good, typical and cheap sensors; what was warned of and refused is counted.
 With `--rested` the rows are courses that begin and end at rest, as a robot's own turns do.
+With `--arcs` they are arcs of 40 to 90°, as of a turn that is finished by hand, with rests before
+and after or without, of good, typical and cheap sensors.
 With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
 field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
 degree.
@@ -53,6 +55,8 @@ from magcal_ros.core.simulation.simulator import (
 )
 
 SAMPLES, SECONDS = 600, 20.0
+FULL_TURN, PART_OF_A_TURN = (1.0, 1.15), (40.0 / 360.0, 90.0 / 360.0)
+"""Arcs of turns, from and to."""
 REST = 3.0
 """Seconds before and after a turn that starts and ends at rest."""
 RUNS_FROM = 0.02
@@ -100,6 +104,9 @@ RESTED: dict[str, Course] = {
 }
 
 
+ARCS: dict[str, Course | None] = {"no rests": None, "rests": evenly}
+
+
 def driven(
     course: Course, arc: float, start_rpy: tuple[float, float, float], sway: FloatArray
 ) -> Motion:
@@ -128,8 +135,12 @@ def collected(window: Window) -> Window:
     return session.window()
 
 
-def drawn(rng: np.random.Generator, course: Course | None = None) -> tuple[Scene, Knowledge]:
-    """Draw a robot, its turn, and what is known of the field."""
+def drawn(
+    rng: np.random.Generator,
+    course: Course | None = None,
+    turns: tuple[float, float] = FULL_TURN,
+) -> tuple[Scene, Knowledge]:
+    """Draw a robot, its turn (of so many turns), and what is known of the field."""
     robot = Robot(
         inclination=rng.uniform(50.0, 70.0) * DEGREE,
         roll=rng.normal(0.0, 3.0) * DEGREE,
@@ -142,7 +153,7 @@ def drawn(rng: np.random.Generator, course: Course | None = None) -> tuple[Scene
     )
     slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
     sway = smooth_wobble(rng, SAMPLES, SECONDS, 1.0 * DEGREE, (0.2, 2.0))
-    arc = rng.choice([-1.0, 1.0]) * rng.uniform(1.0, 1.15) * math.tau
+    arc = rng.choice([-1.0, 1.0]) * rng.uniform(*turns) * math.tau
     if course is None:
         motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
     else:
@@ -499,16 +510,32 @@ def by_rested_turn(
     return scene
 
 
+def by_arc(course: str, sensors: str) -> Callable[[int], tuple[Scene, Knowledge]]:
+    def scene(number: int) -> tuple[Scene, Knowledge]:
+        scene, known = drawn(np.random.default_rng([5, number]), ARCS[course], PART_OF_A_TURN)
+        scene = SENSORS[sensors](np.random.default_rng([6, number]), scene)
+        return replace(scene, has_course=True), known
+
+    return scene
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--only", default="", help="effects whose name holds this")
     parser.add_argument("--turns", action="store_true", help="kinds of turns instead of effects")
     parser.add_argument("--rested", action="store_true", help="from rest to rest, instead")
+    parser.add_argument("--arcs", action="store_true", help="40 to 90° of a turn, instead")
     parser.add_argument("--place", default="open", choices=PLACES, help="of those turns")
     arguments = parser.parse_args()
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s", "wrong")
     print(f"{'effect':28s}{'':5s}" + "".join(f"{name:>8s}" for name in names))
+    if arguments.arcs:
+        for sensors in ("good", "typical", "cheap"):
+            for course in ARCS:
+                if arguments.only in f"{sensors} {course}":
+                    show(f"{sensors}, {course}", by_arc(course, sensors), arguments.runs)
+        return
     if not (arguments.turns or arguments.rested):
         for name in (*EFFECTS, *COURSES):
             if arguments.only in name:

@@ -70,9 +70,11 @@ def main() -> None:
         over.set()
         thread.join()
         rclpy.try_shutdown()
-    a, b = statistics.median(bare), statistics.median(ours)
     print("exec to first message        relay     calibrator   ratio")
-    print(f"{f'median of {rounds}':26s}{a:7.2f} s  {b:9.2f} s  {b / a:9.2f}")
+    # What the slower rounds take more is the discovery of DDS, of the relay as well.
+    for name, of in ((f"median of {rounds}", statistics.median), ("fastest", min)):
+        a, b = of(bare), of(ours)
+        print(f"{name:26s}{a:7.2f} s  {b:9.2f} s  {b / a:9.2f}")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import ast
 import functools
 import re
+import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -19,12 +20,13 @@ MANIFEST = ElementTree.parse(CHECKOUT / "package.xml").getroot()
 SYSTEM = {
     "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
+    "rich": "python3-rich",
     "scipy": "python3-scipy",
     "yaml": "python3-yaml",
 }
 """What rosdep calls a module that is no ROS package."""
 
-NO_ROSDEP_KEY = {"rich", "rosbags"}
+NO_ROSDEP_KEY = {"pymavlink", "pyulog", "rosbags"}
 """Optional; the command that needs one says how to get it."""
 
 NO_WHEEL = {"rosbag2_py"}
@@ -61,7 +63,8 @@ def setup_call():
 
 def test_package_xml_names_what_is_imported_and_nothing_else():
     needed = {SYSTEM.get(name, name) for name in imported() - NO_ROSDEP_KEY}
-    assert set(texts("exec_depend")) == needed
+    launched = {"launch", "launch_ros"}
+    assert set(texts("exec_depend")) == needed | launched
 
 
 def test_the_wheels_of_each_distribution_hold_every_ros_package_that_is_imported():
@@ -75,6 +78,11 @@ def test_the_papers_agree_on_version_and_licence():
     given = setup_call()
     assert texts("version") == [given["version"]]
     assert texts("license") == [given["license"]]
+    citation = yaml.safe_load((CHECKOUT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert [citation["version"]] == texts("version")
+    assert [citation["license"]] == texts("license")
+    assert citation["repository-code"] in texts("url")
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
 
 
 def test_no_address_is_of_a_host_that_cannot_be():
@@ -93,6 +101,51 @@ def test_the_changelog_is_of_the_form_that_release_tools_read():
     for i in sections:
         assert re.fullmatch(r"Forthcoming|\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)", lines[i - 1])
         assert len(lines[i]) == len(lines[i - 1])
+
+
+def extras_of_setup():
+    """Return the extras that setup.py declares."""
+    (extras,) = re.findall(
+        r"(?s)extras_require=\{(.*?)\n    \}", (CHECKOUT / "setup.py").read_text()
+    )
+    return set(re.findall(r'"([\w-]+)":', extras))
+
+
+@pytest.mark.parametrize("name", ["noxfile.py", "Makefile"])
+def test_only_extras_that_exist_are_asked_for(name):
+    text = (CHECKOUT / name).read_text(encoding="utf-8").replace("{extra}", "ros")
+    asked = {each for group in re.findall(r"\.\[([\w,-]+)\]", text) for each in group.split(",")}
+    assert asked
+    assert asked <= extras_of_setup()
+
+
+def test_tools_of_the_tests_have_a_key_in_every_distribution():
+    assert set(texts("test_depend")) == {"python3-pytest", "python3-pytest-timeout"}
+
+
+WITHOUT_HYPOTHESIS = """
+import sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "hypothesis":
+            raise ImportError(name)
+sys.meta_path.insert(0, Absent())
+import pytest
+sys.exit(pytest.main(["-q", "--collect-only", "-p", "no:hypothesispytest", *sys.argv[1:]]))
+"""
+
+
+def test_the_tests_are_collected_without_hypothesis():
+    folders = [str(CHECKOUT / "test" / name) for name in ("core/samples", "files/exporters")]
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_HYPOTHESIS, *folders],
+        capture_output=True,
+        text=True,
+        cwd=CHECKOUT,
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "test_units.py" in done.stdout
+    assert "test_exporters.py" not in done.stdout
 
 
 @pytest.mark.parametrize("name", ["humble", "jazzy", "lyrical"])

@@ -1,6 +1,6 @@
 """The command `magcal`: argparse and printing."""
 
-from magcal_ros.threads import use_one
+from magcal_ros.processes import use_one_thread
 
 # Here, because every command loads numpy.
-use_one()
+use_one_thread()

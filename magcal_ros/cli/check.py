@@ -10,16 +10,15 @@ from magcal_ros.cli.common import Exit, add_output_option, bullets, document, ne
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather, opened
 from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
-from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
+from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
 from magcal_ros.files.mended import MendedReadings
-from magcal_ros.files.plain import plain
+from magcal_ros.files.plain import plain, plain_lines
 from magcal_ros.report import Subject, write_report
 
 
@@ -44,35 +43,34 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
-    gathered = gather(options, Mounting(), options.recording)
+    with opened(options, options.recording) as source:
+        gathered = gather(options, Mounting(), source)
+        north = gathered.reference.field.declination
+        travel, readings = source.travel(), MendedReadings(source)
+        course = recorded_course(calibration, readings, travel, north) if travel else None
+        own = against_own_yaw(calibration, readings, source.yaw(), north)
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
     notes += [elsewhere] if elsewhere else []
-    course = _course(options, calibration)
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
+    notes += [] if own is None else [own.words]
     try:
         window = gathered.gathering.window()
         result = check(window, calibration, drive=gathered.gathering.drive())
     except Refusal as refusal:
         content = {"summary": str(refusal), "state": None, "about": notes}
         words = f"Too little data: {refusal}.\n{bullets('About the recording:', notes)}"
-        print(document(content) if options.json else words.rstrip("\n"))
+        print(document(content) if options.json else plain_lines(words.rstrip("\n")))
         return Exit.TOO_LITTLE_DATA
     outcome = Outcome(result.verdict, calibration, result.estimate)
     report = write_report(folder, _subject(window, outcome, options, gathered))
     reference = gathered.reference.facts
     facts = {**_facts(result, notes), "reference": reference, "report": str(report)}
     facts["course"] = None if course is None else course.facts()
-    print(document(facts) if options.json else f"{_words(result, notes)}\n\nReport: {report}")
+    words = f"{_words(result, notes)}\n\nReport: {report}"
+    print(document(facts) if options.json else plain_lines(words))
     return Exit.REFUSED if not result.verdict.accepted else Exit.GOOD
-
-
-def _course(options: argparse.Namespace, calibration: Calibration) -> RecordedCourse | None:
-    """Compare the compass with course, where the recording has fixes."""
-    with opened(options, options.recording) as source:
-        travel = source.travel()
-        return recorded_course(calibration, MendedReadings(source), travel) if travel else None
 
 
 def _subject(

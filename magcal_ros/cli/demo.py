@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
+import shutil
 import signal
-import subprocess
-import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from magcal_ros.cli.common import Exit
 from magcal_ros.cli.graph import joined, keep_traffic_here
-from magcal_ros.cli.live_view import Lines, line
+from magcal_ros.cli.live_view import best_view
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -29,6 +28,11 @@ from magcal_ros.core.simulation.simulator import (
     trial_attitudes,
 )
 from magcal_ros.files.calibration_file import read_calibration, require_ours
+from magcal_ros.files.plain import plain_lines
+from magcal_ros.processes import start
+
+if TYPE_CHECKING:
+    import subprocess
 
 ROBOT = Robot(
     strength=48e-6,
@@ -41,6 +45,9 @@ ROBOT = Robot(
     noise_force=0.02,
 )
 """A compass as it is often found: a few degrees off level, and as magnetised as the field."""
+
+TAKES = 200.0
+"""Seconds that the demo takes in real time, most of them at 24 headings on five grounds."""
 
 LARGEST_ERROR_DEG = 1.0
 """The demo fails if the heading is worse than this afterwards."""
@@ -66,7 +73,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the demo; the exit status says whether the heading came out right."""
     require_ours(options.output)
     keep_traffic_here()
-    print("A simulated robot whose compass is badly mounted and magnetised, and the real node.\n")
+    print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
+    print(f"The robot turns once and is looked at afterwards: {_seconds(options.speed)}.\n")
     process = _start_node(options.output)
     try:
         with joined("magcal_demo") as node:
@@ -79,6 +87,10 @@ def run(options: argparse.Namespace) -> int:
         process.wait(timeout=10)
 
 
+def _seconds(speed: float) -> str:
+    return f"about {TAKES / speed:.0f} s" if speed > 0.0 else "some time"
+
+
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
     parameters = {
         "calibration_file": output.resolve(),
@@ -87,19 +99,21 @@ def _start_node(output: Path) -> subprocess.Popen[bytes]:
         "reference.inclination_deg": ROBOT.inclination / DEGREE,
         "reference.declination_deg": ROBOT.declination / DEGREE,
     }
-    command = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args", "--log-level", "warn"]
-    for name, value in parameters.items():
-        command += ["-p", f"{name}:={value}"]
-    return subprocess.Popen(command, env=os.environ)
+    given = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
+    return start("magcal_ros.ros.main", "--ros-args", "--log-level", "warn", *given)
 
 
 def _rehearse(rehearsal: Any, output: Path) -> int:
     rehearsal.wait_for_node()
     rehearsal.reset()
     before = _both(rehearsal.uncalibrated_errors)
-    print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger     (the robot turns)")
-    answer = rehearsal.calibrate(_Progress().show)
-    print(f"\n\n{answer.message}\n")
+    print("$ ros2 service call /calibrator/calibrate std_srvs/srv/Trigger", flush=True)
+    with best_view() as view:
+        answer = rehearsal.calibrate(view.show)
+    # Paths stay whole, to be clicked at or copied.
+    width = shutil.get_terminal_size().columns
+    words = textwrap.fill(answer.message, width, break_on_hyphens=False, break_long_words=False)
+    print(plain_lines(f"\n{words}\n"))
     if not answer.success:
         return Exit.REFUSED
     print("The robot now stands at 24 headings, on the level and on four slopes.\n", flush=True)
@@ -113,18 +127,8 @@ def _rehearse(rehearsal: Any, output: Path) -> int:
         ("after, without the sensors' noise", _without_noise(calibration.correction)),
     ):
         print(f"  {name:36s}{level:7.2f}°  {slope:7.2f}°")
-    print(f"\nThe calibration is in {output}; the node would load it at its next start.")
+    print(plain_lines(f"\nThe calibration is in {output}; a node loads it when it starts."))
     return Exit.GOOD if max(after) <= LARGEST_ERROR_DEG else Exit.FAILED
-
-
-class _Progress(Lines):
-    """One line, drawn again on a terminal; a line a second through a pipe."""
-
-    def show(self, progress: dict[str, Any]) -> None:
-        if sys.stdout.isatty():
-            print(f"\r{line(progress)}\x1b[K", end="", flush=True)
-        else:
-            super().show(progress)
 
 
 def _both(errors: Any) -> tuple[float, float]:

@@ -34,6 +34,7 @@ from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain_lines
 
 MOST = 500_000
 """Samples kept of each stream: more than an hour at 100 Hz."""
@@ -47,7 +48,8 @@ def add_to(commands: Any) -> None:
         description="Look at stamps, latency, units, gravity, repeats, resolution, range, noise "
         "and axes of the sensors, and say what to change. Without a recording it listens to the "
         "running sensors for a guided half minute: stand still, turn left, lift the nose. Exit "
-        "status: 0 nothing is wrong, 2 usage, 3 too little data, 4 something is, 5 file trouble.",
+        "status: 0 nothing is wrong (but lines may be worth a look), 2 usage, 3 too little data, "
+        "4 something is wrong, 5 file trouble.",
     )
     add_recording_options(parser, optional=True)
     parser.add_argument(
@@ -106,7 +108,7 @@ def _recorded(options: argparse.Namespace) -> int:
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()
     told = Told(None if options.turned is None else options.turned == "left")
-    complaints = [*gathering.complaints(), *reference.complaints]
+    complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = [looked_at("recording", "recording", words, words) for words in complaints]
     log = SensorLog.of(kept.samples)
     if _too_little(log):
@@ -142,10 +144,14 @@ def _nothing(options: argparse.Namespace, log: SensorLog, more: Sequence[Finding
 
 def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
     """Print the page and write what parameters can mend."""
-    status = Exit.REFUSED if page.is_wrong else Exit.GOOD
+    status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
-    print(document(page_as_facts(page, written, status)) if options.json else page_in_words(page))
-    if options.write is not None and not options.json:
+    if options.json:
+        print(document(page_as_facts(page, written, status)))
+        return status
+    words = page_in_words(page)
+    if options.write is not None:
         nothing = "Nothing is written: no parameter alone mends what was found."
-        print(f"\n{f'Written: {written}' if written else nothing}")
+        words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
+    print(plain_lines(words))
     return status

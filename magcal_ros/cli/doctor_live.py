@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import select
 import sys
 import time
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from magcal_ros.cli.graph import interrupts_noted, joined
 from magcal_ros.cli.recorded import mounting_from
 from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
-from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStep, GuideStepState
+from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.errors import MagcalError
@@ -36,7 +37,15 @@ SILENT_AFTER = 8.0
 DISCOVERY = 3.0
 """Seconds in which topics are looked for."""
 
-MISLEADING = ("field_axes", "gyro_axes", "force_axes", "nothing_fits", "imu_axes", "gravity_sign")
+MISLEADING = (
+    "axes",
+    "field_axes",
+    "gyro_axes",
+    "force_axes",
+    "nothing_fits",
+    "imu_axes",
+    "gravity_sign",
+)
 """Lines with which nothing can be said of the description."""
 
 CROWD = (
@@ -114,13 +123,20 @@ def listen(options: argparse.Namespace) -> Heard:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         begin = time.monotonic()
-        say(f"Listening to {topics[0]} and {topics[1]}.\n  [ ] {ASKED[GuideStep.STAND]}")
+        say(f"Listening to {topics[0]} and {topics[1]}. The Enter key skips a step.")
+        asking = Asking()
         with interrupts_noted() as interrupted:
             while guide.current is not None and not interrupted.is_set():
                 executor.spin_once(timeout_sec=0.02)
                 now = time.monotonic()
+                asking.count_down(guide, now)
+                if asking.is_skipped():
+                    before = guide.current
+                    guide.skip(now)
+                    if guide.current is not before:
+                        asking.tick(guide)
                 if guide.pass_time(now):
-                    _tick(guide)
+                    asking.tick(guide)
                 if now - begin > SILENT_AFTER and not all(listener.heard):
                     raise MagcalError(_silence(listener))
         if interrupted.is_set():
@@ -150,17 +166,48 @@ def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
         time.sleep(0.1)
 
 
-def _tick(guide: Guide) -> None:
-    """Tell what was seen, and what is asked for next."""
-    done = [
-        s
-        for s, state in guide.states.items()
-        if state in (GuideStepState.SEEN, GuideStepState.MISSED)
-    ]
-    seen = guide.states[done[-1]] is GuideStepState.SEEN
-    say(f"  [{'x' if seen else '-'}] {ASKED[done[-1]]}{'' if seen else ': not seen'}")
-    if guide.current is not None:
-        say(f"  [ ] {ASKED[guide.current]}")
+class Asking:
+    """Says what is asked for and for how long yet, and hears the Enter key, where a person sits."""
+
+    def __init__(self) -> None:
+        self._rewrites = sys.stderr.isatty()
+        self._keys = sys.stdin is not None and sys.stdin.isatty()
+        self._shown = ""
+
+    def count_down(self, guide: Guide, now: float) -> None:
+        """Show what is asked for, and the seconds that are left."""
+        if guide.current is None:
+            return
+        line = f"  [ ] {ASKED[guide.current]}"
+        if self._rewrites:
+            line += f" ({guide.left(now):.0f} s left)"
+        if line == self._shown:
+            return
+        self._shown = line
+        if self._rewrites:
+            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
+        else:
+            say(line)
+
+    def is_skipped(self) -> bool:
+        """Return whether the Enter key was pressed."""
+        if not self._keys or not select.select([sys.stdin], [], [], 0.0)[0]:
+            return False
+        # An end of the input is no key, and would be heard for ever.
+        self._keys = bool(sys.stdin.readline())
+        return self._keys
+
+    def tick(self, guide: Guide) -> None:
+        """Tell what was seen of what was asked for."""
+        done = [
+            s
+            for s, state in guide.states.items()
+            if state in (GuideStepState.SEEN, GuideStepState.MISSED)
+        ]
+        seen = guide.states[done[-1]] is GuideStepState.SEEN
+        over = "\r\033[K" if self._rewrites else ""
+        say(f"{over}  [{'x' if seen else '-'}] {ASKED[done[-1]]}{'' if seen else ': not seen'}")
+        self._shown = ""
 
 
 def _silence(listener: Listener) -> str:

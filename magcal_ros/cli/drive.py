@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +12,17 @@ from magcal_ros.cli.common import Exit, add_output_option, bullets, document, ne
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
+    at_work,
     mounting_from,
     opened,
-    watched,
 )
 from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.monitoring.recorded_course import recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.mended import MendedReadings
-from magcal_ros.files.plain import plain
+from magcal_ros.files.plain import plain, plain_lines
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 CALIBRATION = "calibration.yaml"
@@ -51,22 +53,30 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
-        mended = MendedReadings(source)
-        teller.take(watched(source, mended, sys.stderr), source.travel())
+        mended = MendedReadings(source, for_drive=True)
+        travel = source.travel()
+        with at_work(lambda: f"fitting the drive, {100.0 * mended.share:.0f} % of it", sys.stderr):
+            teller.take(mended, travel)
         frames = source.field_frame, source.imu_frame
-    story = teller.story()
+        story = teller.story()
+        if story.ended is not None and travel:
+            north = reference.field.declination
+            course = recorded_course(story.ended, mended, travel, north)
+            story = replace(story, course="" if course is None else course.words)
     page = write_drive_page(folder, story, plain(str(options.recording)))
     files = [page]
     if story.ended is not None and story.ended is not begun:
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], story.ended, Origin.now(*frames))
-    content = story, mended.notes, files
-    print(document(_facts(*content)) if options.json else _words(*content))
+    notes = list(dict.fromkeys([*source.notes, *mended.notes]))
+    content = story, notes, files
+    print(document(_facts(*content)) if options.json else plain_lines(_words(*content)))
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
 
 
 def _words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
     lines = [summary_of(story)]
+    lines += [f"At the end: {story.course}."] if story.course else []
     lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
     lines += bullets("About the recording:", notes).strip("\n").splitlines()
     return "\n".join([*lines, *(f"Written: {file}" for file in files)])
@@ -75,6 +85,7 @@ def _words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
 def _facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:
     return {
         "summary": summary_of(story),
+        "course": story.course or None,
         "decisions": [
             {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
             for at, made in story.decisions

@@ -10,7 +10,7 @@ from typing import Any
 from magcal_ros.cli.common import Exit
 from magcal_ros.files.atomic import write_atomically
 from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.exporters import EXPORTERS, NOTES
+from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 
 
 def add_to(commands: Any) -> None:
@@ -31,8 +31,9 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Read, translate, write."""
-    calibration, _ = read_calibration(options.calibration)
-    text = EXPORTERS[options.to](calibration)
+    calibration, origin = read_calibration(options.calibration)
+    about = [origin.magnetometer_frame] if options.to in OF_LOGS else []
+    text = EXPORTERS[options.to](calibration, *about)
     if options.output is None:
         print(text, end="")
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,22 +15,24 @@ from magcal_ros.cli.recorded import (
     Gathered,
     add_knowledge_options,
     add_recording_options,
+    at_work,
     gather,
     mounting_from,
+    opened,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.keep import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.core.session.session import Progress
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.plain import plain
+from magcal_ros.files.plain import plain, plain_lines
 from magcal_ros.report import Subject, write_report
 
 CALIBRATION = "calibration.yaml"
@@ -87,15 +90,23 @@ def run(options: argparse.Namespace) -> int:
     folder = _folder(options.output)
     _check_use(options)
     mounting = mounting_from(options)
-    everything = tuple(gather(options, mounting, path) for path in options.recordings)
-    fitted = _fit(everything, options)
+    everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
+    count = sum(sum(each.gathering.heard) for each in everything)
+    with at_work(lambda: f"fitting {count} messages", sys.stderr):
+        fitted = _fit(everything, options)
     knowledge = fitted.knowledge
     if options.compare:
-        print(compare_methods(fitted.outcome.window, knowledge))
+        print(plain_lines(compare_methods(fitted.outcome.window, knowledge)))
         return fitted.status
     files = _write_files(folder, fitted, options)
-    print(document(_facts(fitted, files)) if options.json else _words(fitted, files))
+    words = document(_facts(fitted, files)) if options.json else plain_lines(_words(fitted, files))
+    print(words)
     return fitted.status
+
+
+def _gathered(options: argparse.Namespace, mounting: Mounting, path: Path) -> Gathered:
+    with opened(options, path) as source:
+        return gather(options, mounting, source)
 
 
 def _check_use(options: argparse.Namespace) -> None:
@@ -216,14 +227,14 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     imus, fields = fitted.gathered.gathering.heard
     window = fitted.outcome.window
     used = 0 if window is None else len(window)
-    arc = math.degrees(fitted.progress.coverage.arc)
+    estimate = fitted.outcome.estimate
+    arc = math.degrees(fitted.progress.coverage.arc if estimate is None else estimate.arc)
     rows = [
         ("imu_messages", f"messages on {fitted.gathered.imu_topic}", f"{imus}", ""),
         ("mag_messages", f"messages on {fitted.gathered.field_topic}", f"{fields}", ""),
         ("samples", "samples in the fit", f"{used}", ""),
         ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
     ]
-    estimate = fitted.outcome.estimate
     return rows if estimate is None else rows + _found(estimate)
 
 

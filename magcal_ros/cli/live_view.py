@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import sys
 from typing import Any
 
@@ -117,7 +118,9 @@ class Lines(View):
         """Print at most one line a second."""
         second = int(progress["elapsed_s"])
         if second != self._second:
-            print(line(progress), flush=True)
+            # A terminal that is narrower would break the line, and scroll by two.
+            width = shutil.get_terminal_size().columns - 1 if sys.stdout.isatty() else None
+            print(line(progress)[:width], flush=True)
         self._second = second
 
 

@@ -13,15 +13,18 @@ from importlib.metadata import PackageNotFoundError, metadata
 from magcal_ros import __version__
 from magcal_ros.cli import calibrate, check, demo, doctor, drive, export, fit, replay
 from magcal_ros.cli.common import Exit
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import MagcalError, Misuse, Refusal
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain
+from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (calibrate, fit, check, drive, doctor, export, replay, demo)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status, and puts known errors into one line."""
+    if arguments is None:
+        leave_out_current_folder()
     parser = argparse.ArgumentParser(
         prog="magcal", description="Calibrate a ground robot's magnetometer from one turn."
     )
@@ -53,6 +56,8 @@ def _run(options: argparse.Namespace) -> Exit:
         return _said(error, Exit.USAGE)
     except FileTrouble as error:
         return _said(error, Exit.FILE_TROUBLE)
+    except Refusal as error:
+        return _said(error, Exit.TOO_LITTLE_DATA)
     except MagcalError as error:
         return _said(error, Exit.FAILED)
     except BrokenPipeError:
@@ -69,7 +74,7 @@ def _run(options: argparse.Namespace) -> Exit:
 
 
 def _said(what: object, status: Exit) -> Exit:
-    print(f"magcal: {' '.join(str(what).split())}", file=sys.stderr)
+    print(f"magcal: {plain_lines(' '.join(str(what).split()))}", file=sys.stderr)
     return status
 
 

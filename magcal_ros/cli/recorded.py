@@ -5,17 +5,19 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from magcal_ros.cli.common import number
 from magcal_ros.cli.reference import add_reference_options, reference_in_use
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting, knowledge_of
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.mended import MendedReadings
@@ -45,6 +47,8 @@ class Gathered:
         The reference field at its place and date.
     mended : list of str
         What was mended in it, in words.
+    notes : tuple of str
+        What the recording's own kind says of it.
     """
 
     gathering: Gathering
@@ -54,10 +58,16 @@ class Gathered:
     field_frame: str
     reference: Reference
     mended: list[str]
+    notes: tuple[str, ...] = ()
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
-        return [*self.mended, *self.gathering.complaints(), *self.reference.complaints]
+        return [
+            *self.notes,
+            *self.mended,
+            *self.gathering.complaints(),
+            *self.reference.complaints,
+        ]
 
 
 def add_recording_options(
@@ -65,8 +75,9 @@ def add_recording_options(
 ) -> None:
     """Add the recording, or several as `recordings`, and which part of it to read."""
     kinds = (
-        "rosbag2 (folder, .mcap, .db3), ROS 1 bag, or a folder with imu.csv and mag.csv (and "
-        "odom.csv, gps.csv)"
+        "rosbag2 (folder, .mcap, .db3), ROS 1 bag, a folder with imu.csv and mag.csv (and "
+        "odom.csv, gps.csv), a log of ArduPilot (.BIN, .log, .tlog) or PX4 (.ulg), or the unpacked "
+        "folder of a phone's Sensor Logger or phyphox"
     )
     if several:
         parser.add_argument(
@@ -79,8 +90,17 @@ def add_recording_options(
     else:
         many = "?" if optional else None
         parser.add_argument("recording", type=Path, nargs=many, help=kinds)
-    parser.add_argument("--imu", default="", metavar="TOPIC", help="the Imu topic of a bag")
-    parser.add_argument("--mag", default="", metavar="TOPIC", help="its MagneticField topic")
+    parser.add_argument(
+        "--imu", default="", metavar="TOPIC", help="Imu topic of a bag, or IMU[1] of a log"
+    )
+    parser.add_argument("--mag", default="", metavar="TOPIC", help="field topic; MAG[1] of a log")
+    parser.add_argument(
+        "--imu-rpy-deg",
+        type=number(-360.0, 360.0),
+        nargs=3,
+        metavar=("ROLL", "PITCH", "YAW"),
+        help="pose of a log's or phone's sensors in the vehicle, ° (not of a bag)",
+    )
     parser.add_argument(
         "--from",
         dest="start",
@@ -138,54 +158,116 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
     span = {"start": options.start, "stop": options.stop}
-    return open_recording(recording, **chosen, **span)
+    pose = None
+    if options.imu_rpy_deg is not None:
+        pose = rotation_from_rpy(*map(math.radians, options.imu_rpy_deg))
+    line = StatusLine(sys.stderr)
+
+    def told(share: float) -> None:
+        line.tell(f"reading: {100.0 * share:3.0f} %")
+
+    try:
+        return open_recording(recording, **chosen, **span, imu_pose=pose, told=told)
+    finally:
+        line.clear()
 
 
-def gather(options: argparse.Namespace, mounting: Mounting, recording: Path) -> Gathered:
+def gather(options: argparse.Namespace, mounting: Mounting, source: Source) -> Gathered:
     """Read a recording, with progress on stderr, and find its reference field.
 
     Raises
     ------
     FileTrouble
         If it cannot be read.
-    Misuse
-        If the topics or the span are not clear.
+    Refusal
+        If its IMU is too slow.
     """
-    with opened(options, recording) as source:
-        gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        mended = MendedReadings(source)
-        gathering.take(watched(source, mended, sys.stderr), source.travel())
-        return Gathered(
-            gathering,
-            source.imu_topic,
-            source.field_topic,
-            source.imu_frame,
-            source.field_frame,
-            reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
-            mended.notes,
-        )
+    gathering = Gathering(mounting, source.imu_topic, source.field_topic)
+    mended = MendedReadings(source)
+    gathering.take(watched(mended, mended, sys.stderr), source.travel())
+    return Gathered(
+        gathering,
+        source.imu_topic,
+        source.field_topic,
+        source.imu_frame,
+        source.field_frame,
+        reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
+        mended.notes,
+        tuple(source.notes),
+    )
+
+
+class StatusLine:
+    """Says now and then how far a long work is.
+
+    On a terminal one line is drawn again and removed at the end; elsewhere a line comes now and
+    then, so that a short work says nothing.
+
+    Parameters
+    ----------
+    out : TextIO
+    clock : callable
+        Seconds.
+    """
+
+    def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
+        self._out, self._clock, self._terminal = out, clock, out.isatty()
+        self._pause = REDRAW if self._terminal else LINE_EVERY
+        self._due, self._drawn = clock() + self._pause, False
+
+    def tell(self, line: str) -> None:
+        """Show a line if it is time."""
+        if self._clock() < self._due:
+            return
+        if self._terminal:
+            print(f"\r{line}\x1b[K", end="", file=self._out, flush=True)
+        else:
+            print(line, file=self._out, flush=True)
+        self._due, self._drawn = self._clock() + self._pause, True
+
+    def clear(self) -> None:
+        """Take the line off a terminal."""
+        if self._drawn and self._terminal:
+            print("\r\x1b[K", end="", file=self._out, flush=True)
+
+
+class Shared(Protocol):
+    """What knows how far it has been read."""
+
+    @property
+    def share(self) -> float:
+        """How much of it has been read, 0 to 1."""
 
 
 def watched(
-    source: Source,
+    source: Shared,
     readings: Iterable[Reading],
     out: TextIO,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Reading]:
-    """Yield what is read of a source, and tell how far it is.
-
-    On a terminal one line is drawn again and removed at the end; elsewhere a line comes now and
-    then, so that a short read says nothing.
-    """
-    terminal = out.isatty()
-    pause = REDRAW if terminal else LINE_EVERY
-    due, drawn = clock() + pause, False
+    """Yield what is read of a source, and tell how far it is."""
+    line = StatusLine(out, clock)
     for count, reading in enumerate(readings):
-        if count % LOOK_EVERY == 0 and clock() >= due:
-            line = f"reading: {100.0 * source.share:3.0f} %, {count} messages"
-            print(f"\r{line}" if terminal else line, end="" if terminal else "\n", file=out)
-            out.flush()
-            due, drawn = clock() + pause, True
+        if count % LOOK_EVERY == 0:
+            line.tell(f"reading: {100.0 * source.share:3.0f} %, {count} messages")
         yield reading
-    if drawn and terminal:
-        print("\r\x1b[K", end="", file=out, flush=True)
+    line.clear()
+
+
+@contextmanager
+def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
+    """Say every now and then that a long work goes on, and for how long."""
+    line, begun, done = StatusLine(out), time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        while not done.wait(REDRAW):
+            line.tell(f"{words()}: {time.monotonic() - begun:.0f} s")
+
+    teller = threading.Thread(target=tell, name="at work", daemon=True)
+    teller.start()
+    try:
+        yield
+    finally:
+        done.set()
+        teller.join()
+        line.clear()

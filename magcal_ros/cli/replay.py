@@ -13,7 +13,7 @@ import numpy as np
 from magcal_ros.cli.common import Exit, number
 from magcal_ros.cli.graph import joined
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain
+from magcal_ros.files.plain import plain, plain_lines
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 LAST_STAMP = 2.0**31 - 2.0
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
         if not _wait_for_listener(source, options.wait):
             print("magcal: nobody listens; publishing all the same", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
-    print(f"replayed {count} samples of {options.folder}")
+    print(plain_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD
 
 

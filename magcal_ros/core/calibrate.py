@@ -6,7 +6,7 @@ import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -16,27 +16,27 @@ from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_doubt import in_doubt
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes, wrong_stamps
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.log import DriveLog, log_of
-from magcal_ros.core.turn_or_drive import (
-    doubt_of_drive,
-    leans_more,
-    may_be_a_drive,
-    turned_with_a_bad_gyro,
-)
+
+if TYPE_CHECKING:
+    from magcal_ros.core.smoothing.log import DriveLog
+
+# What only a fit needs is imported by the functions that fit: a node that starts on a saved
+# calibration would wait for it before its first message.
 
 Fit = Callable[[Window, Knowledge], Estimate]
 
-METHODS = ("maximum_likelihood", "smoother", "design_tip", "ellipsoid", "min_max")
+METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
 
 DRIVES = METHODS[1]
 """The method that takes a drive without a turn."""
+SMOOTHER = METHODS[2]
+"""The method that tells the motors' field from hard iron by rests."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -121,6 +121,8 @@ def calibrate(
     if method != METHODS[0]:
         return turn
     if log is None and window.angular_rate is not None and len(window):
+        from magcal_ros.core.smoothing.log import log_of
+
         log = log_of(window)
     return drive_instead(turn, log, knowledge) if log else turn
 
@@ -130,12 +132,16 @@ def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
+        from magcal_ros.core.doctor.refusal import blamed_on_axes
+
         return Outcome.refused(blamed_on_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Judge an estimate unless the samples say that axes or stamps of the sensors are wrong."""
+    from magcal_ros.core.doctor.refusal import wrong_axes, wrong_stamps
+
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
@@ -153,7 +159,6 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and judge the result; its samples are the rows of the log."""
-    # A node that never drives loads nothing of this.
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
@@ -182,7 +187,14 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
         What was driven meanwhile.
     knowledge : Knowledge
     """
-    if turn.verdict.is_good or not may_be_a_drive(turn, log, knowledge):
+    from magcal_ros.core.turn_or_drive import doubt_of_drive, leans_more, may_be_a_drive
+
+    if turn.verdict.is_good:
+        return turn
+    rested = _by_rests(turn, knowledge)
+    if rested is not None:
+        return rested
+    if not may_be_a_drive(turn, log, knowledge):
         return turn
     drive = calibrate_drive(log, knowledge)
     if drive.estimate is None or not drive.verdict.accepted:
@@ -198,8 +210,28 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     return judged(in_doubt(drive.estimate, doubt), knowledge, log.window) if doubt else drive
 
 
+def _by_rests(turn: Outcome, knowledge: Knowledge) -> Outcome | None:
+    """Return what the smoother makes of a turn whose rests differ from it.
+
+    A robot that turned on the spot between rests has not driven: the step of the field is its
+    motors' then, whose field the smoother estimates. None where nothing steps, or where the robot
+    went elsewhere.
+    """
+    from magcal_ros.core.turn_or_drive import rests_differ
+
+    if turn.window is None or not rests_differ(turn.verdict):
+        return None
+    outcome = calibrate_by(turn.window, knowledge, SMOOTHER)
+    figures = {} if outcome.estimate is None else outcome.estimate.figures
+    if figures.get(Figure.ON_THE_SPOT, 0.0) < 0.5:
+        return None
+    return outcome if outcome.verdict.accepted else turn
+
+
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:
     """Return what a turn is without its gyro, where that alone was bad; None if it is none."""
+    from magcal_ros.core.turn_or_drive import turned_with_a_bad_gyro
+
     if turn.window is None or not turned_with_a_bad_gyro(turn, log):
         return None
     window = replace(turn.window, angular_rate=None)
@@ -253,7 +285,6 @@ def calibrate_turns(
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
         return calibrate_by(windows[0], knowledge, method)
-    # What joins turns loads what fits them, which nobody pays for before it is used.
     from magcal_ros.core.multi_turn.joined import join
     from magcal_ros.core.multi_turn.turn import survey
 

@@ -153,6 +153,11 @@ def doubt_of_drive(
     return 0.0 if gain > TUNING.clearly else None
 
 
+def rests_differ(turn: Verdict) -> bool:
+    """Return whether the field at rest beside a turn differs from that in the turn."""
+    return Figure.MOTOR_FIELD in _blamed(turn)
+
+
 def _stayed(log: DriveLog) -> bool:
     # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
     return log.stays or (math.isinf(log.bias_sigma) and not _jolts(log))
@@ -164,7 +169,7 @@ def _jolts(log: DriveLog) -> bool:
 
 def _shows_motors(turn: Verdict, log: DriveLog) -> bool:
     """Whether a turn tells of motors what along the road passes for a place left."""
-    return not _jolts(log) and Figure.MOTOR_FIELD in _blamed(turn)
+    return not _jolts(log) and rests_differ(turn)
 
 
 def _blamed(verdict: Verdict) -> set[Figure | Reason]:

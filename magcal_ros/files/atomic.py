@@ -9,6 +9,7 @@ import os
 import secrets
 import stat
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from magcal_ros.core.errors import MagcalError
@@ -27,7 +28,9 @@ LEFT_BEHIND = 3600.0
 REMEDY = "Choose a writable place with the parameter calibration_file, or mend its permissions."
 
 
-def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
+def write_atomically(
+    path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
+) -> None:
     """Replace the content of a file in one step.
 
     A symbolic link stays one: what it points to is replaced. A file that was there passes on its
@@ -41,6 +44,9 @@ def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
         The whole new content.
     remedy : str
         What the user should do when it fails.
+    when_written : callable, optional
+        Called when the new content is safely on the disk, right before it takes the old one's
+        place.
 
     Raises
     ------
@@ -65,6 +71,8 @@ def write_atomically(path: Path, text: str, remedy: str = REMEDY) -> None:
             if before is not None:
                 _pass_on(before, descriptor)
             os.fsync(descriptor)
+        if when_written is not None:
+            when_written()
         os.replace(name, target)
     except BaseException as error:
         with contextlib.suppress(OSError):

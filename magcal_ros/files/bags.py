@@ -9,16 +9,20 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from magcal_ros.core.driving.local_plane import LocalPlane
 from magcal_ros.core.earth_field.position import Fix, place_of
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.errors import MagcalError, Misuse
+from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import damage_in_words
 from magcal_ros.files.ros_reader import RosReader
 from magcal_ros.files.travel_wire import fix_in, speed_in, sure_velocity_in, velocity_in
 
@@ -69,6 +73,8 @@ class Bag:
     start, stop : float
         Seconds from the bag's beginning, by its own clock.
     """
+
+    notes: tuple[str, ...] = ()
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -136,6 +142,10 @@ class Bag:
                 if isinstance(found, Place):
                     return found
         return None
+
+    def yaw(self) -> FloatArray:
+        """Return no yaw: a bag holds none of an autopilot's own."""
+        return np.empty((0, 2))
 
     def begun(self) -> float:
         """Return when the span begins by the bag's own clock, seconds."""
@@ -239,31 +249,25 @@ def _refuse_other_files(path: Path) -> None:
     if path.is_dir():
         if not (path / "metadata.yaml").exists():
             raise FileTrouble(
-                f"{plain(str(path))} is no recording: a CSV folder has imu.csv and mag.csv, a bag "
+                f"{plain(str(path))} is no recording: a CSV folder has imu.csv and mag.csv, a "
+                "phone's folder accelerometer, gyroscope and magnetometer as CSV, a bag "
                 "has metadata.yaml (`ros2 bag reindex` writes it; a single .mcap or .db3 may be "
                 "named itself)"
             )
     elif path.suffix not in REMEDIES:
         raise FileTrouble(
-            f"{plain(str(path))} is no recording: name a bag (folder, .mcap, .db3, .bag) or a "
-            "folder with imu.csv and mag.csv"
+            f"{plain(str(path))} is no recording: name a bag (folder, .mcap, .db3, .bag), a "
+            "folder with imu.csv and mag.csv, a log of ArduPilot (.BIN, .log, .tlog) or PX4 "
+            "(.ulg), or the unpacked folder of a phone's Sensor Logger or phyphox"
         )
+    for file in path.rglob("*") if path.is_dir() else [path]:
+        # A pipe would be waited for.
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise FileTrouble(f"cannot read {plain(str(file))}: it is not a regular file")
 
 
-@contextlib.contextmanager
-def _damage_in_words(path: Path) -> Iterator[None]:
-    """Turn whatever a parser does with damaged bytes into words."""
-    try:
-        yield
-    except MagcalError:
-        raise
-    except OSError as error:
-        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
-    except Exception as error:  # a damaged file may end in any error of any parser below
-        reason = plain(" ".join(str(error).split()) or type(error).__name__)
-        raise FileTrouble(
-            f"{plain(str(path))} is damaged or cut short ({reason}). {_remedy(path)}"
-        ) from error
+def _damage_in_words(path: Path) -> contextlib.AbstractContextManager[None]:
+    return damage_in_words(path, "cut short", lambda: _remedy(path))
 
 
 def _remedy(path: Path) -> str:

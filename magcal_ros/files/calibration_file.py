@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -109,7 +109,12 @@ def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _PlainDumper.add_representer(str, _represent_text)
 
 
-def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> None:
+def write_calibration(
+    path: Path,
+    calibration: Calibration,
+    origin: Origin,
+    when_written: Callable[[], object] | None = None,
+) -> None:
     """Write a calibration in one step.
 
     Parameters
@@ -120,6 +125,8 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
         What to store, at full precision.
     origin : Origin
         Frames and time.
+    when_written : callable, optional
+        As of `write_atomically`.
 
     Raises
     ------
@@ -136,7 +143,18 @@ def write_calibration(path: Path, calibration: Calibration, origin: Origin) -> N
         allow_unicode=True,
         default_flow_style=None,
     )
-    write_atomically(path, HEADER + body)
+    write_atomically(path, HEADER + body, when_written=when_written)
+
+
+def is_free_or_ours(path: Path) -> bool:
+    """Whether there is nothing, an empty file, or what says it is a calibration of this package."""
+    try:
+        content = read_small(path, LARGEST_FILE)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except (OSError, NotOrdinary):
+        return False
+    return not content.strip() or _SAYS_IT_IS_OURS.search(content) is not None
 
 
 def require_ours(path: Path) -> None:
@@ -145,16 +163,9 @@ def require_ours(path: Path) -> None:
     Raises
     ------
     FileTrouble
-        If there is something at `path` that does not say it is a calibration of this package.
-        An empty file belongs to nobody.
+        If `path` is neither free nor ours.
     """
-    try:
-        content = read_small(path, LARGEST_FILE)
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except (OSError, NotOrdinary):
-        content = b"?"
-    if content.strip() and not _SAYS_IT_IS_OURS.search(content):
+    if not is_free_or_ours(path):
         raise FileTrouble(
             f"{path} is not a calibration of magcal_ros, and stays as it is; choose another name"
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.streams import STREAMS
 
 
 @dataclass(frozen=True)
@@ -17,14 +18,11 @@ class Bounds:
 
     Attributes
     ----------
-    largest_gain : float
-        Of the matrix's entries; also radians of the noise: far within the floats' squares.
-    largest_iron : float
-        Tesla: a magnet touching the sensor has less, and no compass chip measures so much.
+    smallest_gain, largest_gain : float
+        By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
+        halves or doubles it.
     largest_variance : float
         Of the matrix and in tesla squared: far beyond every doubt, far within the floats.
-    largest_condition : float
-        Of the matrix: known gains from 0.1 to 10 make a hundred, and soft iron some more.
     weakest_field : float
         Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
         times.
@@ -38,10 +36,9 @@ class Bounds:
         More than a day of the fastest sensor: nothing averages the noise further than this.
     """
 
-    largest_gain: float = 1e4
-    largest_iron: float = 0.1
+    smallest_gain: float = 0.05
+    largest_gain: float = 20.0
     largest_variance: float = 1e8
-    largest_condition: float = 1e4
     weakest_field: float = 5e-6
     strongest_field: float = 300e-6
     asymmetry: float = 1e-6
@@ -65,36 +62,37 @@ def require_possible(calibration: Calibration) -> None:
     ValueError
         With what is impossible, in words that name the entry.
     """
-    _require_sizes(calibration)
-    condition = float(np.linalg.cond(calibration.correction.matrix))
-    if not condition <= BOUNDS.largest_condition:
+    gains = np.linalg.svd(calibration.correction.matrix, compute_uv=False)
+    least, most = float(gains.min()), float(gains.max())
+    if not BOUNDS.smallest_gain <= least <= most <= BOUNDS.largest_gain:
         raise ValueError(
-            f"correction_matrix is all but singular (condition {condition:.0e}): it loses a "
-            "direction of the field"
+            f"correction_matrix multiplies the field by {least:.3g} to {most:.3g}, and sensors "
+            f"need {BOUNDS.smallest_gain:g} to {BOUNDS.largest_gain:g}"
         )
     if not BOUNDS.weakest_field <= calibration.strength <= BOUNDS.strongest_field:
         raise ValueError(
             f"the reference strength is {calibration.strength * 1e6:.3g} µT, and the Earth's "
             "field has 22 to 67 µT"
         )
+    _require_sizes(calibration, least)
     if abs(calibration.inclination) > math.pi / 2.0:
         raise ValueError("the reference inclination is more than a right angle")
     _require_covariance(calibration.covariance)
     _require_doubt(calibration)
 
 
-def _require_sizes(calibration: Calibration) -> None:
-    correction = calibration.correction
-    for name, numbers, limit in (
-        ("correction_matrix", correction.matrix, BOUNDS.largest_gain),
-        ("hard_iron", correction.hard_iron, BOUNDS.largest_iron),
-        ("covariance", calibration.covariance, BOUNDS.largest_variance),
-        ("noise_field", calibration.noise_field, BOUNDS.largest_iron),
-        ("noise_up", calibration.noise_up, BOUNDS.largest_gain),
+def _require_sizes(calibration: Calibration, least_gain: float) -> None:
+    # Of a larger hard iron the node would have dropped every sample as too large.
+    largest_iron = STREAMS.largest_field + calibration.strength / least_gain
+    iron = calibration.correction.hard_iron
+    for name, size, limit in (
+        ("hard_iron", np.abs(iron).max(), largest_iron),
+        ("covariance", np.abs(calibration.covariance).max(), BOUNDS.largest_variance),
+        ("noise_field", calibration.noise_field, STREAMS.largest_field),
+        ("noise_up", calibration.noise_up, math.pi),
     ):
-        largest = float(np.abs(numbers).max())
-        if largest > limit:
-            raise ValueError(f"{name} reads up to {largest:.0e}, which no magnetometer needs")
+        if not size <= limit:
+            raise ValueError(f"{name} reads up to {size:.0e}, which no magnetometer needs")
 
 
 def _require_covariance(covariance: FloatArray) -> None:

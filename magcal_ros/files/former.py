@@ -1,4 +1,4 @@
-"""What was in force before, beside the file of what is."""
+"""What a calibration file held before, beside it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import os
 from pathlib import Path
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.files.calibration_file import Origin, write_calibration
+from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.calibration_file import LARGEST_FILE, is_free_or_ours, read_calibration
+from magcal_ros.files.reading import read_small
 
 
 def former_files(path: Path, kept: int = 3) -> list[Path]:
@@ -14,18 +16,43 @@ def former_files(path: Path, kept: int = 3) -> list[Path]:
     return [path.with_name(f"{path.stem}.before_{k}{path.suffix}") for k in range(1, kept + 1)]
 
 
-def keep_former(path: Path, calibration: Calibration, origin: Origin, kept: int = 3) -> None:
-    """Write what was in force before beside its successor's file; older ones move on.
+def keep_former(path: Path, successor: Calibration) -> None:
+    """Copy what a file holds to the newest of its former files; older ones move on.
+
+    Nothing is done where the file holds no calibration that can be loaded, the successor's
+    numbers, or what was kept last. Former files that do not say that they are ours stay where
+    they are, and are not counted.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which is about to be replaced.
+    successor : Calibration
+        What will replace it.
 
     Raises
     ------
     FileTrouble
-        If it cannot be written.
-    OSError
-        If the older ones cannot be moved.
+        If it cannot be kept; the former files are as they were.
     """
-    files = former_files(path, kept)
-    for newer, older in zip(files[-2::-1], files[:0:-1], strict=True):
-        if newer.exists():
-            os.replace(newer, older)
-    write_calibration(files[0], calibration, origin)
+    try:
+        content = read_small(path, LARGEST_FILE)
+        held, _ = read_calibration(path)
+    except (OSError, ValueError, FileTrouble):
+        return
+    files = [file for file in former_files(path) if is_free_or_ours(file) and not file.is_symlink()]
+    if not files:
+        raise FileTrouble("all names for it belong to files that are not ours")
+    newest = files[0]
+    is_kept = newest.exists() and read_small(newest, LARGEST_FILE) == content
+    if is_kept or held.correction.is_same(successor.correction):
+        return
+    text = content.decode("utf-8")
+    write_atomically(newest, text, when_written=lambda: _move_on(files))
+
+
+def _move_on(files: list[Path]) -> None:
+    """Move each file to the next name, as far as it takes to free the first."""
+    free = next((k for k, file in enumerate(files) if not file.exists()), len(files) - 1)
+    for k in range(free, 0, -1):
+        os.replace(files[k - 1], files[k])

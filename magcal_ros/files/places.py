@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -31,6 +32,17 @@ def ros_home() -> Path:
     return chosen_path(os.environ.get("ROS_HOME") or "~/.ros")
 
 
+def own_folder() -> Path:
+    """Return the folder below which everything is kept unless the user says otherwise.
+
+    Raises
+    ------
+    FileTrouble
+        If there is no home.
+    """
+    return ros_home() / "magcal"
+
+
 def chosen_path(text: str) -> Path:
     """Return a path as the user wrote it, `~` included.
 
@@ -45,6 +57,21 @@ def chosen_path(text: str) -> Path:
         raise FileTrouble(
             f"there is no home folder for {text!r}: name the whole path, or set ROS_HOME"
         ) from error
+
+
+def lies_within(path: Path, places: Iterable[Path]) -> bool:
+    """Whether a path is one of some places or lies below one, told by its names alone.
+
+    Links are not looked at: only who may write there already can have made one.
+    """
+    if ".." in path.parts or "\0" in str(path):
+        return False
+    return any(path.absolute().is_relative_to(place.absolute()) for place in places)
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Return a magnetometer's own file beside the first one's: `name.2.yaml` for the second."""
+    return path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
 
 
 def is_missing(path: Path) -> bool:
@@ -152,6 +179,6 @@ class SensorFile:
 
     @property
     def _folder(self) -> Path:
-        folder = ros_home() / "magcal"
+        folder = own_folder()
         inner = self.namespace.strip("/")
         return folder / safe_name(inner) if inner else folder

@@ -14,3 +14,8 @@ def plain(text: str, longest: int = LONGEST) -> str:
     """
     shown = "".join(letter if letter.isprintable() else "?" for letter in text[:longest])
     return shown if len(text) <= longest else shown + "…"
+
+
+def plain_lines(text: str) -> str:
+    """Return all lines of a text, each as `plain` has it and none cut."""
+    return "\n".join(plain(line, len(line)) for line in text.split("\n"))

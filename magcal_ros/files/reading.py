@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
+from magcal_ros.core.errors import MagcalError
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.plain import plain
 
 PATIENCE = 5.0
 """Seconds within which a disk answers that is there at all."""
@@ -67,6 +70,32 @@ def open_regular(path: Path) -> BinaryIO:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     raise NotOrdinary("it is not a regular file")
+
+
+@contextlib.contextmanager
+def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
+    """Turn whatever a library does with damaged bytes into FileTrouble.
+
+    Parameters
+    ----------
+    path : Path
+        For words.
+    damage : str
+        What else than damaged it may be.
+    remedy : callable
+        Returns what to do.
+    """
+    try:
+        yield
+    except MagcalError:
+        raise
+    except OSError as error:
+        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+    except Exception as error:  # a damaged file may end in any error of any parser below
+        reason = plain(" ".join(str(error).split()) or type(error).__name__)
+        raise FileTrouble(
+            f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
+        ) from error
 
 
 def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:

@@ -1,13 +1,18 @@
-"""Recorded drives as CSV folders: `imu.csv` and `mag.csv`, SI units."""
+"""Recorded drives in memory, and as CSV folders: `imu.csv` and `mag.csv`, SI units."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.files.tables import read_columns
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
@@ -24,10 +29,29 @@ class Recording:
         Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro).
     field : ndarray, shape (m, 4)
         Stamp (s), raw field (tesla).
+    travel : tuple of TravelSample
+        What receiver and wheels said, by stamp.
+    place : Place or None
+        Where the first good fix was.
+    imu_topic, field_topic : str
+        What to call the two.
+    field_frame : str
+        What a calibration remembers of the magnetometer.
+    yaw : ndarray, shape (k, 2)
+        Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north).
+    notes : tuple of str
+        What is to be said of the recording.
     """
 
     imu: FloatArray
     field: FloatArray
+    travel: tuple[TravelSample, ...] = ()
+    place: Place | None = None
+    imu_topic: str = "imu.csv"
+    field_topic: str = "mag.csv"
+    field_frame: str = ""
+    yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    notes: tuple[str, ...] = ()
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
@@ -40,6 +64,19 @@ class Recording:
             yield FieldSample(t, (x, y, z))
         for row in imu[i:]:
             yield _imu_sample(row)
+
+    def turned(self, pose: FloatArray) -> Recording:
+        """Return what sensors in the parent's axes would have recorded.
+
+        Parameters
+        ----------
+        pose : ndarray, shape (3, 3)
+            Of the recorder in the vehicle.
+        """
+        imu, raw = self.imu.copy(), self.field.copy()
+        for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
+            vectors[:] = vectors @ pose.T
+        return replace(self, imu=imu, field=raw)
 
 
 def _imu_sample(row: list[float]) -> ImuSample:

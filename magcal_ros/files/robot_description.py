@@ -9,9 +9,10 @@ from xml.parsers import expat
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.files.places import known_as
 
-LARGEST = 20_000_000
-"""Characters. The largest humanoid's description has a twentieth of that."""
+LARGEST = 4_000_000
+"""Bytes. The largest humanoid's description has a quarter of that."""
 
 KINDS = ("fixed", "revolute", "continuous", "prismatic", "floating", "planar")
 
@@ -103,7 +104,8 @@ class _Reader:
         if len(self._path) == 1:
             self.is_robot = name == "robot"
         elif self._path == ["robot", "joint"]:
-            self._draft = _Draft(attributes.get("name", ""), attributes.get("type", ""))
+            name, kind = attributes.get("name", ""), attributes.get("type", "")
+            self._draft = _Draft(known_as(name), known_as(kind))
         elif self._draft is not None and len(self._path) == 3:
             self._draft = _with(self._draft, name, attributes)
 
@@ -116,9 +118,9 @@ class _Reader:
 
 def _with(draft: _Draft, name: str, attributes: dict[str, str]) -> _Draft:
     if name == "parent":
-        return replace(draft, parent=attributes.get("link", ""))
+        return replace(draft, parent=known_as(attributes.get("link", "")))
     if name == "child":
-        return replace(draft, child=attributes.get("link", ""))
+        return replace(draft, child=known_as(attributes.get("link", "")))
     if name == "origin" and "rpy" in attributes:
         return replace(draft, rpy=_angles(draft.name, attributes["rpy"]))
     return draft
@@ -126,7 +128,7 @@ def _with(draft: _Draft, name: str, attributes: dict[str, str]) -> _Draft:
 
 def _angles(joint: str, text: str) -> tuple[float, float, float]:
     try:
-        roll, pitch, yaw = (float(word) for word in text.split())
+        roll, pitch, yaw = (float(word) for word in text.split(None, 3))
     except ValueError:
         pass
     else:

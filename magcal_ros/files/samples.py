@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.reading import open_regular
 
 COLUMNS = {
     "t": "s",
@@ -79,7 +81,7 @@ def read_samples(path: Path) -> Window:
         If the file or a column is missing, or a line is not numbers.
     """
     try:
-        with path.open(encoding="utf-8") as handle:
+        with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
             names = [cell.split("[")[0].strip() for cell in handle.readline().split(",")]
             missing = [name for name in NEEDED if name not in names]
             if missing:

@@ -1,10 +1,11 @@
-"""A recording of any kind, opened: a bag or a CSV folder."""
+"""A recording of any kind, opened: a bag, a CSV folder, or a log."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -12,10 +13,13 @@ import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
+from magcal_ros.files.logs import ardupilot, phone, px4
+from magcal_ros.files.logs.common import Told
 from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.files.travel_tables import read_travel
 
@@ -42,8 +46,15 @@ class Source(Protocol):
     field_frame: str
 
     @property
+    def notes(self) -> Sequence[str]:
+        """What is to be said of the recording itself, in words."""
+
+    @property
     def share(self) -> float:
         """How much of it has been read, 0 to 1."""
+
+    def yaw(self) -> FloatArray:
+        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
 
     def place(self) -> Place | None:
         """Return where it was recorded, by its first good fix; None if it holds none."""
@@ -58,24 +69,22 @@ class Source(Protocol):
         """Yield what the sensors said in the order in which it was recorded."""
 
 
-class CsvDrive:
-    """A CSV folder as a source.
+class HeldDrive:
+    """A recording in memory as a source.
 
     Parameters
     ----------
-    folder : Path
-        Holds `imu.csv` and `mag.csv`; speed and fixes in `odom.csv` and `gps.csv`, if it has them.
+    recording : Recording
     start, stop : float
         Seconds from the recording's first sample.
     """
 
-    imu_frame = field_frame = ""
+    imu_frame = ""
 
-    def __init__(self, folder: Path, start: float, stop: float) -> None:
-        self.imu_topic, self.field_topic = "imu.csv", "mag.csv"
-        tables = read_travel(folder)
-        self._recording, self._travel = _cut(read_csv_folder(folder), tables.travel, start, stop)
-        self._place = tables.place
+    def __init__(self, recording: Recording, start: float, stop: float) -> None:
+        self._recording = _cut(recording, start, stop)
+        self.imu_topic, self.field_topic = recording.imu_topic, recording.field_topic
+        self.field_frame, self.notes = recording.field_frame, recording.notes
         self._read = 0
 
     @property
@@ -85,7 +94,7 @@ class CsvDrive:
 
     def place(self) -> Place | None:
         """Return where its first good fix was; None without one."""
-        return self._place
+        return self._recording.place
 
     def begun(self) -> float:
         """Return the stamp of the first sample, seconds."""
@@ -94,7 +103,11 @@ class CsvDrive:
 
     def travel(self) -> list[TravelSample]:
         """Return what receiver and wheels said, by stamp; empty if nothing."""
-        return self._travel
+        return list(self._recording.travel)
+
+    def yaw(self) -> FloatArray:
+        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
+        return self._recording.yaw
 
     def readings(self) -> Iterator[Reading]:
         """Yield the samples of both sensors in the order of their stamps."""
@@ -111,17 +124,26 @@ def open_recording(
     field: str = "",
     start: float = 0.0,
     stop: float = math.inf,
+    imu_pose: FloatArray | None = None,
+    told: Told | None = None,
 ) -> AbstractContextManager[Source]:
-    """Open a rosbag2 (folder, .mcap, .db3), a ROS 1 bag or a CSV folder.
+    """Open a bag, a CSV folder, an autopilot's log or a phone's folder.
 
     Parameters
     ----------
     path : Path
-        The recording.
+        The recording: a rosbag2 (folder, .mcap, .db3), a ROS 1 bag, a folder with imu.csv and
+        mag.csv, .BIN, .log and .tlog of ArduPilot, .ulg of PX4, or what a phone's Sensor Logger
+        or phyphox exports.
     imu, field : str
-        Topics of a bag; empty to take the only one of the right type.
+        Topics of a bag, sensors of a log; empty to take the only one of the right type, and of a
+        log the first that lives.
     start, stop : float
         Seconds from the recording's beginning, by the bag's own clock.
+    imu_pose : ndarray, shape (3, 3), optional
+        Pose of the sensors in the vehicle, of all but a bag.
+    told : callable, optional
+        Is given the share that has been read of what is read whole.
 
     Raises
     ------
@@ -132,28 +154,54 @@ def open_recording(
     """
     if not path.exists():
         raise FileTrouble(f"cannot read {path}: there is no such file or folder")
-    if (path / "imu.csv").exists() or (path / "mag.csv").exists():
-        if imu or field:
-            raise Misuse(f"{path} is a CSV folder without topics: leave out --imu and --mag")
-        return nullcontext(CsvDrive(path, start, stop))
-    return open_bag(path, imu, field, start, stop)
+    recording = _held(path, imu, field, told)
+    if recording is None:
+        if imu_pose is not None:
+            raise Misuse(
+                "--imu-rpy-deg is for logs and CSV folders: the frames of a bag are the driver's"
+            )
+        return open_bag(path, imu, field, start, stop)
+    return nullcontext(
+        HeldDrive(recording if imu_pose is None else recording.turned(imu_pose), start, stop)
+    )
 
 
-def _cut(
-    recording: Recording, travel: Sequence[TravelSample], start: float, stop: float
-) -> tuple[Recording, list[TravelSample]]:
+def _held(path: Path, imu: str, field: str, told: Told | None) -> Recording | None:
+    """Return a recording that is read whole; None of a bag."""
+    kind = path.suffix.lower()
+    if path.is_file() and kind in ardupilot.SUFFIXES:
+        return ardupilot.read_ardupilot(path, imu, field, told)
+    if path.is_file() and kind == ".ulg":
+        return px4.read_px4(path, imu, field, told)
+    is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
+    if not is_csv and not phone.is_phone_folder(path):
+        return None
+    if imu or field:
+        raise Misuse(f"{path} is a CSV folder without topics: leave out --imu and --mag")
+    if not is_csv:
+        return phone.read_phone(path)
+    tables = read_travel(path)
+    return replace(read_csv_folder(path), travel=tables.travel, place=tables.place)
+
+
+def _cut(recording: Recording, start: float, stop: float) -> Recording:
     """Return the span, with every stamp above zero."""
     stamps = np.concatenate([recording.imu[:, 0], recording.field[:, 0]])
     stamps = stamps[np.isfinite(stamps)]
     if not len(stamps):
-        return recording, list(travel)
+        return recording
     first = float(stamps.min())
     shift = FIRST_STAMP - first if first <= 0.0 < np.ptp(stamps) else 0.0
     parts = []
-    for table in (recording.imu, recording.field):
+    for table in (recording.imu, recording.field, recording.yaw):
         since = table[:, 0] - first
         part = table[(since >= start) & (since < stop)]
         part[:, 0] += shift
         parts.append(part)
-    heard = [each for each in travel if start <= each.stamp - first < stop]
-    return Recording(*parts), [each._replace(stamp=each.stamp + shift) for each in heard]
+    imu, field, yaw = parts
+    heard = tuple(
+        each._replace(stamp=each.stamp + shift)
+        for each in recording.travel
+        if start <= each.stamp - first < stop
+    )
+    return replace(recording, imu=imu, field=field, yaw=yaw, travel=heard)

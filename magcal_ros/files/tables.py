@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
@@ -36,35 +38,82 @@ def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...]
     FileTrouble
         If a column is missing, or a line is not numbers.
     """
+    header = read_header(path)
+    columns = next((each for each in choices if set(each) <= set(header)), None)
+    if columns is None:
+        missing = [name for name in choices[-1] if name not in header]
+        lines_like = " or ".join(",".join(each) for each in choices)
+        raise FileTrouble(
+            f"{path} has no column {', '.join(missing)}; its first line should be {lines_like}"
+        )
+    return columns, read_numbers(path, [header.index(name) for name in columns])
+
+
+def read_header(path: Path) -> list[str]:
+    """Return the names in a file's first line.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be read.
+    """
+    with _opened(path) as handle:
+        first = next(_lines(handle), "")
+    return [name.strip().strip('"') for name in first.split(_separator(first))]
+
+
+def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> FloatArray:
+    """Return some columns below a header line.
+
+    Parameters
+    ----------
+    path : Path
+        Separated by commas, tabs or semicolons; in the last two numbers may have a decimal comma.
+    columns : sequence of int
+        The first is stamps.
+    second : float
+        What a second is in the first column; it is returned in seconds.
+
+    Raises
+    ------
+    FileTrouble
+        If a line is not numbers.
+    """
+    with _opened(path) as handle:
+        lines = _lines(handle)
+        separator = _separator(next(lines, ""))
+        if separator != ",":
+            lines = (line.replace(",", ".") for line in lines)
+        rows = (line for line in lines if line.partition("#")[0].strip())
+        first = next(rows, None)
+        if first is None:
+            raise FileTrouble(f"{path} holds no samples")
+        table = np.loadtxt(chain([first], rows), delimiter=separator, usecols=columns, ndmin=2)
+    table[:, 0] /= second
+    stamps = table[:, 0]
+    if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
+        raise FileTrouble(
+            f"{plain(str(path))} is damaged: its stamps must be seconds, and reach "
+            f"{np.nanmax(np.abs(stamps)):.3g}"
+        )
+    return np.asarray(table, dtype=np.float64)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
     try:
         with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
-            lines = _lines(handle)
-            header = [name.strip() for name in next(lines, "").split(",")]
-            columns = next((each for each in choices if set(each) <= set(header)), None)
-            if columns is None:
-                missing = [name for name in choices[-1] if name not in header]
-                lines_like = " or ".join(",".join(each) for each in choices)
-                raise FileTrouble(
-                    f"{path} has no column {', '.join(missing)}; its first line should be "
-                    f"{lines_like}"
-                )
-            order = [header.index(name) for name in columns]
-            table = np.loadtxt(lines, delimiter=",", usecols=order, ndmin=2)
+            yield handle
     except OSError as error:
         raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
         raise FileTrouble(f"{plain(str(path))} is damaged: {error}") from error
     except IndexError as error:  # numpy before 1.23
         raise FileTrouble(f"{plain(str(path))} is damaged: a line has too few columns") from error
-    stamps = table[:, 0]
-    if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
-        raise FileTrouble(
-            f"{plain(str(path))} is damaged: {columns[0]} must be seconds, and it reaches "
-            f"{np.nanmax(np.abs(stamps)):.3g}"
-        )
-    if not len(table):
-        raise FileTrouble(f"{path} holds no samples")
-    return columns, np.asarray(table, dtype=np.float64)
+
+
+def _separator(header: str) -> str:
+    return next((mark for mark in "\t;" if mark in header), ",")
 
 
 def _lines(handle: TextIO) -> Iterator[str]:

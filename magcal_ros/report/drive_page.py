@@ -12,6 +12,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
@@ -20,11 +21,13 @@ from magcal_ros.files.samples import REMEDY
 from magcal_ros.report.page import checks_table, page_head
 from magcal_ros.report.write import PAGE
 
-STEPS_UT = (2.0, 4.0, 8.0, 16.0)
-"""Microtesla up to which each colour goes; the last colour is for all beyond."""
+STEPS_DEG = (2.0, 5.0, 10.0, 20.0)
+"""Degrees up to which each colour goes; the last colour is for all beyond."""
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#D55E00", "#7a0019")
 """From where the compass can be trusted to where it cannot; colour-blind people tell them apart."""
-WIDTH, MARGIN = 1000.0, 30.0
+WIDTH, MARGIN, BELOW = 1000.0, 30.0, 30.0
+LABEL = (60.0, 24.0)
+"""Width and height of a name on the map."""
 TALLEST = "75vh"
 """Of the map: with its legend it fits on a screen, whichever way was driven."""
 RULES = (
@@ -112,6 +115,8 @@ def _before_and_after(story: DriveStory) -> str:
     if begun is not None and ended is not None and begun.correction is not ended.correction:
         swing = math.degrees(difference(begun, ended))
         apart = f"<p>Headings of the two differ by {swing:.1f}° (RMS over all headings).</p>"
+    if story.course:
+        apart += f'<p id="course">After: {escape(story.course)}.</p>'
     return (
         '<h2>What was in force before and after</h2><div class="scroll"><table class="checks"><tr>'
         "<th></th><th>made by</th><th>heading (1σ)</th><th>hard iron, µT</th><th>why</th></tr>"
@@ -154,15 +159,16 @@ def _map(path: DrivePath | None) -> str:
     low, high = path.place.min(axis=0), path.place.max(axis=0)
     span = float(max(np.max(high - low), 1.0))
     scale = (WIDTH - 2.0 * MARGIN) / span
-    height = float(high[1] - low[1]) * scale + 2.0 * MARGIN
+    # The scale's bar stands below the map: no name is written over it.
+    height = max(float(high[1] - low[1]) * scale + 2.0 * MARGIN, 60.0) + BELOW
     x = MARGIN + (path.place[:, 0] - low[0]) * scale
     y = MARGIN + (high[1] - path.place[:, 1]) * scale
-    kinds = np.searchsorted(STEPS_UT, 1e6 * path.disturbance)
+    kinds = np.searchsorted(STEPS_DEG, np.degrees(path.error))
     dots = "".join(
         f'<circle cx="{a:.1f}" cy="{b:.1f}" r="4" fill="{COLOURS[kind]}"/>'
         for a, b, kind in zip(x, y, kinds, strict=True)
     )
-    bounds = ["0", *(f"{step:g}" for step in STEPS_UT)]
+    bounds = ["0", *(f"{step:g}" for step in STEPS_DEG)]
     legend = " &nbsp; ".join(
         f'<span style="color:{colour}">●</span> {name}: '
         f"{100.0 * float(np.mean(kinds == kind)):.0f} %"
@@ -171,15 +177,22 @@ def _map(path: DrivePath | None) -> str:
     trusted = 100.0 * float(np.mean(kinds <= 1))
     return (
         "<h2>Where the compass can be trusted</h2>"
-        f"<p>{_how(path)} Colour: how far the field was off the calibrated one, by streets, cars "
-        f"and steel. On {trusted:.0f} % of the points it was off by less than {STEPS_UT[1]:g} µT."
-        f"</p><p>{legend}</p>"
-        f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {max(height, 60.0):.0f}" role="img" '
+        f"<p>{_how(path)} Colour: by how much streets, cars and steel may turn the heading, by how "
+        f"far the field was off the calibrated one. On {trusted:.0f} % of the points it was less "
+        f"than {STEPS_DEG[1]:g}°.</p><p>{legend}</p>"
+        f'<figure id="map"><svg viewBox="0 0 {WIDTH:.0f} {height:.0f}" role="img" '
         f'style="max-height:{TALLEST}">'
         f"<title>The way that was driven, coloured by the disturbance of the field</title>"
-        f"{dots}{_named('start', x[0], y[0])}{_named('end', x[-1], y[-1])}"
-        f"{_bar(span, scale, max(height, 60.0))}</svg></figure>"
+        f"{dots}{_ends(x, y)}"
+        f"{_bar(span, scale, height)}</svg></figure>"
     )
+
+
+def _ends(x: FloatArray, y: FloatArray) -> str:
+    """Name start and end; one name where the two would be written over each other."""
+    if abs(x[0] - x[-1]) < LABEL[0] and abs(y[0] - y[-1]) < LABEL[1]:
+        return _named("", x[0], y[0]) + _named("start and end", x[-1], y[-1])
+    return _named("start", x[0], y[0]) + _named("end", x[-1], y[-1])
 
 
 def _named(name: str, x: float, y: float) -> str:
@@ -192,8 +205,8 @@ def _named(name: str, x: float, y: float) -> str:
 
 
 def _names(bounds: list[str]) -> list[str]:
-    named = [f"{a} to {b} µT" for a, b in itertools.pairwise(bounds)]
-    return [*named, f"more than {bounds[-1]} µT"]
+    named = [f"{a} to {b}°" for a, b in itertools.pairwise(bounds)]
+    return [*named, f"more than {bounds[-1]}°"]
 
 
 def _how(path: DrivePath) -> str:

@@ -14,6 +14,9 @@ from magcal_ros.report.write import PAGE, SAMPLES
 IN_FORCE = "in_force.txt"
 """Marks the report of a turn whose calibration was put in force."""
 
+OURS = ".magcal_ros"
+"""Marks a folder that `new_folder` made: others may have a date for a name as well."""
+
 DATED = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:-(\d+))?")
 
 
@@ -30,7 +33,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
     Returns
     -------
     Path
-        The new, empty folder.
+        The new folder, marked as ours and empty otherwise.
 
     Raises
     ------
@@ -47,6 +50,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
                 folder.mkdir()
             except FileExistsError:
                 continue
+            (folder / OURS).write_text("a report by magcal_ros: removed when it is old\n")
             return folder
     except OSError as error:
         raise FileTrouble(
@@ -78,8 +82,8 @@ def remove_old(parent: Path, keep: int) -> None:
         How many of those that were not put in force may stay.
     """
     with contextlib.suppress(OSError):
-        found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name)]
-        mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists() and not f.is_symlink()]
+        found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name) and _is_ours(f)]
+        mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists()]
         for folder in mere[: max(len(mere) - keep, 0)]:
             remove(folder)
 
@@ -87,9 +91,14 @@ def remove_old(parent: Path, keep: int) -> None:
 def remove(folder: Path) -> None:
     """Remove a report's own files, and its folder unless somebody put more into it."""
     with contextlib.suppress(OSError):
-        for path in (folder / PAGE, folder / SAMPLES, *folder.glob(f".*{UNFINISHED}")):
+        own = (folder / PAGE, folder / SAMPLES, folder / OURS)
+        for path in (*folder.glob(f".*{UNFINISHED}"), *own):
             path.unlink(missing_ok=True)
         folder.rmdir()
+
+
+def _is_ours(folder: Path) -> bool:
+    return not folder.is_symlink() and (folder / OURS).is_file()
 
 
 def _age(folder: Path) -> tuple[str, int]:

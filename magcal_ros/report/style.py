@@ -76,7 +76,7 @@ pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); ove
   .key div { padding: 1pt 4pt; } .key dt { font-size: 6pt; } .key dd { font-size: 8pt; }
   .pictures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4pt; margin-top: 5pt; }
   figure { padding: 4pt; break-inside: avoid; }
-  figure svg { width: auto; max-width: 100%; height: 46mm; margin: 0 auto; }
+  figure svg { width: auto; max-width: 100%; height: 44mm; margin: 0 auto; }
   figcaption { margin-top: 1pt; font-size: 6.8pt; line-height: 1.2; }
   .missing { padding: 10pt; }
   h2 { break-after: avoid; }

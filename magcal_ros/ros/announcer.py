@@ -126,4 +126,8 @@ class Announcer:
         now = self._clock()
         if line.text != line.said and now - line.at >= PAUSE:
             line.said, line.at = line.text, now
-            (self._log.warning if line.wrong else self._log.info)(line.text)
+            # rclpy refuses another severity from the same call.
+            if line.wrong:
+                self._log.warning(line.text)
+            else:
+                self._log.info(line.text)

@@ -6,6 +6,7 @@ its own and the disk a thread, so the corrected field and the yaw keep flowing.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -13,6 +14,7 @@ from typing import Protocol, TypeVar
 
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair, Pairer, Streams
@@ -31,6 +33,11 @@ SAVING_PATIENCE = 1.5
 NOTHING: Triple = (0.0, 0.0, 0.0)
 
 T = TypeVar("T")
+
+
+def in_words(error: Exception) -> str:
+    """Return what an error says: a known one its words, another also what it is."""
+    return str(error) if isinstance(error, MagcalError) else repr(error)
 
 
 class Runner(Protocol):
@@ -68,6 +75,9 @@ class House(Protocol):
 
     def turn_ended(self) -> None:
         """Tell the world how a turn ended, before those who wait for it are told."""
+
+    def note_error(self, error: Exception) -> None:
+        """Take note of an error that ends a turn."""
 
 
 class Control:
@@ -107,6 +117,7 @@ class Control:
         self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
         self._listeners: list[Callable[[ev.Conclusion], None]] = []
+        self._untold: ev.Conclusion | None = None
 
     @property
     def state(self) -> TurnState:
@@ -121,9 +132,9 @@ class Control:
         """Let the next turn start afresh."""
         self._tell(ev.ForgetAsked())
 
-    def sensors_met(self, names: str) -> None:
-        """Note which sensors are there; turns of others are not joined."""
-        self._tell(ev.SensorsMet(names))
+    def sensors_met(self, field: str, imu: str) -> None:
+        """Note the frames of the sensors that are there; turns of others are not joined."""
+        self._tell(ev.SensorsMet(field, imu))
 
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
         """Open a session; refused while another is under way.
@@ -147,6 +158,7 @@ class Control:
         if was_idle and answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
             self._drive = DriveRecorder(gyro=gyro)
+            self._untold = None
         return answer
 
     def add(self, sample: FieldSample, own: Triple | None = None, speed: float = math.nan) -> None:
@@ -171,8 +183,14 @@ class Control:
             self._tell(ev.RateHeard(sample.rate))
 
     def finish(self) -> ev.Conclusion | None:
-        """End the session now and fit what there is; None means the fit is under way."""
+        """End the session now and fit what there is; None means the fit is under way.
+
+        The verdict on a turn that ended by itself, and that nobody waited for, is told once.
+        """
         self._collect()
+        untold, self._untold = self._untold, None
+        if untold is not None:
+            return untold
         return self._tell(ev.FinishAsked())
 
     def cancel(self) -> ev.Conclusion:
@@ -224,8 +242,13 @@ class Control:
         for command in self.turn.handle(event, time.monotonic()):
             if isinstance(command, ev.Answer):
                 answer = command.conclusion
-            else:
+                continue
+            try:
                 self._do(command)
+            except Exception as error:  # whatever has failed, those who wait are told
+                self._house.note_error(error)
+                words = f"the turn was broken off by an error ({error}); the node's log says where"
+                self._tell(ev.Broken(words))
         return answer
 
     def _do(self, command: ev.Command) -> None:
@@ -238,9 +261,7 @@ class Control:
         elif isinstance(command, ev.FitTurn):
             self._fit(command)
         elif isinstance(command, ev.Report):
-            assert self._settings is not None
-            report = self._house.begin_report(command.window, self._settings, command.outcome)
-            self._tell(ev.Reported(report))
+            self._tell(ev.Reported(self._report(command)))
         elif isinstance(command, ev.PutInForce):
             self._put_in_force(command)
         elif isinstance(command, ev.Conclude):
@@ -260,20 +281,31 @@ class Control:
         self._fits.run(
             lambda: self._aside.run(take_turn, *turn),
             lambda found: self._tell(ev.FitDone(asked.turn, *found)),
-            lambda error: self._tell(ev.FitFailed(asked.turn, repr(error))),
+            lambda error: self._tell(ev.FitFailed(asked.turn, in_words(error))),
         )
+
+    def _report(self, asked: ev.Report) -> str:
+        assert self._settings is not None
+        try:
+            return self._house.begin_report(asked.window, self._settings, asked.outcome)
+        except Exception as error:  # the calibration matters more than a page about it
+            self._house.note_error(error)
+            return f"No report: {error}."
 
     def _put_in_force(self, command: ev.PutInForce) -> None:
         self._files.run(
             self._house.put_in_force(command.calibration),
             lambda words: self._tell(ev.Saved(words)),
             # The calibration is in force; a fault in storing it is only said.
-            lambda error: self._tell(ev.Saved(f"In force, but not saved: {error!r}")),
+            lambda error: self._tell(ev.Saved(f"In force, but not saved: {in_words(error)}")),
         )
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
-        self._aside.stop()
-        self._house.turn_ended()
         listeners, self._listeners = self._listeners, []
-        for listener in listeners:
-            listener(conclusion)
+        self._untold = None if listeners else conclusion
+        # Whatever fails here, everyone who waits is told.
+        with contextlib.ExitStack() as at_last:
+            for listener in listeners:
+                at_last.callback(listener, conclusion)
+            self._aside.stop()
+            self._house.turn_ended()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
@@ -13,42 +14,93 @@ from std_msgs.msg import String
 
 from magcal_ros.core.geometry.frame_tree import FIXED, FrameJoint, FrameTree
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
-from magcal_ros.files.robot_description import DescriptionTrouble, joints_of
+from magcal_ros.files.places import known_as
+from magcal_ros.files.robot_description import LARGEST, joints_of
+from magcal_ros.ros.control import in_words
+from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.wire.incoming import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 STATIC_TRANSFORMS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
+MOST_FRAMES = 10_000
+"""Frames that are kept; a humanoid with hands has a few hundred."""
+
 
 class Description:
-    """Keeps what `robot_description` and the static transforms tell.
+    """Keeps what `robot_description` and the static transforms tell, once somebody asks for it.
+
+    Both are whatever the network sends. They are read in a thread of their own, and no more than
+    `LARGEST` bytes at a time.
 
     Parameters
     ----------
     node : rclpy.node.Node
         Where the subscriptions live.
     changed : callable
-        Called when there is something new.
+        Called in the executor's thread when there is something new.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
-        self._changed = changed
-        self.tree = FrameTree()
+        self._node, self._changed = node, changed
+        self._errands = Errands(node, "magcal-description")
+        self._tree = FrameTree()
+        self._unread = 0
+        self._is_listening = False
         self.trouble = ""
         """Why the newest description could not be read; empty if it could."""
-        node.create_subscription(String, "robot_description", self._on_description, LATCHED)
-        kind = _transform_message()
-        if kind is not None:
-            node.create_subscription(kind, "/tf_static", self._on_transforms, STATIC_TRANSFORMS)
 
-    def _on_description(self, message: String) -> None:
-        try:
-            self.tree, self.trouble = self.tree.with_joints(joints_of(message.data)), ""
-        except DescriptionTrouble as trouble:
-            self.trouble = str(trouble)
-        self._changed()
+    @property
+    def tree(self) -> FrameTree:
+        """What is described."""
+        self._errands.deliver()
+        return self._tree
 
-    def _on_transforms(self, message: Any) -> None:
-        self.tree = self.tree.with_joints(joints_from(message.transforms))
+    def listen(self) -> None:
+        """Hear what is described from now on."""
+        if self._is_listening:
+            return
+        self._is_listening = True
+        kinds: list[tuple[type, str, QoSProfile, Callable[[Any], Iterable[FrameJoint]]]] = [
+            (String, "robot_description", LATCHED, lambda message: joints_of(message.data))
+        ]
+        transforms = _transform_message()
+        if transforms is not None:
+            told = transforms, "/tf_static", STATIC_TRANSFORMS
+            kinds.append((*told, lambda message: joints_from(message.transforms)))
+        for kind, topic, quality, joints_in in kinds:
+            take = partial(self._take, topic, kind, joints_in)
+            self._node.create_subscription(kind, topic, take, quality, raw=True)
+
+    def _take(
+        self,
+        topic: str,
+        kind: type,
+        joints_in: Callable[[Any], Iterable[FrameJoint]],
+        data: bytes,
+    ) -> None:
+        if self._unread + len(data) > LARGEST:
+            self._complain(f"{topic} brings more than {LARGEST} bytes at a time, and is not read")
+            return
+        self._unread += len(data)
+
+        def keep(joints: Iterable[FrameJoint]) -> None:
+            self._unread -= len(data)
+            tree = self._tree.with_joints(joints)
+            if len(tree.frames) > MOST_FRAMES:
+                self._complain(f"{topic} names more than {MOST_FRAMES} frames, and is not used")
+                return
+            self._tree, self.trouble = tree, ""
+            self._changed()
+
+        def fail(error: Exception) -> None:
+            self._unread -= len(data)
+            self._complain(in_words(error))
+
+        self._errands.run(lambda: list(joints_in(by_rclpy(data, kind))), keep, fail)
+
+    def _complain(self, trouble: str) -> None:
+        self.trouble = trouble
         self._changed()
 
 
@@ -56,7 +108,7 @@ def joints_from(transforms: Iterable[TransformStamped]) -> list[FrameJoint]:
     """Return static transforms as fixed joints; one without a rotation is left out."""
     joints = []
     for transform in transforms:
-        parent, child = transform.header.frame_id, transform.child_frame_id
+        parent, child = known_as(transform.header.frame_id), known_as(transform.child_frame_id)
         turn = transform.transform.rotation
         pose = rotation_from_quaternion(turn.x, turn.y, turn.z, turn.w)
         if pose is not None:

@@ -19,7 +19,8 @@ class Errands:
     """Runs one piece of work after another in a thread; what follows runs in the executor.
 
     The thread is there from the first errand on, and holds nobody up at the end: a disk that does
-    not answer may keep it for ever.
+    not answer may keep it for ever. Where the machine has no room for a thread, the work fails as
+    if it had raised that error itself.
 
     Parameters
     ----------
@@ -65,13 +66,20 @@ class Errands:
                 return lambda: otherwise(fault)
             return lambda: then(result)
 
+        # Where memory is short the thread itself may end in an error.
+        if self._thread is None or not self._thread.is_alive():
+            thread = threading.Thread(target=self._work, name=self._name, daemon=True)
+            try:
+                thread.start()
+            except RuntimeError as error:
+                fault = error
+                self._hand_over(lambda: otherwise(fault))
+                return
+            self._thread = thread
         with self._lock:
             self._open += 1
             self._idle.clear()
         self._waiting.put(errand)
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name=self._name, daemon=True)
-            self._thread.start()
 
     def deliver(self) -> None:
         """Hand over what is done; the executor calls it, and a heartbeat may."""
@@ -84,13 +92,16 @@ class Errands:
 
     def _work(self) -> None:
         while True:
-            self._done.put(self._waiting.get()())
+            self._hand_over(self._waiting.get()())
             with self._lock:
                 self._open -= 1
                 if not self._open:
                     self._idle.set()
-            executor = self._node.executor
-            # One that is shut down at this moment has lost what wakes it; nobody waits any more.
-            with contextlib.suppress(Exception):
-                if executor is not None:
-                    executor.create_task(self.deliver)
+
+    def _hand_over(self, done: Done) -> None:
+        self._done.put(done)
+        executor = self._node.executor
+        # One that is shut down at this moment has lost what wakes it; nobody waits any more.
+        with contextlib.suppress(Exception):
+            if executor is not None:
+                executor.create_task(self.deliver)

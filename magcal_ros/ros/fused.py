@@ -38,6 +38,8 @@ class FusedOutput:
     def __init__(self, node: Node, follower: UpFollower, seat: Seat) -> None:
         self._seat = seat
         self.patience = PATIENCE
+        self.is_needed = False
+        """Whether the yaw is propagated although nobody listens."""
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
         self._follower = follower
         self._calibration: Calibration | None = None
@@ -62,7 +64,8 @@ class FusedOutput:
         """
         if self._calibration is None:
             return
-        if not self._out.get_subscription_count():
+        is_heard = bool(self._out.get_subscription_count())
+        if not (is_heard or self.is_needed):
             self._fused = None
             return
         if self._fused is None:
@@ -73,6 +76,8 @@ class FusedOutput:
             return
         follower = self._follower
         fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
+        if not is_heard:
+            return
         heading, view = fused.heading(), self._seat.view
         if heading is not None and view is not None:
             declination = reference.declination
@@ -88,6 +93,11 @@ class FusedOutput:
         if moment.up is not None and moment.heading is not None:
             self._fused.detector.patience = self.patience
             self._fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
+
+    @property
+    def yaw(self) -> FusedYaw | None:
+        """The yaw that is propagated; None while none is."""
+        return self._fused
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
         """Say whether the yaw is published, and whether the field is believed."""
@@ -119,7 +129,7 @@ class FusedOutput:
         """Say why nothing is published; empty if something is."""
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
-        if self._fused is None:
+        if self._fused is None or not self._out.get_subscription_count():
             return f"nobody listens to {TOPIC}"
         if not self._follower.gyro_is_believed:
             return (

@@ -11,7 +11,8 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as
+from magcal_ros.files.former import keep_former
+from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import promptly
 
@@ -38,14 +39,25 @@ class Keeper:
     ----------
     namespace, node : str
         The node's, part of the default path.
+    given : str
+        The file that was named when the node was started. Of any other that is named the network
+        is not told what it is.
     apply : callable
         Called with the calibration (or None) and the magnetometer's frame whenever it changes.
+    number : int
+        Of the magnetometer; from the second on it stands in the file's name.
     """
 
     def __init__(
-        self, namespace: str, node: str, apply: Callable[[Calibration | None, str], None]
+        self,
+        namespace: str,
+        node: str,
+        apply: Callable[[Calibration | None, str], None],
+        given: str = "",
+        number: int = 1,
     ) -> None:
-        self._namespace, self._node = namespace, node
+        self._namespace, self._node, self._given = namespace, node, given
+        self._number = number
         self._apply = apply
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
@@ -61,7 +73,8 @@ class Keeper:
         FileTrouble
             If it lies in a home that does not exist.
         """
-        return chosen_path(chosen) if chosen else self._sensor_file(magnetometer_frame).path
+        own = chosen_path(chosen) if chosen else self._sensor_file(magnetometer_frame).path
+        return numbered(own, self._number)
 
     def path_to_load(self, chosen: str, magnetometer_frame: str) -> Path:
         """Return the file to load from: the same, or the one of a former release.
@@ -71,8 +84,8 @@ class Keeper:
         FileTrouble
             If it lies in a home that does not exist, or may be another node's.
         """
-        if chosen:
-            return chosen_path(chosen)
+        if chosen or self._number > 1:
+            return self.path(chosen, magnetometer_frame)
         file = self._sensor_file(magnetometer_frame)
         return promptly(file.find, file.path)
 
@@ -118,6 +131,18 @@ class Keeper:
         FileTrouble
             If the file is missing, damaged, foreign, or made for another sensor.
         """
+        try:
+            return self._read_file(chosen, magnetometer_frame)
+        except FileTrouble:
+            if chosen in ("", self._given):
+                raise
+            raise FileTrouble(
+                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is no usable "
+                "calibration or was made for another sensor. Calibrate, or name another file in "
+                "calibration_file"
+            ) from None
+
+    def _read_file(self, chosen: str, magnetometer_frame: str) -> Loaded:
         path = self.path_to_load(chosen, magnetometer_frame)
         key = promptly(lambda: _key_of(path), path)
         if self._read is None or key is None or self._read[0] != key:
@@ -136,21 +161,40 @@ class Keeper:
         where = f" in {plain(origin.node)}" if origin.node else ""
         return f"loaded {loaded.path} (made {made}{where})"
 
-    def store(self, find_path: Callable[[], Path]) -> Callable[[], str]:
-        """Return the work of saving what is in force now, to be done in any thread."""
+    def store(self, find_path: Callable[[], Path], keeps_former: bool = True) -> Callable[[], str]:
+        """Return the work of saving what is in force now, to be done in any thread.
+
+        Parameters
+        ----------
+        find_path : callable
+            Returns the file.
+        keeps_former : bool
+            Whether another calibration that the file holds is kept beside it.
+        """
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
             raise FileTrouble("there is no calibration in force to save")
 
         def work() -> str:
+            lost = ""
+
+            def keep() -> None:
+                nonlocal lost
+                # What is in force now matters more than what was.
+                try:
+                    keep_former(path, calibration)
+                except (FileTrouble, OSError, ValueError) as error:
+                    lost = f" What it held before is not kept: {error}"
+
             try:
                 path = find_path()
-                promptly(lambda: write_calibration(path, calibration, origin), path, TO_WRITE)
+                told = (path, calibration, origin, keep if keeps_former else None)
+                promptly(lambda: write_calibration(*told), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
             self.trouble = ""
-            return f"In force and saved to {path}."
+            return f"In force and saved to {path}.{lost}"
 
         return work
 

@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.files.places import known_as
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.description import Description
 from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE
@@ -100,6 +101,7 @@ class Listener:
         node.create_subscription(Imu, imu_topic, self._on_imu, quality)
         node.create_subscription(MagneticField, field_topic, self._on_field, quality)
         self._description = Description(node, lambda: None)
+        self._description.listen()
 
     @property
     def crowded(self) -> list[str]:
@@ -121,7 +123,7 @@ class Listener:
     @property
     def described_pose(self) -> FloatArray | None:
         """The magnetometer's pose in the IMU by the robot's description; None if untold."""
-        imu, field = self._frames
+        imu, field = map(known_as, self._frames)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:
             return None

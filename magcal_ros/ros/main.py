@@ -11,10 +11,10 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
+from magcal_ros.processes import leave_out_current_folder, use_one_thread
 from magcal_ros.ros import memory_limit
 from magcal_ros.ros.end_signals import EndSignals
 from magcal_ros.ros.node import Calibrator
-from magcal_ros.threads import use_one
 
 SWITCH_INTERVAL = 0.0005
 """Seconds after which the thread that hands over a turn or stores a calibration gives way to a
@@ -31,8 +31,10 @@ ENDING = 1.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the node until it is told to stop; returns the exit status."""
     # Fits and reports are computed in processes started from here.
-    use_one()
+    use_one_thread()
     signals = EndSignals()
+    if arguments is None:
+        leave_out_current_folder()
     given = list(sys.argv if arguments is None else arguments)
     try:
         rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point
+from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -16,6 +17,9 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import Circle, fit_circle_in_space
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.ros.control import Control
+from magcal_ros.ros.outputs import LATCHED
 
 METRES_PER_TESLA = 1.0 / 50e-6
 MOST_POINTS = 400
@@ -28,6 +32,41 @@ CORRECTED = (0.0, 0.45, 0.70)
 CIRCLE = (0.35, 0.70, 0.90)
 MISSING = (0.80, 0.10, 0.10)
 AXIS = (0.3, 0.3, 0.3)
+
+
+class TurnMarkers:
+    """Publishes the drawing of a turn, once for each window of it.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the publisher lives.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._out = node.create_publisher(MarkerArray, "~/markers", LATCHED)
+        self._drawn: Window | None = None
+
+    def draw(self, control: Control, to_body: FloatArray, frame: str) -> None:
+        """Draw the window of the moment; a turn under way has a new one with each preview.
+
+        Parameters
+        ----------
+        control : Control
+            Runs the turn.
+        to_body, frame
+            As of `turn_markers`.
+        """
+        window = control.turn.last_window
+        if window is None or window is self._drawn:
+            return
+        idle, outcome = control.state is TurnState.IDLE, control.turn.last_outcome
+        if not idle and not self._out.get_subscription_count():
+            return
+        if idle or control.state is TurnState.COLLECTING:
+            estimate = outcome.estimate if idle and outcome is not None else None
+            self._out.publish(turn_markers(window, to_body, estimate, frame))
+            self._drawn = window
 
 
 def turn_markers(

@@ -26,18 +26,28 @@ class Mishaps:
         self._known: set[tuple[type[BaseException], str]] = set()
         self.total = 0
 
-    def note(self, error: BaseException) -> None:
-        """Count an error that a callback raised, and log it if its kind is new."""
+    def note(self, error: BaseException) -> str:
+        """Count an error that a callback raised, and log it if its kind is new; says what it is."""
         self.total += 1
         kind = type(error), _place(error.__traceback__)
-        if kind in self._known:
-            return
-        self._known.add(kind)
         words = " ".join(str(error).split())[:LONGEST]
-        self._log(
-            f"error in a callback, {kind[0].__name__} in {kind[1]}: {words}. The node goes on; "
-            "from now on this kind is only counted, in Inputs of /diagnostics"
-        )
+        said = f"an error in a callback, {kind[0].__name__} in {kind[1]}"
+        if _is_of_clock(error.__traceback__):
+            said = "the simulated time on /clock jumped to a time that ROS does not have"
+        if kind not in self._known:
+            self._known.add(kind)
+            self._log(
+                f"{said}: {words}. The node goes on; from now on this kind is only counted, "
+                "in Inputs of /diagnostics"
+            )
+        return said
+
+
+def _is_of_clock(trace: TracebackType | None) -> bool:
+    """Whether it comes of what rclpy does with a message on /clock."""
+    while trace is not None and trace.tb_frame.f_globals.get("__name__") != "rclpy.time_source":
+        trace = trace.tb_next
+    return trace is not None
 
 
 def _place(trace: TracebackType | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import String
-from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.streams import Drop, Streams
@@ -25,18 +24,18 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.calibration_file import Origin
 from magcal_ros.files.places import known_as
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.errands import Errands
-from magcal_ros.ros.fused import FusedOutput
+from magcal_ros.ros.further import FurtherMagnetometer, Told
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.markers import turn_markers
+from magcal_ros.ros.magnetometers import Magnetometers
+from magcal_ros.ros.markers import TurnMarkers
 from magcal_ros.ros.meetings import Meetings
 from magcal_ros.ros.mishaps import Mishaps
-from magcal_ros.ros.outputs import LATCHED, RELIABLE, Outputs
+from magcal_ros.ros.outputs import LATCHED, RELIABLE, FieldOutput
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.rotator import PERIOD, Rotator
@@ -57,6 +56,7 @@ from magcal_ros.ros.status import (
 )
 from magcal_ros.ros.straight import SENSOR_DATA, StraightGroup
 from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.walk import FIRST, Walk
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
@@ -87,31 +87,31 @@ class Calibrator(Node):
         self._table = Parameters(self)
         self._whereabouts = Whereabouts(self, self._table)
         self._seat = Seat(self, lambda: self._table.settings)
-        self._outputs = Outputs(self, self._seat)
-        self._fused = FusedOutput(self, self._up, self._seat)
+        self._outputs = FieldOutput(self, "imu/mag")
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
         self._sensor_group = StraightGroup()
         fixes = self._whereabouts.on_fix
         self._travel = Travel(self, self._fits, self._sensor_group, fixes)
-        self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply)
+        self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply, self._chosen())
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
         self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
-        self._keeping = SelfKeeping(self, self, self._keeper, self._files, self._path, log.info)
+        self._keeping = SelfKeeping(self, self, self._keeper, self._files, log.info)
         streams = Streams(self._table.settings.max_gap)
         self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
+        self._walk = Walk(self, self._up, self._inputs, self._seat, self._whereabouts, self._travel)
         self._reporter = Reporter(log.error)
         self._rotator = Rotator(self)
         topics = Topics(
             self._inputs.imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
         )
         self._control = Control(streams, self, SelfTurn(topics), self._fits, self._files)
+        own = self._control, topics.field, self._keeper
+        self._magnetometers = Magnetometers(*own, self._walk.several)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._markers_out = self.create_publisher(MarkerArray, "~/markers", LATCHED)
-        self._drawn: Window | None = None
-        slow = {"accept": self._accept, "save": self._shelf.save, "load": self._shelf.load}
-        Services(self, self._control, self._start, {"reset": self._reset}, slow)
+        self._markers = TurnMarkers(self)
+        self._offer_services()
         self._sensor_subscriptions = [
             self.create_subscription(
                 kind, topic, callback, SENSOR_DATA, raw=True, callback_group=self._sensor_group
@@ -121,6 +121,7 @@ class Calibrator(Node):
                 (MagneticField, "imu/mag", self._on_field),
             )
         ]
+        self._listen_to_further()
         # Deadlines and heartbeats go on while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tick = self.create_timer(TICK, self._on_tick, clock=steady)
@@ -131,10 +132,26 @@ class Calibrator(Node):
         self._meetings.begin()
         self._publish_status()
 
+    def _offer_services(self) -> None:
+        slow: dict[str, Callable[[Tell], None]] = {
+            "accept": self._accept,
+            "save": partial(self._magnetometers.save, self._shelf),
+            "load": partial(self._magnetometers.load, self._shelf),
+        }
+        cancel = self._magnetometers.cancel
+        quick = {"start": self._start, "cancel": cancel, "reset": self._reset}
+        Services(self, self._magnetometers, quick, slow, self._on_mishap)
+
+    def _listen_to_further(self) -> None:
+        for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
+            told = Told(self._magnetometers.meet, self._follow, self.note_error)
+            shared = self._inputs, self._chosen, self._fits, self._files
+            FurtherMagnetometer(self, self._walk, number, *shared, told)
+
     def close(self) -> None:
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
         self.stop_robot()
-        self._control.shut_down()
+        self._magnetometers.shut_down()
         self._keeping.end()
 
     def stop_robot(self) -> None:
@@ -149,9 +166,12 @@ class Calibrator(Node):
         return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
 
     def _on_mishap(self, error: Exception) -> None:
-        self._mishaps.note(error)
         # What failed may be what watches the turn.
-        self._control.give_up("an error in a callback of the node; its log says which")
+        self._control.give_up(self._mishaps.note(error))
+
+    def note_error(self, error: Exception) -> None:
+        """Take note of an error that ends a turn."""
+        self._mishaps.note(error)
 
     def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -167,8 +187,9 @@ class Calibrator(Node):
         elif streams.add_imu(sample):
             self._up.add(sample, self._travel.on_imu(sample, self._up))
             self._control.hear(sample)
-            reference = self._whereabouts.reference.field
-            self._fused.on_imu(sample.stamp, stamp, self._body_frame(), reference)
+            if self._magnetometers.heard:
+                self._magnetometers.on_imu(sample)
+            self._walk.on_imu(sample.stamp, stamp)
 
     def _on_field(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -185,23 +206,16 @@ class Calibrator(Node):
         self._up.add_field(sample.stamp, sample.field)
         self._keeping.on_field(sample, streams.newest_imu, self._travel)
         if self._compass is not None:
-            up = self._up.at(sample.stamp, streams.max_gap)
-            moment = Moment.of(self._compass, sample, up, streams.newest_rate)
-            reference = self._whereabouts.reference.field
-            self._outputs.publish(moment, arrived, self._body_frame(), reference)
-            self._fused.on_field(moment)
-            self._travel.on_moment(moment)
+            moment = self._walk.moment_of(self._compass, sample)
+            self._outputs.publish(moment.field, arrived, self._walk.body_frame())
+            self._walk.take(FIRST, moment, arrived)
             if self._watch is not None:
                 self._watch.take(moment)
         if not streams.is_repeated:
-            self._control.add(sample, self._travel.own_acceleration, self._travel.speed)
+            self._walk.remember(self._control, sample)
 
     def _sensor(self, topic: str) -> Sensor:
         return Sensor(self.resolve_topic_name(topic))
-
-    def _body_frame(self) -> str:
-        heard = self._inputs.imu.frame
-        return heard or (self._keeper.origin.imu_frame if self._keeper.origin else "")
 
     def _chosen(self) -> str:
         return self._table.settings.calibration_file
@@ -209,16 +223,19 @@ class Calibrator(Node):
     def _meet(self) -> None:
         """Take note of sensors that are heard for the first time, or under another name."""
         imu, field = self._inputs.imu, self._inputs.field
-        self._control.sensors_met(f"{field.frame} {imu.frame}")
+        self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")
         self._seat.meet(imu.frame, field.frame)
         if field.last_heard is not None:
             self._meetings.meet(field.frame)
 
     def _start(self) -> Conclusion:
-        settings = self._seat.settled(self._whereabouts.settings)
+        settings, state = self._walk.settled(FIRST, ""), self._magnetometers.state
+        if state is not TurnState.IDLE and self._control.state is TurnState.IDLE:
+            return Conclusion(False, f"already {state.value} another magnetometer's turn: wait")
         opened = self._control.start(settings, self._up.gyro_at_rest)
         if opened.success:
+            self._magnetometers.start(self._up.gyro_at_rest)
             self._tick.reset()
             if settings.rotation.enabled:
                 self._rotator.prepare(settings.rotation)
@@ -229,19 +246,21 @@ class Calibrator(Node):
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self._compass = None if calibration is None else Compass(calibration)
         self._outputs.put_in_force(self._compass, magnetometer_frame)
-        self._fused.begin_anew(calibration)
         self._watch = None if calibration is None else Watch(calibration)
-        self._whereabouts.use(calibration)
         self._keeping.use(calibration)
-        self._travel.use(self._keeper.origin.vehicle_yaw if self._keeper.origin else None)
+        self._follow()
+
+    def _follow(self) -> None:
+        """Let the heading follow what is in force."""
+        self._walk.use(self._magnetometers.keepers)
         self._publish_status()
 
-    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+    def put_in_force(
+        self, calibration: Calibration, keeps_former: bool = True
+    ) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
-        frames = (self._inputs.field.frame, self._inputs.imu.frame)
-        origin = Origin.now(*frames, self.get_fully_qualified_name(), self._travel.yaw)
-        self._keeper.put_in_force(calibration, origin)
-        return self._keeper.store(self._path)
+        self._keeper.put_in_force(calibration, self._walk.origin_of(self._inputs.field.frame))
+        return self._keeper.store(self._path, keeps_former)
 
     def _sensor_file(self) -> tuple[str, str]:
         return self._chosen(), self._inputs.field.frame
@@ -251,15 +270,19 @@ class Calibrator(Node):
 
     def _accept(self, tell: Tell) -> None:
         outcome = self._control.turn.last_outcome
-        if self._control.state is not TurnState.IDLE:
-            tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
-        elif self._keeping.proposal is not None:
-            self._keeping.accept(tell)
-        elif outcome is None or outcome.calibration is None:
-            tell(Conclusion(False, "there is no fitted calibration to accept"))
-        else:
-            self._reporter.put_in_force()
-            self._keeping.put_in_force(outcome.calibration.on_users_word(), tell)
+        first: Callable[[Tell], None] | None = None
+        if self._keeping.proposal is not None:
+            first = self._keeping.accept
+        elif outcome is not None and outcome.calibration is not None:
+            first = partial(self._accept_turn, outcome.calibration)
+        self._magnetometers.accept(first, tell)
+
+    def _accept_turn(self, calibration: Calibration, tell: Tell) -> None:
+        if self._control.turn.outcome_is_of_others:
+            tell(Conclusion(False, "the last fit is of other sensors than those heard now"))
+            return
+        self._reporter.put_in_force()
+        self._keeping.put_in_force(calibration.on_users_word(), tell)
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
@@ -270,7 +293,8 @@ class Calibrator(Node):
     def _reset(self) -> Conclusion:
         self._control.forget_turns()
         self._meetings.forget()
-        if self._keeper.calibration is None:
+        were_several = self._magnetometers.reset()
+        if self._keeper.calibration is None and not were_several:
             return Conclusion(True, "there was no calibration in force")
         self._keeper.reset()
         return Conclusion(
@@ -279,21 +303,8 @@ class Calibrator(Node):
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
-        # A node that never calibrates should not load what draws reports.
-        from magcal_ros.report import Subject
-
-        imu, field = self._inputs.imu, self._inputs.field
-        subject = Subject(
-            window,
-            settings.knowledge,
-            outcome,
-            source=f"{field.topic} and {imu.topic}",
-            method=settings.method,
-            magnetometer_frame=known_as(field.frame),
-            imu_frame=known_as(imu.frame),
-            vehicle=self._travel.words,
-        )
-        return self._reporter.begin(settings.report_folder, subject, settings.reports_kept)
+        sensor, by = self._inputs.field, self._reporter
+        return self._walk.report(sensor, by, window, settings, outcome)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
@@ -324,34 +335,24 @@ class Calibrator(Node):
     def _on_tick(self) -> None:
         self._fits.deliver()
         self._files.deliver()
-        if not self._control.tick():
+        if not self._magnetometers.tick():
             self._tick.cancel()
         self._publish_status()
         self._draw()
 
     def _draw(self) -> None:
-        """Draw the window of the moment once; a turn under way has a new one with each preview."""
-        window = self._control.turn.last_window
-        if window is None or window is self._drawn:
-            return
-        idle, outcome = self._control.state is TurnState.IDLE, self._control.turn.last_outcome
-        if not idle and not self._markers_out.get_subscription_count():
-            return
-        if idle or self._control.state is TurnState.COLLECTING:
-            estimate = outcome.estimate if idle and outcome is not None else None
-            to_body = self._seat.settled(self._table.settings).knowledge.mounting.to_body
-            markers = turn_markers(window, to_body, estimate, self._body_frame())
-            self._markers_out.publish(markers)
-            self._drawn = window
+        to_body = self._seat.settled(self._table.settings).knowledge.mounting.to_body
+        self._markers.draw(self._control, to_body, self._walk.body_frame())
 
     def _on_heartbeat(self) -> None:
         self._fits.deliver()
         self._files.deliver()
         self._inputs.streams.max_gap = self._table.settings.max_gap
         self._inputs.look(self.count_publishers)
+        self._magnetometers.look(self.count_publishers, self._table.settings)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
-        self._fused.patience = self._table.settings.patience
+        self._walk.fused.patience = self._table.settings.patience
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
         settings = self._table.settings
@@ -361,16 +362,23 @@ class Calibrator(Node):
         if news is not None and self._keeper.keep_vehicle_yaw(news):
             self._shelf.save(lambda _: None)
         complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
-        self._announcer.complain(complaints)
+        rivals = self._walk.headings.rivals()
+        complaints += [rivals] if rivals else []
+        further = self._magnetometers.complaints()
+        self._announcer.complain(dict.fromkeys(complaints + further))
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
+        self._magnetometers.repeat_bias(now)
         name = diagnostic_name(self.get_fully_qualified_name())
         statuses = [
             calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
-            field_diagnostic(name, self._outputs, self._keeper, self._whereabouts.reference),
-            self._fused.diagnostic(name),
-            watch_diagnostic(name, self._watch),
+            field_diagnostic(
+                name, self._walk.headings.moment, self._walk.lead, self._whereabouts.reference
+            ),
+            self._walk.fused.diagnostic(name),
+            watch_diagnostic(name, self._watch, self._keeping),
             *self._travel.diagnostics(name),
+            *self._magnetometers.diagnostics(name),
             inputs_diagnostic(
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),
@@ -382,10 +390,10 @@ class Calibrator(Node):
     def _publish_status(self) -> None:
         answer = self._control.turn.last_conclusion
         words = "" if answer is None else answer.message
-        self._announcer.follow_turn(self._control.state is not TurnState.IDLE, answer, words)
+        self._announcer.follow_turn(self._magnetometers.state is not TurnState.IDLE, answer, words)
         reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
         told = self._control, self._keeper, self._inputs, reference, self._watch, turns
-        status = status_json(*told, self._travel, self._keeping)
+        status = status_json(*told, self._travel, self._keeping, self._magnetometers)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

@@ -12,20 +12,27 @@ from magcal_ros.core.knowledge import (
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.ros.spec import UNSET, Spec
+from magcal_ros.ros.spec import UNSET, Later, Spec
+
+MAY_BE_ENABLED = "rotate.may_be_enabled"
 
 PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "calibration_file",
         "",
         "Where the calibration is stored and loaded from. Empty: "
-        "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml",
+        "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node runs "
+        "only what lies below $ROS_HOME/magcal, or what it was at start",
+        later=Later.PLACE,
     ),
     Spec(
         "report_folder",
         "",
         "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
-        "$ROS_HOME/magcal/reports; none: no reports",
+        "$ROS_HOME/magcal/reports; none: no reports. While the node runs only what lies below "
+        "$ROS_HOME/magcal, or below what it was at start",
+        later=Later.PLACE,
+        words=("", "none"),
     ),
     Spec(
         "reports_kept",
@@ -43,6 +50,7 @@ PARAMETERS: tuple[Spec, ...] = (
         256,
         1_000_000,
         "MB",
+        later=Later.NOTHING,
     ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
     Spec(
@@ -162,6 +170,23 @@ PARAMETERS: tuple[Spec, ...] = (
         "°",
     ),
     Spec(
+        "mount_2_rpy_deg",
+        (UNSET, UNSET, UNSET),
+        "The same of the magnetometer on imu/mag_2",
+        -360.0,
+        360.0,
+        "°",
+    ),
+    Spec(
+        "magnetometers",
+        2,
+        "How many magnetometers are listened to: imu/mag, imu/mag_2, imu/mag_3 and so on. One that "
+        "is silent from the start does not count. Read when the node starts",
+        1,
+        8,
+        later=Later.NOTHING,
+    ),
+    Spec(
         "confidence.target_sigma_deg",
         0.5,
         "Predicted heading error (1 σ, on the level) at which a complete turn is enough; so is up "
@@ -205,7 +230,16 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "rotate.enabled",
         False,
-        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for",
+        "Whether the robot turns itself, by velocities on cmd_vel, when a turn is asked for. While "
+        "the node runs it may be switched off, and on only with rotate.may_be_enabled",
+        later=Later.SWITCH_OFF,
+    ),
+    Spec(
+        MAY_BE_ENABLED,
+        False,
+        "Whether rotate.enabled may be switched on while the node runs, by whoever reaches it. "
+        "Read when the node starts",
+        later=Later.NOTHING,
     ),
     Spec("rotate.speed_rad_s", 0.4, "How fast it turns", 0.1, 1.0, "rad/s"),
     Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),

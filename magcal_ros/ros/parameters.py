@@ -13,9 +13,11 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from magcal_ros.ros.parameter_table import PARAMETERS
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.places import chosen_path, lies_within, own_folder
+from magcal_ros.ros.parameter_table import MAY_BE_ENABLED, PARAMETERS
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.spec import Spec
+from magcal_ros.ros.spec import Later, Spec, Value
 
 
 class Parameters:
@@ -35,6 +37,7 @@ class Parameters:
         self.complaints: list[str] = []
         for spec in PARAMETERS:
             self._values[spec.name] = self._declare(spec)
+        self._given = dict(self._values)
         self.settings = Settings.of(self._values)
         node.add_on_set_parameters_callback(self._check)
         # Humble has nothing that tells when everybody agreed.
@@ -62,11 +65,50 @@ class Parameters:
         """Say whether changes are allowed; whoever is asked after this may still refuse them."""
         try:
             Settings.of(self._changed(changes))
-        except ValueError as error:
+            for change in changes:
+                if change.name in self._specs:
+                    spec = self._specs[change.name]
+                    self._require_changeable(spec, spec.parse(change.value))
+        except (ValueError, FileTrouble) as error:
             return SetParametersResult(successful=False, reason=str(error))
         if not self._effects_come_later:
             self._put_in_effect_afterwards(changes)
         return SetParametersResult(successful=True)
+
+    def _require_changeable(self, spec: Spec, value: Value) -> None:
+        """Refuse what only those who start the node may choose.
+
+        Raises
+        ------
+        ValueError
+            If it is that.
+        FileTrouble
+            If it is a place that cannot be.
+        """
+        # What rclpy holds: on Humble a change takes effect a little later.
+        if value == spec.parse(self._node.get_parameter(spec.name).value):
+            return
+        if spec.later is Later.NOTHING:
+            raise ValueError(f"{spec.name} is read when the node starts: start it with another")
+        if spec.later is Later.SWITCH_OFF and value and not self._given[MAY_BE_ENABLED]:
+            raise ValueError(
+                f"{spec.name} can be switched on when the node starts; later only if it was "
+                f"started with {MAY_BE_ENABLED}:=true"
+            )
+        if spec.later is Later.PLACE and value not in spec.words:
+            self._require_place(spec, str(value))
+
+    def _require_place(self, spec: Spec, value: str) -> None:
+        given = self._given[spec.name]
+        places = [own_folder()]
+        if given not in spec.words:
+            places.append(chosen_path(given))
+        if value != given and not lies_within(chosen_path(value), places):
+            named = " or ".join(str(place) for place in places)
+            raise ValueError(
+                f"{spec.name} may name only what lies within {named} while the node runs: start "
+                "it with another place"
+            )
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:
         """Use what everybody agreed to."""

@@ -89,11 +89,12 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
             ),
             False,
         )
-    imu, magnetometer = (Heard(name, kind) for name, kind in topics)
-    _listen(node, (imu, magnetometer), duration)
+    sensors = [Heard(name, kind) for name, kind in topics]
+    _listen(node, sensors, duration)
     lines = []
     ready = True
-    for heard, judge in ((imu, _judge_imu), (magnetometer, _judge_field)):
+    for heard in sensors:
+        judge = _judge_imu if heard.kind == IMU_TYPE else _judge_field
         if heard.stamps:
             lines.append(_describe(heard, duration))
             lines += judge(heard, duration)
@@ -111,9 +112,12 @@ def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
             found = node.get_subscriber_names_and_types_by_node(name, namespace or "/")
         except Exception:  # rclpy raises its own kinds while the node is not discovered yet
             found = []
-        by_type = {kinds[0]: topic for topic, kinds in found}
-        if IMU_TYPE in by_type and FIELD_TYPE in by_type:
-            return [(by_type[IMU_TYPE], IMU_TYPE), (by_type[FIELD_TYPE], FIELD_TYPE)]
+        imus = [topic for topic, kinds in found if kinds[0] == IMU_TYPE]
+        fields = sorted((topic for topic, kinds in found if kinds[0] == FIELD_TYPE), key=len)
+        if imus and fields:
+            # A further magnetometer that nobody publishes is not there.
+            spoken = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
+            return [(imus[0], IMU_TYPE), *((topic, FIELD_TYPE) for topic in spoken)]
         time.sleep(0.1)
     return None
 

@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -32,11 +33,7 @@ PATIENCE = 30.0
 """Seconds within which an answer of the node must come, on the slowest machine."""
 
 SETTLE = 0.8
-"""Seconds of the robot's time until what is published speaks of a new pose alone. The yaw comes
-without a stamp, and on a busy machine later than the attitude that has one."""
-
-QUIET = 0.01
-"""Seconds in which nothing more is heard once the queues are empty."""
+"""Seconds of the robot's time until the node's up vector has followed it into a new pose."""
 
 
 class Rehearsal:
@@ -75,8 +72,9 @@ class Rehearsal:
         self.mangle: Callable[[ImuSample | FieldSample], list[ImuSample | FieldSample]] | None
         self.mangle = None
         self._calibrator = calibrator
-        self._answered = -math.inf
         self._attitudes: Any = None
+        self._settled = -math.inf
+        self._settled_yaws: list[float] = []
         node.create_subscription(String, f"{calibrator}/status", self._on_status, LATCHED)
         node.create_subscription(Float64, "compass/yaw", self._on_yaw, 10)
         self._executor = rclpy.executors.SingleThreadedExecutor()
@@ -89,7 +87,11 @@ class Rehearsal:
         self.yaws.append(message.data)
 
     def _on_attitude(self, message: Imu) -> None:
-        self._answered = seconds(message.header.stamp)
+        if seconds(message.header.stamp) >= self._settled:
+            q = message.orientation
+            body_to_world = rotation_from_quaternion(q.x, q.y, q.z, q.w)
+            assert body_to_world is not None
+            self._settled_yaws.append(float(rpy_from_rotation(body_to_world)[2]))
 
     def wait_for_node(self, patience: float = PATIENCE) -> None:
         """Wait until the node listens to the sensors and has told its state."""
@@ -145,13 +147,6 @@ class Rehearsal:
             if left <= 0.0:
                 return
 
-    def _hear_out(self) -> None:
-        """Take what still lies in the queues: yaws carry no stamp, and some are of before."""
-        heard = -1
-        while heard < len(self.yaws):
-            heard = len(self.yaws)
-            self._spin_until(time.monotonic() + QUIET)
-
     def calibrate(
         self,
         show: Callable[[dict[str, Any]], None] = lambda _: None,
@@ -176,25 +171,31 @@ class Rehearsal:
     def published_errors(
         self, tilts: Sequence[tuple[float, float]], headings: int = 24
     ) -> list[float]:
-        """Stand at all headings and tilts (degrees) and compare the published yaw, radians."""
-        declination = float(self.robot.declination)
+        """Stand at all headings and tilts (degrees) and compare the published yaw, radians.
+
+        The yaw is that of `compass/mag/enu/imu`: its stamp says of which pose it is, however
+        late it comes on a busy machine.
+        """
         if self._attitudes is None:
             self._attitudes = self.node.create_subscription(
                 Imu, "compass/mag/enu/imu", self._on_attitude, 10
             )
 
-        def measure() -> float:
-            # By the stamps of the answers: a busy machine may be behind by any time.
-            settled = self.ride.stamp + SETTLE
-            self.run(PATIENCE, stop=lambda: self._answered >= settled)
-            self._hear_out()
-            self.yaws.clear()
-            self.run(PATIENCE, stop=lambda: len(self.yaws) >= SAMPLES_PER_HEADING)
-            if not self.yaws:
-                raise MagcalError("no yaw is published")
-            return _mean_angle(self.yaws) - (self.ride.magnetic_yaw - declination)
+        # It rests before it is carried off: an up vector that lost messages in a turn follows
+        # no jump out of it.
+        self._settled_yaw()
+        return [
+            float(wrap_angle(self._settled_yaw() - self.ride.magnetic_yaw))
+            for _ in self._poses(tilts, headings)
+        ]
 
-        return [float(wrap_angle(measure())) for _ in self._poses(tilts, headings)]
+    def _settled_yaw(self) -> float:
+        """Let the robot stand and return the mean of the yaws once they are of this pose."""
+        self._settled, self._settled_yaws = self.ride.stamp + SETTLE, []
+        self.run(PATIENCE, stop=lambda: len(self._settled_yaws) >= SAMPLES_PER_HEADING)
+        if not self._settled_yaws:
+            raise MagcalError("no yaw is published")
+        return _mean_angle(self._settled_yaws)
 
     def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
         """Compare the yaw that the raw field and the true tilt give, radians."""

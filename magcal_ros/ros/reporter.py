@@ -8,8 +8,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
+from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.files.places import chosen_path, ros_home
+from magcal_ros.core.samples.window import Window
+from magcal_ros.files.places import chosen_path, known_as, own_folder
+from magcal_ros.processes import start
+from magcal_ros.ros.inputs import Sensor
+from magcal_ros.ros.settings import Settings
 
 if TYPE_CHECKING:
     import subprocess
@@ -75,6 +80,31 @@ class Reporter:
             return f"No report: {error.strerror or error}."
         return f"Report: {folder / 'report.html'}."
 
+    def report(
+        self,
+        window: Window,
+        settings: Settings,
+        outcome: Outcome,
+        field: Sensor,
+        imu: Sensor,
+        vehicle: str,
+    ) -> str:
+        """Begin the report on a turn; returns where it will lie, in words."""
+        # A node that never calibrates should not load what draws reports.
+        from magcal_ros.report import Subject
+
+        subject = Subject(
+            window,
+            settings.knowledge,
+            outcome,
+            source=f"{field.topic} and {imu.topic}",
+            method=settings.method,
+            magnetometer_frame=known_as(field.frame),
+            imu_frame=known_as(imu.frame),
+            vehicle=vehicle,
+        )
+        return self.begin(settings.report_folder, subject, settings.reports_kept)
+
     def put_in_force(self) -> None:
         """Keep the newest turn's report: its calibration was put in force."""
         from magcal_ros.report import mark_in_force
@@ -89,8 +119,11 @@ class Reporter:
                 passed_over, self._waiting = self._waiting, (folder, subject)
             else:
                 process = self._draw(folder, subject)
-                self._drawing = True
-                threading.Thread(target=self._draw_on, args=(process,), daemon=True).start()
+                thread = threading.Thread(target=self._draw_on, args=(process,), daemon=True)
+                # Without room for a thread this report is drawn all the same, and none is queued.
+                with contextlib.suppress(RuntimeError):
+                    thread.start()
+                    self._drawing = True
                 return
         if passed_over is not None:
             from magcal_ros.report import remove
@@ -128,21 +161,20 @@ def reports_of(parent: str) -> Path:
     FileTrouble
         If it lies in a home that does not exist.
     """
-    return chosen_path(parent) if parent else ros_home() / "magcal" / "reports"
+    return chosen_path(parent) if parent else own_folder() / "reports"
 
 
 def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
     import pickle
     import subprocess
-    import sys
     import tempfile
 
     # A pipe would hold the node up until the other side has started and reads.
     with tempfile.TemporaryFile() as handover:
         pickle.dump((folder, subject), handover)
         handover.seek(0)
-        return subprocess.Popen(
-            [sys.executable, "-m", "magcal_ros.report"],
+        return start(
+            "magcal_ros.report.__main__",
             stdin=handover,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -19,7 +19,9 @@ from magcal_ros.core.geometry.sensor_poses import (
 )
 from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.heading.mended_pose import MendedPose, mend
+from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
+from magcal_ros.files.places import known_as
 from magcal_ros.ros.description import Description
 from magcal_ros.ros.settings import Settings
 
@@ -52,7 +54,10 @@ class Seat:
 
     def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors name."""
-        self._imu_frame, self._magnetometer_frame = imu_frame, magnetometer_frame
+        self._imu_frame, self._magnetometer_frame = (
+            known_as(imu_frame),
+            known_as(magnetometer_frame),
+        )
         self._look()
 
     @property
@@ -76,6 +81,14 @@ class Seat:
     def settled(self, settings: Settings) -> Settings:
         """Return parameters in which the magnetometer's pose is the described one, if any."""
         mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
+        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+
+    def settled_for(self, settings: Settings, number: int, frame: str) -> Settings:
+        """Return parameters as they hold for a further magnetometer, by its number and frame."""
+        frames = replace(self._frames, magnetometer=frame)
+        given = settings.second_mount if number == 2 else None
+        pose = sensor_poses(frames, self._description.tree, given).magnetometer
+        mounting = Mounting(pose=pose)
         return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
 
     def note_up(self, follower: UpFollower) -> None:
@@ -104,8 +117,8 @@ class Seat:
             words.append(self._description.trouble)
         if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
             words.append(
-                f"the robot's description has {self._magnetometer_frame} in {self._imu_frame} at "
-                f"{pose_in_words(poses.magnetometer)}, and the last turn found it "
+                f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
+                f"at {pose_in_words(poses.magnetometer)}, and the last turn found it "
                 f"{np.degrees(self._found.angle):.0f}° away from that: mend its joint, or give "
                 "mount_rpy_deg"
             )
@@ -113,10 +126,14 @@ class Seat:
 
     @property
     def _frames(self) -> Frames:
-        return Frames(self._settings().base_frame, self._imu_frame, self._magnetometer_frame)
+        return Frames(
+            known_as(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
+        )
 
     def _look(self) -> None:
         settings = self._used = self._settings()
+        if settings.base_frame:
+            self._description.listen()
         given = settings.knowledge.mounting.pose if settings.mount_is_given else None
         self._poses = sensor_poses(self._frames, self._description.tree, given)
         self._contradiction = ""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rclpy.node import Node
 
@@ -19,20 +18,20 @@ from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import DriveJob, Findings, run
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveStory
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.smoothing.log import DriveLog
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.former import keep_former
-from magcal_ros.files.reading import promptly
-from magcal_ros.ros.aside import Aside
+from magcal_ros.ros.aside import Aside, Stopped
+from magcal_ros.ros.control import in_words
 from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.travel import Travel
+
+if TYPE_CHECKING:
+    from magcal_ros.core.keeping.story import DriveStory
 
 NICENESS = 10
 """Of the process that fits: whatever else the machine does comes first."""
@@ -43,7 +42,9 @@ IDLE_LOOKS = 300
 class Owner(Protocol):
     """What the node does for it."""
 
-    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
+    def put_in_force(
+        self, calibration: Calibration, keeps_former: bool = True
+    ) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
 
     def drive_knowledge(self) -> Knowledge | None:
@@ -62,8 +63,6 @@ class SelfKeeping:
         Has what is in force, and its file.
     files : Errands
         Does the disk's work.
-    find_path : callable
-        Returns the calibration's file.
     say : callable
         Takes one line for the log.
     """
@@ -74,16 +73,18 @@ class SelfKeeping:
         owner: Owner,
         keeper: Keeper,
         files: Errands,
-        find_path: Callable[[], Path],
         say: Callable[[str], object],
     ) -> None:
         self._owner, self._keeper, self._files, self._say = owner, keeper, files, say
-        self._find_path = find_path
         self._machine = SelfCalibration()
         self._jobs = Errands(node, "magcal-keep")
         self._aside = Aside()
         self._sensors = ""
         self._idle = 0
+        self.lost = 0
+        """Fits that were never finished."""
+        self.trouble = ""
+        """Why there is no decision; empty if the last fit was finished."""
         self._reports = NO_REPORTS
 
     def on_field(self, sample: FieldSample, imu: ImuSample | None, travel: Travel) -> None:
@@ -143,6 +144,7 @@ class SelfKeeping:
         return {
             "mode": machine.mode.value,
             "doing": machine.in_words,
+            "fits_lost": self.lost,
             "proposal": None
             if machine.proposal is None
             else {
@@ -169,10 +171,13 @@ class SelfKeeping:
 
     def _lost(self, error: Exception) -> None:
         self._machine.fail()
-        if not isinstance(error, EOFError):
-            self._say(f"self-calibration: a fit was lost: {error!r}")
+        if not isinstance(error, Stopped):
+            self.lost += 1
+            self.trouble = f"self-calibration: no fit was finished lately: {in_words(error)}"
+            self._say(f"{self.trouble}; the next one is tried after twice as long a drive")
 
     def _note(self, findings: Findings) -> None:
+        self.trouble = ""
         for decision in self._machine.note(findings):
             self._say(
                 f"self-calibration: {decision.verb.value.replace('_', ' ')}: {decision.words}"
@@ -185,7 +190,9 @@ class SelfKeeping:
         if decision.verb is Verb.PROPOSED:
             self._say("self-calibration: call ~/accept to put it in force")
         else:
-            self.put_in_force(calibration, lambda done: self._tell(done.message))
+            # Refined, it is the same calibration still, and the one before it is the way back.
+            is_another = decision.verb is not Verb.REFINED
+            self.put_in_force(calibration, lambda done: self._tell(done.message), is_another)
 
     def _tell(self, words: str) -> None:
         self._say(f"self-calibration: {words}")
@@ -194,6 +201,8 @@ class SelfKeeping:
         """Have a page written on what was driven, believed and decided."""
         if self._reports == NO_REPORTS:
             return
+        from magcal_ros.core.keeping.story import DriveStory
+
         machine = self._machine
         told = tuple((made.clock, made) for made in machine.decisions)
         before = self._keeper.calibration
@@ -204,26 +213,15 @@ class SelfKeeping:
         self._jobs.run(
             lambda: self._aside.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),
-            lambda error: self._tell(f"no report: {error}"),
+            lambda error: self._tell(f"no report: {in_words(error)}"),
         )
 
-    def put_in_force(self, calibration: Calibration, tell: Tell) -> None:
-        """Apply a calibration and store it; what was in force before is kept beside it."""
-        old, origin = self._keeper.calibration, self._keeper.origin
-        work = self._owner.put_in_force(calibration)
-
-        def store() -> str:
-            if old is not None and origin is not None:
-                # What is in force now matters more than what was.
-                with contextlib.suppress(FileTrouble, OSError):
-                    path = self._find_path()
-                    promptly(lambda: keep_former(path, old, origin), path)
-            return work()
-
+    def put_in_force(self, calibration: Calibration, tell: Tell, keeps_former: bool = True) -> None:
+        """Apply a calibration and store it; only what is stored as well is a success."""
         self._files.run(
-            store,
-            lambda words: tell(Conclusion(True, words)),
-            lambda error: tell(Conclusion(True, f"In force, but not saved: {error!r}")),
+            self._owner.put_in_force(calibration, keeps_former),
+            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
+            lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
         )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Protocol
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -13,12 +13,28 @@ from std_srvs.srv import Trigger
 
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
-from magcal_ros.ros.control import Control
 
 Tell = Callable[[Conclusion], None]
 
 CALLS = QoSProfile(depth=100)
 """With the usual depth of 10, calls of a storm overwrite each other before they are read."""
+
+
+class Turns(Protocol):
+    """What turns are asked for."""
+
+    @property
+    def state(self) -> TurnState:
+        """What is going on."""
+
+    def when_done(self, listener: Tell) -> None:
+        """Call back once with the conclusion of the turn that is under way."""
+
+    def finish(self) -> Conclusion | None:
+        """End the turn now and fit what there is; None means the fit is under way."""
+
+    def cancel(self) -> Conclusion:
+        """Give up the turn under way; the calibration in force stays."""
 
 
 class Services:
@@ -28,27 +44,26 @@ class Services:
     ----------
     node : rclpy.node.Node
         Where the services live.
-    control : Control
-        Runs the turn.
-    start : callable
-        Opens a session with the parameters of the moment.
+    turns : Turns
+        The turn of all magnetometers.
     short : dict of callable
-        What the services that answer at once do.
+        What the services that answer at once do; one of them is `start`.
     slow : dict of callable
         What those do that go to the disk; each is given whom to tell when it is done.
+    note : callable
+        Told each error in a service; its caller is told as well.
     """
 
     def __init__(
         self,
         node: Node,
-        control: Control,
-        start: Callable[[], Conclusion],
+        turns: Turns,
         short: Mapping[str, Callable[[], Conclusion]],
         slow: Mapping[str, Callable[[Tell], None]],
+        note: Callable[[Exception], object],
     ) -> None:
-        self._node = node
-        self._control = control
-        self._start = start
+        self._node, self._turns, self._note = node, turns, note
+        self._start = short["start"]
         # A waiting coroutine holds its group: with one of its own nothing else starves, and
         # being reentrant it lets a second call in, to be refused with the reason.
         waiting = ReentrantCallbackGroup()
@@ -56,31 +71,57 @@ class Services:
         long = {"calibrate": self._calibrate, "finish": self._finish, **waiting_for}
         for name, answer in long.items():
             node.create_service(
-                Trigger, f"~/{name}", answer, qos_profile=CALLS, callback_group=waiting
+                Trigger,
+                f"~/{name}",
+                self._late_answer(answer),
+                qos_profile=CALLS,
+                callback_group=waiting,
             )
-        for name, action in {"start": start, "cancel": control.cancel, **short}.items():
-            node.create_service(Trigger, f"~/{name}", _answer_with(action), qos_profile=CALLS)
+        for name, action in short.items():
+            node.create_service(Trigger, f"~/{name}", self._answer(action), qos_profile=CALLS)
 
-    async def _calibrate(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _calibrate(self) -> Conclusion:
         opened = self._start()
-        if not opened.success:
-            return _fill(response, opened)
-        return _fill(response, await self._conclusion())
+        return await self._conclusion() if opened.success else opened
 
-    async def _finish(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self._control.state is not TurnState.COLLECTING:
-            return _fill(response, self._control.finish() or Conclusion(False, ""))
+    async def _finish(self) -> Conclusion:
+        if self._turns.state is TurnState.IDLE:
+            return self._turns.finish() or Conclusion(False, "")
         done = self._conclusion()
-        self._control.finish()
-        return _fill(response, await done)
+        self._turns.finish()
+        return await done
 
-    def _wait_for(self, action: Callable[[Tell], None]) -> Callable[[Any, Any], Any]:
-        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _wait_for(self, action: Callable[[Tell], None]) -> Callable[[], Awaitable[Conclusion]]:
+        async def answer() -> Conclusion:
             future = self._future()
             action(future.set_result)
-            return _fill(response, await future)
+            return await future
 
         return answer
+
+    def _late_answer(
+        self, action: Callable[[], Awaitable[Conclusion]]
+    ) -> Callable[[Any, Any], Any]:
+        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                return _fill(response, await action())
+            except Exception as error:  # whatever it is, the caller is told
+                return _fill(response, self._failed(error))
+
+        return answer
+
+    def _answer(self, action: Callable[[], Conclusion]) -> Callable[[Any, Any], Any]:
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                return _fill(response, action())
+            except Exception as error:  # whatever it is, the caller is told
+                return _fill(response, self._failed(error))
+
+        return answer
+
+    def _failed(self, error: Exception) -> Conclusion:
+        self._note(error)
+        return Conclusion(False, f"an error in the node: {error}; its log says where")
 
     def _future(self) -> Future:
         future: Future = Future(executor=self._node.executor)
@@ -91,18 +132,10 @@ class Services:
 
     def _conclusion(self) -> Future:
         future = self._future()
-        self._control.when_done(future.set_result)
+        self._turns.when_done(future.set_result)
         return future
 
 
-def _answer_with(action: Callable[[], Conclusion]) -> Callable[[Any, Any], Any]:
-    def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, action())
-
-    return answer
-
-
-def _fill(response: Trigger.Response, conclusion: Conclusion | None) -> Trigger.Response:
-    assert conclusion is not None
+def _fill(response: Trigger.Response, conclusion: Conclusion) -> Trigger.Response:
     response.success, response.message = conclusion.success, conclusion.message
     return response

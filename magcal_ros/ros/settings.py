@@ -9,6 +9,8 @@ from typing import Any
 
 from magcal_ros.core.earth_field.reference import Local
 from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.session.session import Limits
 
@@ -41,7 +43,8 @@ class Settings:
 
     `knowledge` is what was given by hand; `place`, `local` and the World Magnetic Model fill in
     what its reference field lacks. `half_place` tells that only one of two coordinates was given,
-    `mount_is_given` that the magnetometer's pose was. An empty `base_frame` is the IMU's.
+    `mount_is_given` that the magnetometer's pose was; `second_mount` is that of the second one.
+    An empty `base_frame` is the IMU's.
     `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without.
     """
 
@@ -60,6 +63,8 @@ class Settings:
     rotation: Rotation
     base_frame: str
     mount_is_given: bool
+    second_mount: FloatArray | None
+    magnetometers: int
     self_calibration: str
     vehicle_yaw: float | None
 
@@ -110,6 +115,14 @@ class Settings:
             ),
             values["base_frame"],
             mount_is_given,
+            _pose(values["mount_2_rpy_deg"]),
+            values["magnetometers"],
             values["self_calibration"],
             None if math.isnan(by_hand) else math.radians(by_hand),
         )
+
+
+def _pose(rpy_deg: tuple[float, float, float]) -> FloatArray | None:
+    """Return a pose given by hand; None without one."""
+    roll, pitch, yaw = (math.radians(angle) for angle in rpy_deg)
+    return None if math.isnan(roll) else rotation_from_rpy(roll, pitch, yaw)

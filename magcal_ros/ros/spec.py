@@ -5,12 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, TypeAlias
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 
 UNSET = math.nan
 """Stands for a number that is not known; in YAML it is written .nan or left out."""
+
+
+class Later(Enum):
+    """What of a parameter may be changed while the node runs.
+
+    Whoever reaches the node's network may change parameters. What they must not be able to do is
+    said when the node starts.
+    """
+
+    ANYTHING = "anything"
+    NOTHING = "nothing"
+    PLACE = "a place below the package's own folder or what was given at start"
+    SWITCH_OFF = "switched off, and on only where that was allowed at start"
 
 
 @dataclass(frozen=True)
@@ -31,6 +45,10 @@ class Spec:
         What it does.
     choices : tuple of str
         Allowed texts; empty for any.
+    later : Later
+        What may be changed while the node runs.
+    words : tuple of str
+        Texts that are no place, of one that names a place otherwise.
     """
 
     name: str
@@ -40,6 +58,8 @@ class Spec:
     high: float = math.inf
     unit: str = ""
     choices: tuple[str, ...] = ()
+    later: Later = Later.ANYTHING
+    words: tuple[str, ...] = ("",)
 
     @property
     def may_be_unset(self) -> bool:

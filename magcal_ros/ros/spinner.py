@@ -89,6 +89,9 @@ class Spinner:
             ready: Any = self._executor.wait_for_ready_callbacks(timeout_sec, None, self._has_ended)
         except (TimeoutException, ConditionReachedException, ShutdownException):
             return
+        except MemoryError as error:  # a request that claims to be huge has taken it for a moment
+            self._note(error)
+            return
         handler, entity, _ = ready
         with self._lock:
             handler()

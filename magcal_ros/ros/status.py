@@ -11,7 +11,9 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
+from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_states import TurnState
@@ -20,8 +22,8 @@ from magcal_ros.files.plain import plain
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.messages import diagnostic, key_values
-from magcal_ros.ros.outputs import Outputs
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.travel import Travel
 
@@ -35,11 +37,13 @@ def status_json(
     turns_itself: bool,
     travel: Travel,
     keeping: SelfKeeping,
+    magnetometers: Magnetometers,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
-    state = control.state.value
-    if control.state is TurnState.IDLE:
-        state = "uncalibrated" if keeper.calibration is None else "calibrated"
+    state = magnetometers.state.value
+    if magnetometers.state is TurnState.IDLE:
+        is_calibrated = keeper.calibration is not None or magnetometers.are_calibrated
+        state = "calibrated" if is_calibrated else "uncalibrated"
     outcome, conclusion = control.turn.last_outcome, control.turn.last_conclusion
     return json.dumps(
         {
@@ -61,6 +65,7 @@ def status_json(
             "vehicle_yaw_offset": _vehicle_yaw(travel),
             "drive": travel.facts(),
             "self_calibration": keeping.facts(),
+            "magnetometers": magnetometers.facts(),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},
@@ -179,10 +184,10 @@ def calibration_diagnostic(
 
 
 def field_diagnostic(
-    name: str, outputs: Outputs, keeper: Keeper, reference: Reference
+    name: str, moment: Moment | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
     """Say whether the field looks like the calibrated one, and what it is compared with."""
-    status = _corrected_field(name, outputs, keeper)
+    status = _corrected_field(name, moment, calibration)
     status.values = [*status.values, *key_values({"reference": reference.words})]
     if reference.complaints:
         status.level = max(status.level, DiagnosticStatus.WARN)
@@ -190,9 +195,10 @@ def field_diagnostic(
     return status
 
 
-def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticStatus:
+def _corrected_field(
+    name: str, moment: Moment | None, calibration: Calibration | None
+) -> DiagnosticStatus:
     status = diagnostic(name, "Field")
-    calibration, moment = keeper.calibration, outputs.moment
     if calibration is None:
         status.message = "no corrected field before a calibration is in force"
         return status
@@ -215,17 +221,22 @@ def _corrected_field(name: str, outputs: Outputs, keeper: Keeper) -> DiagnosticS
     return status
 
 
-def watch_diagnostic(name: str, watch: Watch | None) -> DiagnosticStatus:
-    """Say whether the calibration has held over the last minutes of driving."""
+def watch_diagnostic(name: str, watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
+    """Say whether the calibration has held over the last minutes, and whether it keeps itself."""
     status = diagnostic(name, "Watch")
+    values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
     if watch is None:
         status.message = "nothing to watch before a calibration is in force"
-        return status
-    watched = watch.watched
-    status.message = watched.summary
-    if watched.is_stale:
+    else:
+        watched = watch.watched
+        status.message = watched.summary
+        if watched.is_stale:
+            status.level = DiagnosticStatus.WARN
+        values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings}
+    if keeping.trouble:
         status.level = DiagnosticStatus.WARN
-    status.values = key_values({f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings})
+        status.message = f"{status.message}; {keeping.trouble}"
+    status.values = key_values(values)
     return status
 
 

@@ -30,7 +30,8 @@ def call(capfdbinary):
             status = main([os.fsdecode(each) for each in arguments])
         except SystemExit as left:
             status = left.code
-        return SimpleNamespace(returncode=status, stderr=capfdbinary.readouterr().err)
+        said = capfdbinary.readouterr()
+        return SimpleNamespace(returncode=status, stdout=said.out, stderr=said.err)
 
     return run_here
 
@@ -166,6 +167,39 @@ def test_a_reader_that_has_seen_enough_ends_it_quietly(folder):
     os.close(write)
     assert done.returncode == Exit.PIPE_CLOSED
     assert done.stderr == b""
+
+
+@pytest.mark.parametrize("name", ["turn.mcap", "turn.db3", "turn.bag", "turn/turn_0.mcap"])
+def test_a_pipe_in_a_bags_place_is_not_waited_for(call, tmp_path, name):
+    pipe = tmp_path / name
+    if pipe.parent != tmp_path:
+        pipe.parent.mkdir()
+        (pipe.parent / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    os.mkfifo(pipe)
+    done = call("fit", pipe if pipe.parent == tmp_path else pipe.parent)
+    assert done.returncode == Exit.FILE_TROUBLE
+    assert is_one_line(done)
+    assert b"not a regular file" in done.stderr
+
+
+def test_a_table_without_a_row_is_said_and_nothing_of_ours_warns(call, folder):
+    for header in ("t,latitude,longitude\n", "t,latitude,longitude\n\n# nothing\n"):
+        (folder / "gps.csv").write_text(header)
+        done = call("fit", folder)
+        assert done.returncode == Exit.FILE_TROUBLE
+        assert is_one_line(done)
+        assert b"gps.csv holds no samples" in done.stderr
+
+
+EVIL = "a\x1b[31mb\x9b2Jc\u202ed"
+
+
+def test_no_name_of_a_file_steers_a_terminal(call, folder, tmp_path):
+    for arguments in (("fit", folder, "--output", tmp_path / EVIL), ("fit", tmp_path / EVIL)):
+        done = call(*arguments)
+        said = (done.stdout + done.stderr).decode()
+        assert "a?[31mb?2Jc?d" in said, arguments
+        assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
 
 
 def test_a_missing_recording_is_said_in_one_line(call, tmp_path):

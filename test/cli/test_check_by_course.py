@@ -31,7 +31,15 @@ def test_the_offset_is_told_and_a_bent_calibration_accused(tmp_path, capsys):
     path = tmp_path / "calibration.yaml"
     write_calibration(path, calibration, Origin.now("mag_link", "imu_link"))
     main(["check", str(bag), "--calibration", str(path), "--json", "--output", str(tmp_path / "o")])
-    course = json.loads(capsys.readouterr().out)["course"]
+    told = json.loads(capsys.readouterr().out)
+    course = told["course"]
+    assert course["declination_deg"] is not None
+    said = [words for words in told["about"] if words.startswith("compass less course")]
+    assert f"{course['declination_deg']:+.1f}° of it is declination" in said[0]
     assert course["metres"] > 500
     found = {each["figure"]: each["state"] for each in course["findings"]}
     assert found["course_swing_once"] in ("warn", "refused")
+    main(["drive", str(bag), "--calibration", str(path), "--output", str(tmp_path / "d")])
+    said = [line for line in capsys.readouterr().out.splitlines() if "less course" in line]
+    assert "declination" in said[0]
+    assert 'id="course">After: compass less course' in (tmp_path / "d" / "report.html").read_text()

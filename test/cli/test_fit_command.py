@@ -100,7 +100,7 @@ def test_json_is_one_document_with_every_number(fit, bag, tmp_path):
 def test_compare_shows_every_method_and_writes_nothing(fit, bag, tmp_path):
     status, out, _ = fit(bag, "--compare")
     assert status == 0
-    rows = {line.split()[0]: line.split()[1] for line in out.splitlines()[1:6]}
+    rows = {line.split()[0]: line.split()[1] for line in out.splitlines()[1:7]}
     assert rows["maximum_likelihood"] == rows["design_tip"] == "accepted"
     assert rows["ellipsoid"] == rows["min_max"] == "refused"
     assert not (tmp_path / "found").exists()

@@ -1,6 +1,7 @@
 """What a person sees of a turn, on a terminal and in a log."""
 
 import io
+import re
 import sys
 
 import pytest
@@ -72,6 +73,23 @@ def test_a_terminal_gets_a_panel(monkeypatch):
     shown = screen.getvalue()
     for words in ("one turn", "90° of the turn seen", "±0.31°", "turn left", "Ctrl-C cancels"):
         assert words in shown
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_no_line_is_wider_than_the_terminal(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("TERM", "xterm")
+    wide = PROGRESS | {"arc_deg": 359.0, "samples": 12345, "advice": "", "heading_sigma_deg": 0.5}
+    for kind in (Lines, Panel):
+        monkeypatch.setattr(sys, "stdout", Terminal())
+        try:
+            view = kind()
+        except ImportError:
+            continue
+        with view:
+            view.show(wide)
+        shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", sys.stdout.getvalue())
+        assert max(len(row) for row in re.split(r"[\r\n]+", shown)) <= columns
 
 
 def test_without_rich_a_terminal_gets_lines(monkeypatch):

@@ -38,7 +38,7 @@ def outcome_of(method):
 
 
 def test_every_method_is_for_a_turn_a_drive_or_a_tumbled_sensor():
-    assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS, "smoother"}
+    assert set(METHODS) == {*TURN_METHODS, *TUMBLE_METHODS, "smoother", "smoother_one"}
     assert METHODS[0] == "maximum_likelihood"
 
 
@@ -95,6 +95,13 @@ class TestEveryMethod:
         outcome = calibrate(window_of(), wrong, method)
         assert not outcome.verdict.accepted
         assert isinstance(outcome.calibration, Calibration)
+
+
+def test_less_than_a_quarter_turn_is_refused_and_leaves_what_may_be_accepted_by_hand():
+    outcome = calibrate(window_of(arc=math.radians(57.0)), ROBOT.knowledge())
+    assert outcome.calibration is not None
+    assert not outcome.verdict.accepted
+    assert "the turn covers 56.9° (want 90° or more)" in outcome.verdict.summary
 
 
 def test_a_refusal_names_the_unit_that_upset_the_fit():

@@ -93,11 +93,30 @@ def test_a_field_that_is_not_on_earth_is_refused(found, entry, value, words):
 
 def test_a_matrix_that_loses_a_direction_and_an_iron_in_microtesla_are_refused(found):
     flat = Correction(np.diag([1.0, 1.0, 1e-6]), found.correction.hard_iron)
-    with pytest.raises(ValueError, match="all but singular"):
+    with pytest.raises(ValueError, match="multiplies the field by 1e-06 to 1"):
         require_possible(replace(found, correction=flat))
     unit = Correction(found.correction.matrix, found.correction.hard_iron * 1e6)
     with pytest.raises(ValueError, match="hard_iron"):
         require_possible(replace(found, correction=unit))
+
+
+@pytest.mark.parametrize("gains", [1e3, 1e-3, np.diag([1.0, 50.0, 1.0])])
+def test_a_matrix_in_another_unit_is_refused(found, gains):
+    edited = Correction(found.correction.matrix @ (gains * np.eye(3)), np.zeros(3))
+    with pytest.raises(ValueError, match="correction_matrix multiplies"):
+        require_possible(replace(found, correction=edited))
+
+
+def test_a_hard_iron_in_millitesla_is_refused(found):
+    edited = Correction(found.correction.matrix, found.correction.hard_iron * 1e3)
+    with pytest.raises(ValueError, match="hard_iron reads up to 2e-02"):
+        require_possible(replace(found, correction=edited))
+
+
+@pytest.mark.parametrize("gains", [[0.1, 0.1, 0.1], [10.0, 0.1, 1.0]])
+def test_gains_that_can_be_given_are_possible(found, gains):
+    matrix = found.correction.matrix @ np.diag(1.0 / np.array(gains))
+    require_possible(replace(found, correction=Correction(matrix, np.full(3, 5e-4))))
 
 
 def test_a_file_that_was_edited_is_refused_by_name(found, tmp_path):

@@ -188,7 +188,7 @@ def test_samples_that_were_not_believed_are_marked(tmp_path):
     estimate = replace(subject.outcome.estimate, inliers=inliers)
     outcome = replace(subject.outcome, estimate=estimate)
     page = page_of(tmp_path, replace(subject, outcome=outcome))
-    assert ">not believed<" in page
+    assert ">left out<" in page
     assert "450 of 500" in page
     lines = (tmp_path / "samples.csv").read_text().splitlines()[1:]
     assert [line[-1] == "1" for line in lines] == list(inliers)

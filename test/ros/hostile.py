@@ -80,7 +80,6 @@ class HandFed:
         self.node = node
         self.published = {}
         self._waiting = []
-        self._subscriptions = {sub.msg_type: sub for sub in node.subscriptions}
         self._services = {service.srv_name.rpartition("/")[2]: service for service in node.services}
         publish = rclpy.publisher.Publisher.publish
 
@@ -96,8 +95,10 @@ class HandFed:
         monkeypatch.setattr(rclpy.publisher.Publisher, "get_subscription_count", lambda _: 1)
 
     def feed(self, message):
-        subscription = self._subscriptions[type(message)]
-        subscription.callback(serialize_message(message) if subscription.raw else message)
+        """Hand a message to all who listen to its kind: to both magnetometers the same field."""
+        for subscription in self.node.subscriptions:
+            if subscription.msg_type is type(message):
+                subscription.callback(serialize_message(message) if subscription.raw else message)
 
     def call(self, service):
         """Call a service as far as its answer, or as far as it waits for the turn's end."""

@@ -39,7 +39,7 @@ class MobileBase:
 
     def live_until_moving(self):
         self.live(PATIENCE, lambda: abs(self.command) > 0.2)
-        assert abs(self.command) > 0.2
+        assert abs(self.command) > 0.2, self.actor.status
 
     def answer(self, future, patience=2.0 * PATIENCE):
         self.live(patience, future.done)

@@ -4,6 +4,8 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.logging import get_logger
+
 from magcal_ros.ros.announcer import LASTING, PAUSE, Announcer
 
 
@@ -112,3 +114,21 @@ def test_a_year_of_complaints_takes_no_memory(stage):
         stage.complain_for(LASTING + 2, f"{chr(0x4E00 + k)} is wrong")
     assert len(stage.announcer._wrong) <= 1
     assert len(stage.announcer._complained_at) <= PAUSE
+
+
+def test_rclpys_own_logger_takes_every_announcement_in_any_order(capfd):
+    now = [100.0]
+    announcer = Announcer(get_logger("announcer"), lambda: now[0], lasting=0.0)
+    for number in range(3):
+        for subject, wrong in (("a", False), ("b", True), ("c", False), ("d", True)):
+            announcer.tell(subject, f"{subject} {number}", wrong=wrong)
+            announcer.tell(subject, f"{subject} {number} again", wrong=not wrong)
+        announcer.complain([f"{chr(ord('e') + number)} is wrong"])
+        announcer.follow_turn(True, None, "")
+        announcer.follow_turn(False, object(), f"verdict {number}")
+        now[0] += PAUSE
+        announcer.catch_up()
+        now[0] += PAUSE
+    said = capfd.readouterr()
+    for words in ("a 0", "a 0 again", "d 2", "d 2 again", "g is wrong", "verdict 2"):
+        assert f"[announcer]: {words}" in said.err.replace("the turn is over: ", "")

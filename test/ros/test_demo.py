@@ -1,13 +1,17 @@
 """The demo as `make demo` runs it, eight times as fast."""
 
+import math
 import subprocess
 import sys
 
 import pytest
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Float64
 
 from magcal_ros.cli.main import main
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros import rehearsal
+from magcal_ros.ros.sensor_source import set_time
 
 DEMO = ["demo", "--speed", "8"]
 
@@ -29,6 +33,9 @@ def errors(printed, row):
 def check(printed, folder):
     assert "Calibrated, quality" in printed
     assert "true    found    error" in printed
+    # Paths are left whole, and a pipe gets the progress uncut.
+    lines = [line for line in printed.splitlines() if "/" not in line and line[:1] != "["]
+    assert max(map(len, lines)) <= 80
     assert errors(printed, "before")[0] > 10.0
     published, slopes = errors(printed, "after: published")
     # Three headings with the sensors' noise; what is left without it stands below.
@@ -43,9 +50,28 @@ def test_the_demo_ends_with_a_right_heading_and_leaves_the_calibration(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr(rehearsal, "Rehearsal", Brief)
     assert main(DEMO) == 0
     check(capsys.readouterr().out, tmp_path)
+
+
+def test_yaws_of_an_old_pose_that_come_late_do_not_count(loaded):
+    """They lie in the queues of a busy machine."""
+    actor = loaded()
+    late_attitudes = actor.node.create_publisher(Imu, "compass/mag/enu/imu", 10)
+    late_yaws = actor.node.create_publisher(Float64, "compass/yaw", 10)
+
+    def come_late():
+        old = Imu()
+        set_time(old.header.stamp, actor.ride.stamp - 2.0)
+        old.orientation.z = 1.0
+        late_attitudes.publish(old)
+        late_yaws.publish(Float64(data=math.pi))
+
+    actor.node.create_timer(0.01, come_late)
+    errors = actor.published_errors([(0.0, 0.0)], 3)
+    assert max(map(abs, errors)) < math.radians(2.0)
 
 
 @pytest.mark.nightly

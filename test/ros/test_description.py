@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import TransformStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from support import PATIENCE
+from support import PATIENCE, wait_until
 
-from magcal_ros.core.geometry.frame_tree import FrameTree
+from magcal_ros.core.geometry.frame_tree import FrameTree, FrameTrouble
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.files.places import known_as
+from magcal_ros.files.robot_description import LARGEST, DescriptionTrouble, joints_of
 from magcal_ros.ros.description import LATCHED, Description, joints_from
 
 ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_link"/>
@@ -24,13 +28,17 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
     out.publish(String(data=ROBOT))
     news = []
     description = Description(node, lambda: news.append(True))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
 
     def wait_for(count):
         deadline = time.monotonic() + PATIENCE
         while len(news) < count and time.monotonic() < deadline:
-            rclpy.spin_once(node, timeout_sec=0.05)
+            executor.spin_once(timeout_sec=0.05)
         assert len(news) == count
 
+    assert not node.count_subscribers("robot_description"), "nobody has asked for it"
+    description.listen()
     wait_for(1)
     turned = rotation_from_rpy(0.0, 0.0, math.pi / 2)
     assert description.tree.pose("imu_link", "base_link") == pytest.approx(turned)
@@ -38,8 +46,67 @@ def test_a_description_latched_before_the_node_came_is_heard_and_a_damaged_one_s
     wait_for(2)
     assert "no XML" in description.trouble
     assert description.tree.pose("imu_link", "base_link") == pytest.approx(turned)
+    out.publish(String(data="<robot>" + LARGEST * " "))
+    wait_for(3)
+    assert description.trouble.startswith("robot_description brings more than 4000000 bytes")
+    out.publish(String(data=ROBOT))
+    wait_for(4)
+    assert description.trouble == ""
     for each in (robot, node):
         each.destroy_node()
+
+
+JOINT = '<joint name="{0}" type="fixed"><parent link="base"/><child link="{0}"/></joint>'
+
+
+def test_the_largest_description_that_is_read_holds_nobody_up(graph):
+    node, longest, news = rclpy.create_node("calibrator"), 0.0, []
+    description = Description(node, lambda: news.append(True))
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    joints = "".join(JOINT.format(f"{number:05}") for number in range(20_000))
+    data = serialize_message(String(data=f"<robot>{joints}</robot>"))
+    assert 1_000_000 < len(data) < LARGEST
+    description._take("robot_description", String, lambda m: joints_of(m.data), data)
+    deadline = time.monotonic() + PATIENCE
+    while not news and time.monotonic() < deadline:
+        began = time.monotonic()
+        executor.spin_once(timeout_sec=0.01)
+        longest = max(longest, time.monotonic() - began)
+    assert longest < 0.3
+    assert "more than 10000 frames" in description.trouble
+    assert not description.tree.frames
+    node.destroy_node()
+
+
+def test_what_cannot_be_read_and_what_comes_too_fast_is_said(graph):
+    node = rclpy.create_node("calibrator")
+    description = Description(node, lambda: None)
+
+    def take(data):
+        description._take("robot_description", String, lambda m: joints_of(m.data), data)
+
+    take(b"no message")
+    wait_until(lambda: description.tree is not None and description.trouble)
+    assert "no String" in description.trouble
+    for _ in range(5):
+        take(serialize_message(String(data=LARGEST // 4 * " ")))
+    assert "more than 4000000 bytes at a time" in description.trouble
+    wait_until(lambda: description.tree is not None and "no XML" in description.trouble)
+    node.destroy_node()
+
+
+def test_names_are_cut_and_still_found(graph):
+    name = 1000 * "imu" + "1"
+    joints = joints_of(f"<robot>{JOINT.format(name)}{JOINT.format(name[:-1] + '2')}</robot>")
+    tree = FrameTree(joints)
+    assert tree.pose(known_as(name), "base") == pytest.approx(np.eye(3))
+    with pytest.raises(FrameTrouble) as caught:
+        tree.pose("gyro", "base")
+    assert len(str(caught.value)) < 1000
+    with pytest.raises(DescriptionTrouble) as caught:
+        joints_of(f"<robot>{JOINT.format(name).replace('fixed', 5000 * 'x')}</robot>")
+    assert len(str(caught.value)) < 1000
 
 
 def test_static_transforms_are_fixed_joints():

@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import os
+import pty
 import subprocess
 import sys
 import threading
@@ -17,7 +19,7 @@ from std_msgs.msg import String
 from support import PATIENCE, ROBOT, wait_until
 
 from magcal_ros.cli import doctor
-from magcal_ros.cli.doctor_live import gathered
+from magcal_ros.cli.doctor_live import Asking, gathered
 from magcal_ros.core.doctor.guide import Guide
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.knowledge import Mounting
@@ -148,6 +150,29 @@ def test_a_description_that_differs_and_another_publisher_are_named(looked, grap
     intruder = rclpy.create_node("intruder")
     wrong = wrong_lines(looked("0 0 0", more=[intruder]))
     intruder.destroy_node()
-    assert set(wrong) == {"field_axes", "description", "publishers"}
+    assert set(wrong) == {"field_axes", "driver", "description", "publishers"}
+    assert "ICM-20948" in wrong["driver"].evidence
     assert 'rpy="3.142 0 0"' in wrong["description"].remedy
     assert "intruder" in wrong["publishers"].evidence
+
+
+def test_the_enter_key_skips_a_step(monkeypatch):
+    keyboard, terminal = pty.openpty()
+    with os.fdopen(terminal) as there:
+        monkeypatch.setattr(sys, "stdin", there)
+        asking = Asking()
+        assert not asking.is_skipped()
+        os.write(keyboard, b"\n")
+        wait_until(asking.is_skipped)
+        assert not asking.is_skipped()
+    os.close(keyboard)
+
+
+def test_the_seconds_that_are_left_are_shown_where_a_person_sits(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    asking, guide = Asking(), Guide(0.0)
+    asking.count_down(guide, 0.0)
+    asking.count_down(guide, 0.1)
+    asking.count_down(guide, 5.0)
+    said = capsys.readouterr().err
+    assert said.count("45 s left") == said.count("40 s left") == 1

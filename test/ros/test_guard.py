@@ -10,7 +10,7 @@ from uuid import uuid4
 import pytest
 import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
-from support import PATIENCE
+from support import PATIENCE, wait_until
 
 from magcal_ros.ros import guard as guard_module
 from magcal_ros.ros.guard import Guard, is_needed
@@ -124,7 +124,8 @@ def test_zeros_are_stamped_where_the_base_wants_it(graph, topic):
 
 
 @pytest.mark.parametrize(
-    ("words", "needed"), [(b"", False), (b"q", False), (b".", True), (b"..q", False)]
+    ("words", "needed"),
+    [(b"", False), (b"q\n", False), (b"?a\n", False), (b".a\n", True), (b".a\n.b\nq\n", False)],
 )
 def test_only_a_node_that_went_while_the_robot_may_move_needs_the_guard(words, needed):
     line, node = os.pipe()
@@ -132,3 +133,55 @@ def test_only_a_node_that_went_while_the_robot_may_move_needs_the_guard(words, n
     os.close(node)
     assert is_needed(line) is needed
     os.close(line)
+
+
+def test_questions_alone_do_not_keep_the_guard_of_a_moving_robot_quiet():
+    line, node = os.pipe()
+    os.write(node, b".a\n")
+    assert is_needed(line, 0.05, lambda _: os.write(node, b"?b\n"))
+    os.close(node)
+    os.close(line)
+
+
+def test_a_guard_that_is_stopped_is_not_ready_and_is_not_left_behind(base, topic):
+    guard = Guard(topic, False, "")
+    base(PATIENCE, lambda: guard.is_ready)
+    assert guard.is_ready
+    process = guard._process
+    process.send_signal(signal.SIGSTOP)
+    began = time.monotonic()
+    base(PATIENCE, lambda: not guard.is_ready)
+    assert time.monotonic() - began < SILENCE + 0.5
+    assert not guard.has_ended
+    guard.dismiss()
+    wait_until(lambda: process.poll() is not None)
+
+
+IMPOSTOR = """
+import sys
+for line in sys.stdin.buffer:
+    {says}
+    sys.stdout.buffer.flush()
+"""
+
+
+@pytest.mark.parametrize(
+    "says",
+    [
+        "sys.stdout.buffer.write(b'r')",
+        "sys.stdout.buffer.write(line[1:])",
+        "sys.stdout.buffer.write(line[1:-1] + b' zeros as Twist on /elsewhere after 1 s\\n')",
+        "sys.stdout.buffer.write(b'0 zeros as Twist on /cmd_vel after 1 s\\n')",
+    ],
+)
+def test_who_does_not_answer_with_what_a_guard_does_is_none(monkeypatch, says):
+    def start(*_, extra, **options):
+        return subprocess.Popen([sys.executable, "-c", IMPOSTOR.format(says=says)], **options)
+
+    monkeypatch.setattr(guard_module, "start", start)
+    guard = Guard("/cmd_vel", False, "")
+    deadline = time.monotonic() + 0.5
+    while time.monotonic() < deadline:
+        assert not guard.is_ready
+        time.sleep(0.02)
+    guard.dismiss()

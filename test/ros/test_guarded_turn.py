@@ -7,11 +7,12 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from mobile_base import MobileBase
 from sensor_msgs.msg import MagneticField
-from support import AT_ONCE, REFERENCE
+from support import AT_ONCE, REFERENCE, wait_until
 
 NODE = [sys.executable, "-m", "magcal_ros.ros.main", "--ros-args"]
 UNCAUGHT = [
@@ -61,6 +62,28 @@ def test_a_node_that_is_gone_leaves_a_robot_that_stands(run_node, actor, how):
     wait_for_zero(robot, time.monotonic())
     assert_only_zeros_follow(robot)
     robot.assert_stopped_and_silent()
+
+
+def test_a_guard_that_is_stopped_ends_the_turn(run_node, actor):
+    process = run_node()
+    robot = MobileBase(actor(speed=1.0))
+    future = robot.actor.call("calibrate")
+    robot.live_until_moving()
+    guard = next(pid for pid in children_of(process.pid) if "guard" in command_of(pid))
+    os.kill(guard, signal.SIGSTOP)
+    wait_for_zero(robot, time.monotonic())
+    assert "its guard has ended, does not answer" in robot.answer(future).message
+    robot.assert_stopped_and_silent()
+    wait_until(lambda: guard not in children_of(process.pid))
+
+
+def children_of(pid):
+    told = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for child in " ".join(told).split()]
+
+
+def command_of(pid):
+    return Path(f"/proc/{pid}/cmdline").read_text()
 
 
 @pytest.mark.nightly

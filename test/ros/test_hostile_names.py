@@ -3,12 +3,16 @@
 import json
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
 from support import PATIENCE, REFERENCE, calibrate_quickly
 
 from magcal_ros.cli.live_view import progress_of, turns_itself
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.places import LONGEST_FRAME
 from magcal_ros.files.samples import read_samples
+from magcal_ros.report.folder import OURS
+from magcal_ros.ros.description import LATCHED
 from magcal_ros.ros.preflight import Heard, _describe, _note
 
 pytestmark = pytest.mark.faults
@@ -53,8 +57,36 @@ def test_a_frame_is_no_path_and_no_markup(stage, ros_home, frame):
     assert len(read_samples(folder / "samples.csv")) > 200
     assert len(page) < 1_000_000
     inside = {p for p in ros_home.rglob("*") if p.is_file() and p.suffix != ".log"}
-    left = ("report.html", "samples.csv", "in_force.txt")
+    left = ("report.html", "samples.csv", "in_force.txt", OURS)
     assert inside == {path, *(folder / name for name in left)}
+
+
+ENORMOUS = 300_000 * "x"
+MOVING = f"""<robot name="mule"><joint name="{ENORMOUS}j" type="continuous">
+<parent link="base_link"/><child link="{ENORMOUS}i"/></joint></robot>"""
+
+
+def test_an_enormous_frame_is_cut_wherever_it_is_shown(stage, capfd):
+    actor = stage(parameters={**REFERENCE, "base_frame": "base_link"})
+    actor.source._field.header.frame_id = f"{ENORMOUS}m"
+    actor.source._imu.header.frame_id = f"{ENORMOUS}i"
+    said = []
+    actor.node.create_subscription(DiagnosticArray, "/diagnostics", said.append, 10)
+
+    def words():
+        return str(said[-1]) if said else ""
+
+    actor.run(PATIENCE, stop=lambda: "no robot_description came" in words())
+    assert "no robot_description came" in words()
+    assert len(words()) < 20_000
+    out = actor.node.create_publisher(String, "robot_description", LATCHED)
+    out.publish(String(data=MOVING))
+    actor.run(PATIENCE, stop=lambda: "moves (continuous)" in words())
+    assert "moves (continuous)" in words()
+    assert len(words()) < 20_000
+    assert len(json.dumps(actor.status)) < 20_000
+    log = capfd.readouterr()
+    assert len(log.out + log.err) < 20_000
 
 
 def test_what_the_preflight_shows_of_a_frame_is_plain():

@@ -110,7 +110,12 @@ def test_what_others_keep_there_stays(tmp_path):
     link = tmp_path / "2020-01-01_00-00-00"
     link.symlink_to(elsewhere)
     (tmp_path / "2020-01-01_00-00-01").write_text("a file")
+    theirs = tmp_path / "2020-01-01_00-00-02"
+    theirs.mkdir()
+    for name in ("report.html", "samples.csv"):
+        (theirs / name).write_text("mine")
     remove_old(tmp_path, 2)
+    assert sorted(file.name for file in theirs.iterdir()) == ["report.html", "samples.csv"]
     assert (with_notes / "notes.txt").read_text() == "mine"
     assert in_force.exists()
     assert elsewhere.is_dir()

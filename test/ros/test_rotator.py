@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mobile_base import MobileBase
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from support import AT_ONCE, PATIENCE, REFERENCE
 
 from magcal_ros.core.session import leash, self_turn
@@ -79,11 +80,25 @@ def test_switching_it_off_in_the_turn_stops_the_robot(start_node, actor, leisure
     robot.assert_stopped_and_silent()
 
 
+def test_a_simulated_clock_that_jumps_before_zero_is_named_as_what_stopped_the_robot(base):
+    robot = base({**TURNING, "use_sim_time": True})
+    clock = robot.actor.node.create_publisher(Clock, "/clock", 10)
+    robot.live(PATIENCE, clock.get_subscription_count)
+    future = robot.actor.call("calibrate")
+    robot.live_until_moving()
+    impossible = Clock()
+    impossible.clock.sec = -5
+    clock.publish(impossible)
+    said = robot.answer(future).message
+    assert "the robot was stopped: the simulated time on /clock jumped" in said
+    robot.assert_stopped_and_silent()
+
+
 def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
     monkeypatch.setattr(self_turn, "TUNING", replace(self_turn.TUNING, listeners_within=0.3))
     actor = stage(parameters=TURNING)
     answer = actor.answer(actor.call("calibrate"))
-    assert "nobody listens to /cmd_vel" in answer.message
+    assert "nothing subscribes to /cmd_vel" in answer.message
 
 
 def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
@@ -101,9 +116,10 @@ FAULTY = """
 import dataclasses, sys, threading
 from magcal_ros.core.session import self_turn
 from magcal_ros.ros import guard, main, node
-# Whether a busy machine keeps the node silent, or finds the base late, is not asked here.
+# Whether a busy machine keeps the node silent, or finds base and guard late, is not asked here.
 guard.SILENCE = 10.0
-self_turn.TUNING = dataclasses.replace(self_turn.TUNING, listeners_within=60.0)
+patient = dataclasses.replace(self_turn.TUNING, listeners_within=60.0, guarded_within=60.0)
+self_turn.TUNING = patient
 fault = threading.Event()
 def look(self):
     if fault.is_set():
@@ -160,7 +176,7 @@ def test_a_fault_in_a_callback_stops_the_robot_and_the_node_goes_on(process, act
     process.stdin.flush()
     answer = robot.answer(future)
     assert not answer.success
-    assert "the robot was stopped: an error in a callback of the node" in answer.message
+    assert "the robot was stopped: an error in a callback, RuntimeError in" in answer.message
     robot.assert_stopped_and_silent()
     assert process.poll() is None
     process.send_signal(signal.SIGINT)

@@ -1,18 +1,30 @@
 """A calibration that keeps itself, over real middleware."""
 
+import errno
+import os
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from support import PATIENCE, REFERENCE, store_calibration
+from diagnostic_msgs.msg import DiagnosticStatus
+from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
+from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import Findings
 from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.core.simulation.travel import travel
 from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.former import former_files, keep_former
+from magcal_ros.files.former import former_files
+from magcal_ros.ros.aside import Stopped
+from magcal_ros.ros.status import watch_diagnostic
+
+
+def no_space(_):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.fixture
@@ -20,16 +32,6 @@ def known(tmp_path):
     """What a file has: where it lies, the calibration, and where it comes from."""
     path = store_calibration(tmp_path / "calibration.yaml")
     return path, *read_calibration(path)
-
-
-def test_the_last_three_lie_beside_the_file(known):
-    path, calibration, origin = known
-    for number in range(5):
-        keep_former(path, calibration, origin)
-        made = former_files(path)[: number + 1]
-        assert all(file.exists() for file in made)
-    assert len(list(path.parent.glob("*.before_*"))) == 3
-    assert read_calibration(former_files(path)[2])[0].strength == calibration.strength
 
 
 class TestInTheNode:
@@ -41,6 +43,7 @@ class TestInTheNode:
 
     def test_a_proposal_is_told_accepted_and_the_old_one_kept(self, house, actor, known):
         path, calibration, _ = known
+        before = path.read_bytes()
         stage = actor()
         # A sensor that is met while the other is known already would begin the drive anew.
         sensors = house._inputs.imu, house._inputs.field
@@ -49,7 +52,8 @@ class TestInTheNode:
             stop=lambda: stage.status["calibration"] and all(each.messages for each in sensors),
         )
         assert stage.status["self_calibration"]["mode"] == "propose"
-        proposed = calibration.on_users_word()
+        iron = calibration.correction.hard_iron + 1e-6
+        proposed = replace(calibration, correction=replace(calibration.correction, hard_iron=iron))
         machine = house._keeping._machine
         machine.proposal = proposed
         machine._decisions.append(Decision(90.0, Verb.PROPOSED, "it was better", proposed))
@@ -58,10 +62,31 @@ class TestInTheNode:
         answer = stage.answer(stage.call("accept"))
         assert answer.success
         assert "saved" in answer.message
-        assert former_files(path)[0].exists()
+        kept = [before, None, None]
+        assert [file.read_bytes() if file.exists() else None for file in former_files(path)] == kept
         assert read_calibration(path)[0].evidence.accepted_by_user
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"] is None)
         assert stage.status["self_calibration"]["proposal"] is None
+
+    def test_accepting_again_and_again_loses_nothing(self, house, actor, known, monkeypatch):
+        path, *_ = known
+        before = path.read_bytes()
+        robot = actor()
+        robot.run(PATIENCE, stop=lambda: robot.status["calibration"])
+        window = measure(ROBOT, turn(), np.random.default_rng(2))
+        house._control.turn.last_outcome = calibrate(window, ROBOT.knowledge())
+        with monkeypatch.context() as full:
+            full.setattr(os, "fsync", no_space)
+            for _ in range(3):
+                refused = robot.answer(robot.call("accept"))
+                assert not refused.success
+                assert "In force, but not saved" in refused.message
+        assert path.read_bytes() == before
+        assert not any(file.exists() for file in former_files(path))
+        for _ in range(4):
+            assert robot.answer(robot.call("accept")).success
+        kept = [file.read_bytes() if file.exists() else None for file in former_files(path)]
+        assert kept == [before, None, None]
 
     def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
         keeping, said = house._keeping, []
@@ -69,7 +94,21 @@ class TestInTheNode:
         keeping._machine.job(house.drive_knowledge())
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
-        assert keeping._machine.note(Findings(0.0, (), None, None, {})) == []
+        assert keeping.facts()["fits_lost"] == 1
+        status = watch_diagnostic("calibrator", None, keeping)
+        assert status.level == DiagnosticStatus.WARN
+        assert "no memory" in status.message
+        keeping._machine.job(house.drive_knowledge())
+        keeping._note(Findings(0.0, (), None, None, {}))
+        assert watch_diagnostic("calibrator", None, keeping).level == DiagnosticStatus.OK
+        assert keeping.facts()["fits_lost"] == 1
+
+    def test_what_the_node_ends_itself_is_not_said(self, house):
+        keeping, said = house._keeping, []
+        keeping._say = said.append
+        keeping._lost(Stopped())
+        assert not said
+        assert keeping.facts()["fits_lost"] == 0
 
 
 @pytest.mark.nightly

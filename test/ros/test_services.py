@@ -60,6 +60,18 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
     assert actor.status["state"] == "calibrated"
 
 
+def test_finish_of_a_turn_that_has_ended_by_itself_answers_with_its_verdict(stage):
+    actor = stage(speed=8.0)
+    for meanwhile in ("fitting", "calibrated"):
+        assert actor.answer(actor.call("start")).success
+        actor.run(PATIENCE, 0.5, lambda: actor.status["state"] == "collecting")
+        actor.run(PATIENCE, 0.5, lambda state=meanwhile: actor.status["state"] == state)
+        answer = actor.answer(actor.call("finish"))
+        assert answer.success, answer.message
+        assert answer.message.startswith("Calibrated")
+    assert "~/start" in actor.answer(actor.call("finish")).message
+
+
 def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
     actor = loaded()
     assert actor.answer(actor.call("reset")).success

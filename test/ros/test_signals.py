@@ -10,7 +10,7 @@ import time
 import pytest
 import rclpy
 from long_form import rounds
-from support import AT_ONCE, PATIENCE, ROBOT, store_calibration
+from support import AT_ONCE, PATIENCE, ROBOT, store_calibration, turn_by
 
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.samples import read_samples
@@ -102,7 +102,7 @@ def test_at_a_random_moment_of_fitting_saving_and_reporting(run_node, ros_home, 
     """What the answer promised is there: the calibration, and the report with its samples."""
     process, actor = run_node()
     actor.answer(actor.call("start"))
-    actor.run(1.5, 0.5)
+    turn_by(actor, 240.0)
     done = actor.call("finish")
     actor.run(chance.uniform(0.0, 0.6), 0.5, stop=lambda: attempt % 2 == 0 and done.done())
     end(process, chance.choice([signal.SIGINT, signal.SIGTERM]))

@@ -1,9 +1,21 @@
-"""Two nodes in one namespace, each with a magnetometer of the same frame."""
+"""Two magnetometers: two nodes in one namespace, and both in one node."""
 
+import math
+import threading
+from dataclasses import replace
+
+import numpy as np
 import pytest
-from support import PATIENCE, store_calibration
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import MagneticField
+from support import DEGREE, PATIENCE, ROBOT, store_calibration
 
+from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.ros.preflight import inspect
+from magcal_ros.ros.sensor_source import set_time
 
 FRAME = "mag_link"
 
@@ -48,3 +60,119 @@ def test_another_node_does_not_take_it_and_says_how_to_keep_it(start_node, actor
     assert not answer.success
     assert f"mv {former} {former.parent}/right.{FRAME}.yaml" in answer.message
     assert node._keeper.calibration is None
+
+
+SECOND = replace(
+    ROBOT, roll=-2.0 * DEGREE, pitch=5.0 * DEGREE, hard_iron=np.array([-20e-6, 5e-6, 12e-6])
+)
+"""The same robot, as its second magnetometer sees it."""
+
+
+class Pair:
+    """Publishes what a second magnetometer reads with each message of the first.
+
+    Whichever is in `silent` says nothing.
+    """
+
+    def __init__(self, actor):
+        self.silent = set()
+        self._out = actor.node.create_publisher(MagneticField, "imu/mag_2", qos_profile_sensor_data)
+        actor.mangle = self.publish
+
+    def publish(self, sample):
+        if not isinstance(sample, FieldSample):
+            return [sample]
+        if "imu/mag_2" not in self.silent:
+            body = np.linalg.solve(ROBOT.distortion, sample.field - ROBOT.hard_iron)
+            message = MagneticField()
+            message.header.frame_id = "mag_2_link"
+            set_time(message.header.stamp, sample.stamp)
+            field = message.magnetic_field
+            field.x, field.y, field.z = SECOND.raw_field(body)
+            self._out.publish(message)
+        return [] if "imu/mag" in self.silent else [sample]
+
+
+def entries(actor):
+    return {entry["topic"]: entry for entry in actor.status["magnetometers"]}
+
+
+def test_one_turn_calibrates_both_and_one_heading_outlives_either(start_node, actor, ros_home):
+    start_node()
+    robot = actor(speed=8.0)
+    pair = Pair(robot)
+    robot.run(PATIENCE, stop=lambda: len(robot.status["magnetometers"]) == 2)
+    looker = rclpy.create_node("looker")
+    found = []
+    look = threading.Thread(target=lambda: found.append(inspect(looker, "/calibrator", 0.5)))
+    look.start()
+    robot.run(PATIENCE, stop=lambda: not look.is_alive())
+    looker.destroy_node()
+    assert found[0].ready
+    assert [line.partition(":")[0] for line in found[0].lines] == [
+        "/imu/data_raw",
+        "/imu/mag",
+        "/imu/mag_2",
+    ]
+    answer = robot.calibrate()
+    assert answer.success, answer.message
+    folder = ros_home / "magcal"
+    files = folder / "calibrator.mag_link.yaml", folder / "calibrator.mag_2_link.2.yaml"
+    for topic, path, truth in zip(("/imu/mag", "/imu/mag_2"), files, (ROBOT, SECOND), strict=True):
+        assert f"{topic}: " in answer.message
+        assert f"saved to {path}" in answer.message
+        found = read_calibration(path)[0].correction.hard_iron
+        assert np.abs(found - truth.hard_iron)[:2].max() < 1e-6
+    robot.speed = 4.0
+    for silent in ((), ("imu/mag",), ("imu/mag_2",)):
+        pair.silent = set(silent)
+        topics = {f"/{topic}" for topic in silent}
+        robot.run(
+            PATIENCE,
+            stop=lambda topics=topics: (
+                {topic for topic, entry in entries(robot).items() if entry["weight"] < 0.1}
+                == topics
+            ),
+        )
+        assert all("silent" in entries(robot)[topic]["why"] for topic in topics)
+        robot.yaws.clear()
+        robot.run(PATIENCE, yaw_rate=0.3, stop=lambda: len(robot.yaws) > 30)
+        off = robot.published_errors([(0.0, 0.0)], headings=1)[0]
+        assert abs(math.degrees(off)) < 5.0
+    pair.silent.clear()
+    # Every service acts on both.
+    assert robot.answer(robot.call("start")).success
+    cancelled = robot.answer(robot.call("cancel"))
+    assert cancelled.message.count("cancelled") == 2
+    assert robot.answer(robot.call("reset")).success
+    robot.run(PATIENCE, stop=lambda: robot.status["state"] == "uncalibrated")
+    assert not any(entry["calibrated"] for entry in entries(robot).values())
+    loaded = robot.answer(robot.call("load"))
+    assert loaded.success, loaded.message
+    assert all(f"loaded {path}" in loaded.message for path in files)
+    assert robot.answer(robot.call("save")).success
+
+
+def test_a_node_for_one_magnetometer_listens_to_no_other(start_node):
+    node = start_node({"magnetometers": 1})
+    assert not [sub for sub in node.subscriptions if sub.topic_name.endswith("imu/mag_2")]
+
+
+def test_a_node_by_another_name_is_told_that_headings_are_mixed(start_node, actor):
+    start_node(arguments=named("left"))
+    start_node(arguments=named("right"))
+    robot, heard = actor(calibrator="/left"), {}
+
+    def hear(message):
+        heard.update({status.name: status for status in message.status})
+
+    robot.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 50)
+
+    def told():
+        inputs = heard.get("left: Inputs")
+        return inputs is not None and "/compass/yaw is published by /right too" in inputs.message
+
+    robot.run(PATIENCE, stop=told)
+    assert told()
+    assert heard["left: Inputs"].level == DiagnosticStatus.ERROR
+    assert "imu/mag_2" in heard["left: Inputs"].message

@@ -203,3 +203,12 @@ def move(node, place):
     """Change the place that is given by hand."""
     spot = {"latitude": place.latitude_deg, "longitude": place.longitude_deg}
     node.set_parameters([Parameter(f"reference.{n}_deg", value=spot[n]) for n in spot])
+
+
+def test_the_first_fix_with_a_calibration_in_force_is_said_in_the_log(loaded, capfd, graph):
+    receiver = Receiver(loaded(parameters={}))
+    receiver.say(times=3)
+    receiver.reference(lambda reference: reference["declination_deg"] is not None)
+    node = graph.calibrators[0]
+    assert "compass/yaw counts from true north from now on" in capfd.readouterr().err
+    assert node._mishaps.total == 0

@@ -1,4 +1,4 @@
-"""What doc/wiring.md tells people to take is there, under this name and of this type."""
+"""What doc/wiring.md tells people to take is there, and each row rests on a consumer's source."""
 
 import re
 from pathlib import Path
@@ -6,9 +6,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-TEXT = (Path(__file__).parents[2] / "doc" / "wiring.md").read_text()
-ROW = re.compile(r"^\| [^|]+ \| `([\w/]+)` \| (\w+/msg/\w+) \|", re.MULTILINE)
-ROWS = sorted(set(ROW.findall(TEXT)))
+TEST = Path(__file__).parents[1]
+TEXT = (TEST.parent / "doc" / "wiring.md").read_text()
+CONSUMERS = yaml.safe_load((TEST / "consumers.yaml").read_text())
+ROW = re.compile(r"^\| ([^|]+) \| `([\w/]+)` \| (\w+/msg/\w+) \| ([^|]+) \|$", re.MULTILINE)
+ROWS = [list(row) for row in ROW.findall(TEXT)]
+TAKEN = sorted({(topic, kind) for _, topic, kind, _ in ROWS})
+BLOCKS = [yaml.safe_load(block) for block in re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)]
 
 
 @pytest.fixture
@@ -19,17 +23,48 @@ def published(start_node):
 
 
 def test_every_topic_of_the_table_is_published_with_its_type(published):
-    assert len(ROWS) == 4
-    for topic, kind in ROWS:
+    assert len(TAKEN) == 4
+    for topic, kind in TAKEN:
         assert published[topic] == [kind]
 
 
-def test_the_yaml_blocks_are_parameter_files_of_robot_localization():
-    ekf, navsat = (
-        next(iter(yaml.safe_load(block).values()))["ros__parameters"]
-        for block in re.findall(r"```yaml\n(.*?)```", TEXT, re.DOTALL)
-    )
+def test_every_row_is_one_of_the_facts():
+    known = [row for facts in CONSUMERS.values() for row in facts.get("rows", [])]
+    own = ["anything that wants a number", "compass/yaw", "std_msgs/msg/Float64", "its own"]
+    assert sorted(ROWS) == sorted([*known, own])
+
+
+@pytest.mark.parametrize("name", CONSUMERS)
+def test_the_page_says_which_version_was_read_and_when(name):
+    facts = CONSUMERS[name]
+    cells = (name, facts["version"], facts["read"], facts["source"], facts["facts"])
+    assert f"| {' | '.join(map(str, cells))} |" in TEXT
+
+
+def parameters_of(block):
+    """Return the parameters that a block of YAML sets."""
+    return next(iter(block.values()))["ros__parameters"]
+
+
+def test_the_yaml_blocks_name_parameters_that_their_consumer_has():
+    declared = [set(names) for facts in CONSUMERS.values()
+                for names in facts.get("parameters", {}).values()]  # fmt: skip
+    assert len(BLOCKS) == 4
+    for block in BLOCKS:
+        assert any(set(parameters_of(block)) <= names for names in declared), block
+
+
+def test_the_blocks_of_robot_localization_take_the_yaw_and_nothing_twice():
+    ekf, navsat = map(parameters_of, BLOCKS[:2])
     assert (ekf["imu0"], len(ekf["imu0_config"])) == ("compass/true/enu/imu", 15)
     # x, y, z, roll, pitch, yaw, their rates, accelerations: only the yaw.
     assert [k for k, used in enumerate(ekf["imu0_config"]) if used] == [5]
     assert navsat["magnetic_declination_radians"] == navsat["yaw_offset"] == 0.0
+
+
+def test_the_field_is_corrected_once():
+    compass, fusioncore = map(parameters_of, BLOCKS[2:])
+    assert compass["subscribe_mag_unbiased"] is True
+    assert compass["publish_mag_unbiased"] is False
+    assert fusioncore["gnss.heading_topic"] == "compass/true/enu/imu"
+    assert fusioncore["magnetometer.enabled"] is False

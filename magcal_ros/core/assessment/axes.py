@@ -1,4 +1,4 @@
-"""Whether the magnetometer's axes are those of the IMU, and if not, which they are."""
+"""Which axes the magnetometer has, compared with the IMU's."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class AxesTuning:
-    """When axes are excluded, and when it is said that they are wrong.
+    """When axes are excluded, and when they are reported as wrong.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ class AxesTuning:
     lift : float
         Radians RMS of movement beside the turn from which less than that is asked for.
     times_lifted : float
-        So many times the best's residual, then: on a long drive the gyro's own wandering passes for
-        movement, and a linear acceleration for another inclination, and neither shows in it.
+        So many times the best's residual, then: on a long drive the gyro's drift looks like
+        movement, and a linear acceleration like another inclination; neither is part of it.
     worst_fit : float
         Residual over the changing field beyond which even the best explains nothing.
     least_turn : float
@@ -89,20 +89,20 @@ MISLED_BY_AXES = (
     Reason.FIELD_TOO_STEEP,
     Reason.NO_SOLUTION,
 )
-"""Refusals that wrong axes can be the cause of."""
+"""Refusals that wrong axes can cause."""
 
 
 GYRO_IS_WRONG = (
-    "the gyro turns against gravity: the axes of both sensors belong together, so an axis of the "
-    "gyro has the wrong sign or another one's place in the driver; REP-103 wants turns to the "
+    "the gyro contradicts gravity: the axes of both sensors belong together, so an axis of the "
+    "gyro has the wrong sign or another one's place in the driver; REP-103 requires turns to the "
     "left, nose down and right side down to be positive"
 )
 IF_THE_GYRO_IS_RIGHT = (
-    "This takes gyro and accelerometer for right: check first that the axes of both sensors belong "
-    "together, for a mirrored gyro looks the same"
+    "This assumes that gyro and accelerometer are right: check first that the axes of both sensors "
+    "belong together, because a mirrored gyro looks the same"
 )
 LIFT = "lift the nose by 20° while it turns"
-DRIVE = "; on a straight drive a receiver's course tells its yaw, too"
+DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ class AxesFound:
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
-        """What the parameter `mount_rpy_deg` should be; None where no mounting mends it."""
+        """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
         if self.meant is None or self.mirrored:
             return None
         return mount_of(self.meant, self.pose)
@@ -155,13 +155,13 @@ class AxesFound:
 
     @property
     def said(self) -> str:
-        """The same where gyro and accelerometer are known to be right."""
+        """The same, if gyro and accelerometer are known to be right."""
         if self.right:
             return ""
         if self.meant is None:
             return (
                 "no mounting and no swapped or mirrored axes of the magnetometer make gyro and "
-                "field tell one turn: check the gyro's unit, axes and stamps, and turn away from "
+                "field agree: check the gyro's unit, axes and stamps, and turn away from "
                 "iron"
             )
         words = f"the magnetometer's axes do not belong to the IMU's: {self._say(self.meant)}"
@@ -175,15 +175,18 @@ class AxesFound:
 
     @property
     def movement(self) -> str:
-        """What tells the remaining candidates apart; empty where one is left."""
+        """The movement that separates the remaining candidates; empty if one is left."""
         if len(self.candidates) < 2:
             return ""
         first = self.candidates[0]
         if all(np.array_equal(np.abs(first), np.abs(c)) for c in self.candidates) and (
-            len(self.candidates) == 2 and np.array_equal(first, -self.candidates[1])
+            len(self.candidates) == 2
+            and np.array_equal(first, -self.candidates[1])
+            and not self.dip_known
         ):
             return (
-                "give the place or the field's inclination: only it tells axes from their opposites"
+                "give the place or the field's inclination: only this separates axes from their "
+                "opposites"
             )
         dip = "" if self.dip_known else ", and give the place or the field's inclination"
         level = all(np.array_equal(np.abs(first[2]), np.abs(c[2])) for c in self.candidates)
@@ -217,7 +220,7 @@ def _signed(degrees: int) -> int:
 
 
 def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound | None:
-    """Weigh all 48 ways in which the axes may lie.
+    """Compare all 48 possible orientations of the axes.
 
     Parameters
     ----------
@@ -287,13 +290,13 @@ def most_turned(stretch: Stretch) -> float:
 
 
 def dip_is_known(knowledge: Knowledge) -> bool:
-    """Return whether the reference field tells axes from their opposites."""
+    """Return whether the reference field separates axes from their opposites."""
     dip = knowledge.reference.inclination
     return not dip.is_unknown and abs(dip.value) > TUNING.least_dip
 
 
 def _opposite(k: int) -> int:
-    """Return where the opposite of candidate k stands: in the other half, at the same place."""
+    """Return the index of the opposite of candidate k: the same place in the other half."""
     return (k + 24) % 48
 
 
@@ -322,8 +325,8 @@ def inclination_misfit(found: Alignment, k: int, sign: float, dip: Belief) -> fl
     level = math.sqrt(max(1.0 - along**2, 1e-6))
     slope = (up - along * field / size) / size / level
     variance = float(slope @ found.covariance[k][FIELD, FIELD] @ slope)
-    # The gyro's own wandering looks like a small tilt, which shows nothing of the field.
-    variance += (TUNING.attitude_error / max(found.tilt_spread, 1e-6)) ** 2
+    # Drift of the gyro looks like a small tilt, which shows nothing of the field.
+    variance += (TUNING.attitude_error / max(found.tilt_seen, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
     if variance > TUNING.vaguest_dip**2:
         return 0.0

@@ -32,7 +32,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         Figure.OUTLIER_SHARE,
         15.0,
         50.0,
-        "samples that were not believed",
+        "samples left out as outliers",
         "something magnetic was near or switched; drive elsewhere",
         excellent=5.0,
         unit="%",
@@ -41,7 +41,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         Figure.LEVEL_PULL,
         2.0,
         20.0,
-        "level field pulled from the reference by",
+        "level field deviates from the reference by",
         "check the reference field, or mount the sensor away from steel that weakens it",
         excellent=1.0,
         unit="σ",
@@ -58,9 +58,9 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         Figure.AXIS_LEAN,
         45.0,
         90.0,
-        "up leans from the body's z by",
+        "up is tilted from the body's z by",
         Z_NOT_UP,
         excellent=20.0,
     ),
 )
-"""From simulated drives and twelve recordings. The weightiest come first."""
+"""From simulated drives and twelve recordings. The most important come first."""

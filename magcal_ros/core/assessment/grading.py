@@ -1,4 +1,4 @@
-"""The one way to grade a figure: of a turn, of a recheck and of a drive."""
+"""Grades of figures, for a turn, a recheck and a drive alike."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Grade(str, Enum):
 
 
 class Aspect(str, Enum):
-    """Which of the two grades a check speaks to."""
+    """Which of the two grades a check belongs to."""
 
     QUALITY = "quality"
     CONFIDENCE = "confidence"
@@ -38,7 +38,7 @@ SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 
 @dataclass(frozen=True)
 class Bound:
-    """The bounds of the grades for one figure, of which only the size counts.
+    """The bounds of the grades for one figure; only its absolute value counts.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Bound:
     words : str
         What the figure is.
     remedy : str
-        What to do when it falls short.
+        What to do if it is not good enough.
     excellent : float or None
         Worst value of this grade; None where nothing is better than good.
     unit : str
@@ -109,6 +109,7 @@ class Bound:
             limit = self.good if grade is Grade.WARN else self.warn
             side = "more" if self.at_least else "less"
             refused = self.when_refused if grade is Grade.REFUSED else ""
+            words = f"{self.words} {shown_beside(value, limit)}{self.unit}{note}"
             words += f" (want {limit:g}{self.unit} or {side}): {refused or self.remedy}"
         raw = None if before is None else before * self.scale
         return Check(self.figure, self.aspect, grade, words, value, raw, self)
@@ -124,10 +125,17 @@ class Bound:
 
 
 def shown(value: float) -> str:
-    """Write a size as people do: three digits, all before the point, no powers of ten."""
+    """Write a number with three digits, without powers of ten."""
     if 0.0 < value < 1e-3:
         return "below 0.001"
     return f"{value:.0f}" if 999.5 <= value < 1e7 else f"{value:.3g}"
+
+
+def shown_beside(value: float, limit: float) -> str:
+    """Write a number with enough digits to differ from a limit that it misses."""
+    digits = (f"{value:.{count}g}" for count in range(4, 9))
+    others = (text for text in digits if text != f"{limit:g}")
+    return shown(value) if shown(value) != f"{limit:g}" else next(others, shown(value))
 
 
 @dataclass(frozen=True)
@@ -139,11 +147,11 @@ class Check:
     figure : Figure or Reason
         What was looked at; of a refusal its reason.
     aspect : Aspect
-        Which grade it speaks to.
+        Which grade it belongs to.
     grade : Grade
         How good it is.
     words : str
-        The same in words, with what to do if it falls short.
+        The same in words, with what to do if it is not good enough.
     value, before : float, optional
         The figure in the unit people see, and what it was in the raw field.
     bound : Bound, optional
@@ -170,10 +178,10 @@ class Check:
 
     @property
     def key(self) -> str:
-        """Under which name JSON and status tell it."""
+        """Its name in JSON and status."""
         return self.figure.key if isinstance(self.figure, Figure) else self.figure.value
 
 
 def worst(grades: list[Grade]) -> Grade:
-    """Return the worst of some grades; of none that nothing is known, which is refused."""
+    """Return the worst of some grades; refused if there are none."""
     return max(grades, key=lambda grade: grade.rank, default=Grade.REFUSED)

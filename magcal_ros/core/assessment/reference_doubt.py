@@ -1,8 +1,8 @@
-"""Whether the reference field may be the wrong one, as the hard iron that follows from it tells.
+"""Whether the hard iron that follows from the reference field makes the reference doubtful.
 
 The hard iron along a turn's axis is what is left of the field there after the reference's part.
 So an inclination of the wrong sign looks like a magnet of twice that part, and nothing else in the
-turn objects. A robot may carry such a magnet; a person has to look.
+turn contradicts it. A robot may carry such a magnet, so a person has to decide.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class DoubtTuning:
     noticeable : float
         Strengths of the field; a smaller one is what robots have, whatever the other sign says.
     several : float
-        Times smaller that it would be with the other sign of the inclination.
+        Times that it must be larger than with the other sign of the inclination.
     field : float
         Strengths of the field from which it is doubtful in any case.
     shown : float
-        Sigmas by which the turn's own wobble would betray the other sign: then it is shown.
+        Sigmas by which the wobble of the turn must contradict the other sign to exclude it.
     """
 
     noticeable: float = 0.4
@@ -47,7 +47,7 @@ TUNING = DoubtTuning()
 def check_reference(
     estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge
 ) -> Check | None:
-    """Weigh the hard iron along the turn's axis; None where more than the reference shows it."""
+    """Check the hard iron along the turn's axis; None if more than the reference shows it."""
     if not knowledge.reference.is_complete or _is_shown(estimate, figures):
         return None
     axial_field = -estimate.strength * math.sin(estimate.inclination)
@@ -61,7 +61,8 @@ def check_reference(
         words += (
             f", but {_microtesla(other)} if the inclination had the other sign: check the sign of "
             "reference.inclination_deg (positive where the field points down, as in the north), or "
-            "turn on ramps"
+            "turn on ramps; of a simulator, whether it publishes the field in north-east-down axes "
+            "(NED; Gazebo: use_earth_frame_ned false)"
         )
     elif own > TUNING.field * estimate.strength:
         found = Grade.WARN
@@ -73,7 +74,7 @@ def check_reference(
 
 
 def _is_shown(estimate: Estimate, figures: Mapping[Figure, float]) -> bool:
-    """Whether the samples would contradict the other sign by themselves."""
+    """Whether the samples alone would contradict the other sign."""
     if Figure.INSTALLATION_YAW_SIGMA in figures or Figure.SPHERE_EXTENT in figures:
         return True
     wobble, count = figures.get(Figure.WOBBLE, 0.0), np.count_nonzero(estimate.inliers)

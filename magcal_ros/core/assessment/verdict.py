@@ -1,7 +1,7 @@
 """How good and how certain a calibration is, in grades and in words.
 
 Quality asks whether the samples agree with the model; confidence asks whether enough was seen.
-The two never mix: a clean circle proves neither the heading nor the other way round.
+The two are separate: a clean circle does not prove the heading, nor a good heading the circle.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class VerdictTuning:
-    """What a verdict allows for; from simulation and about ten recordings.
+    """Limits and allowances of a verdict, from simulation and about ten recordings.
 
     Parameters
     ----------
@@ -42,27 +42,28 @@ class VerdictTuning:
         Heading sigmas of the whole turn by which its halves may differ; a half hardly shows
         iron.
     allowed_sigmas : float
-        Of the reference field's own belief, which its radius may be off before it counts.
+        Sigmas of the reference field by which its radius may be off before that counts.
     several : float
-        Times the heading's sigma from which soft iron that was not shown is worth a word.
+        Times the heading's sigma from which soft iron that was not shown is mentioned.
     rough : float
-        Radians of heading sigma from which a calibration is called a rough one: in a car full of
-        steel it may be the best there is, and who reads only the first word should know.
+        Radians of heading sigma from which a calibration is called rough. In a car full of steel it
+        may be the best possible, and the first words of the summary should say so.
     nearly_full : float
         Radians of arc from which a steady sideways pull can be told from a slope.
     mostly_pull : float
-        Share of the heading's variance from which a pull that nothing shows is what to mend.
+        Share of the heading's variance from which an acceleration that nothing shows is the main
+        cause.
     weighed_pull_deg : float
         Degrees of sideways pull that are no warning where the fit has weighed what it may be, and
-        counts in the heading's sigma what it could not tell.
+        the heading's sigma includes what it could not determine.
     one_axis : float
         Share of the gyro's squares about one axis from which a turn has one; a sensor that is
         turned over by hand has none, and what counts is how it usually lies.
     on_its_side : float
-        Radians that a turn's axis leans from the body's z, from which that is the trouble.
+        Radians that a turn's axis leans from the body's z, from which that is the cause.
     costly : float
         Radians of heading on a slope, and times the level's, from which an axial hard iron that
-        was not shown is worth a word.
+        was not shown is mentioned.
     earths_field_ut : tuple of float
         Outside of these a strength is no Earth's: a warning that names the likely unit.
     guessed : float
@@ -153,45 +154,47 @@ class Verdict:
 
 NO_YAW = "the yaw of the installation: mount the sensor square, or compare with a known heading"
 NO_MOUNTING = (
-    "the mounting of the magnetometer against the IMU: this method took their axes for aligned and "
-    "corrects nothing of it"
+    "the mounting of the magnetometer against the IMU: this method assumes aligned axes and does "
+    "not correct it"
 )
 STAND_BESIDE = (
     "stand still for three seconds before and after the turn: that shows the gyro's bias, and"
-    " whether the robot was pulled outwards"
+    " whether there was a centripetal acceleration"
 )
 ON_THE_SPOT = (
-    "turn on the spot: a robot that drives is pulled to one side, and without a gyro that looks"
-    " like a roll of the magnetometer"
+    "turn on the spot: without a gyro the centripetal acceleration of a circle looks like a roll"
+    " of the magnetometer"
 )
 NOT_COMPARED = (
-    "a distorted room, mirrored axes or a sideways pull while turning: gyro against compass was not"
+    "a distorted room, mirrored axes or a sideways acceleration: gyro against compass was not"
     " checked, because "
 )
 NO_GYRO = NOT_COMPARED + "there is no gyro"
-GYRO_UNUSED = NOT_COMPARED + "this method does not look at the gyro"
-GYRO_EXPLAINS = "the gyro's turning explains the samples"
+GYRO_UNUSED = NOT_COMPARED + "this method does not use the gyro"
+GYRO_EXPLAINS = "the turn that the gyro measured explains the samples"
 GYRO_CONTRADICTS = (
-    "the gyro's turning does not explain the samples: check the axes and the stamps of the gyro, "
-    "and keep the sensor near the turn's centre, away from iron"
+    "the turn that the gyro measured does not explain the samples: check the axes and the stamps "
+    "of the gyro, and keep the sensor near the turn's centre, away from iron"
 )
 CONVERGED = "the optimisation converged"
 NOT_CONVERGED = (
-    "the optimisation did not converge, so the numbers may still be off by more than they say: "
+    "the optimisation did not converge, so the errors may be larger than stated: "
     "turn once more, evenly, away from moving iron"
 )
+NO_RIVAL = "no calibration with another heading explains the turn as well"
+
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Weigh an estimate.
+    """Judge an estimate.
 
     Parameters
     ----------
     estimate : Estimate
         What a method found.
     knowledge : Knowledge
-        What it was told beforehand.
+        What was known beforehand.
     window : Window, optional
         The samples; without them gravity is not checked.
 
@@ -241,7 +244,7 @@ def judged_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
-    """Grade one figure; what chance or the reference's own uncertainty explains does not count."""
+    """Grade one figure, less what chance or the reference's own uncertainty explains."""
     figure = figures[bound.figure]
     if bound.after_full and figures[Figure.AXIS_LEAN] > TUNING.on_its_side:
         bound = replace(bound, remedy=Z_NOT_UP)
@@ -270,7 +273,10 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         allowed = TUNING.allowed_sigmas * _radius_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
-    return bound.check(figure)
+    found = bound.check(figure)
+    if bound.figure is Figure.RIVAL_GAP and found.grade is Grade.EXCELLENT:
+        return replace(found, words=NO_RIVAL)
+    return found
 
 
 def _radius_sigma(knowledge: Knowledge) -> float:
@@ -294,7 +300,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
     microtesla = strength * 1e6
     low, high = TUNING.earths_field_ut
     if not knowledge.reference.is_complete:
-        # Where nothing is known, one turn can but guess it.
+        # Without a reference, one turn gives only a rough strength.
         low, high = low / TUNING.guessed, high * TUNING.guessed
     grade = Grade.EXCELLENT if low <= microtesla <= high else Grade.WARN
     words = f"field strength {microtesla:.1f} µT"
@@ -341,8 +347,8 @@ def _not_shown(
     if tilted > times * level and tilted > least:
         known = knowledge.reference.is_complete
         found.append(
-            "the hard iron along the turn's axis: fine on the level, but at 10° of tilt it costs "
-            f"{tilted * DEGREES:.1f}° (1σ) of heading; "
+            "the hard iron along the turn's axis: fine on the level, but at 10° of tilt its "
+            f"error in the heading is {tilted * DEGREES:.1f}° (1σ); "
             f"{'' if known else 'give the reference field, or '}turn on ramps"
         )
     if Figure.GYRO_COMPASS_SWING not in figures and Figure.HEADINGS_DRIVEN not in figures:
@@ -375,7 +381,7 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:
-    """Say what was driven; empty of a turn."""
+    """Say what was driven; empty for a turn."""
     if Figure.HEADINGS_DRIVEN not in figures:
         return ""
     seconds, metres = figures[Figure.DRIVING_TIME], figures.get(Figure.METRES)
@@ -386,7 +392,7 @@ def _drive_in_words(figures: Mapping[Figure, float]) -> str:
 
 
 def _reasons(verdict: Verdict, grade: Grade) -> str:
-    """Return the first reasons for a grade: the table holds the weightiest first."""
+    """Return the first reasons for a grade; the table has the most important first."""
     words = [check.words for check in verdict.checks if check.grade is grade]
     more = len(words) - TUNING.reasons
     return "; ".join(words[: TUNING.reasons]) + (f"; and {more} more" if more > 0 else "")

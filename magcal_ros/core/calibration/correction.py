@@ -55,6 +55,10 @@ class Correction:
         """The twelve numbers: A row by row, then h; shape (12,)."""
         return np.concatenate([self.matrix.ravel(), self.hard_iron])
 
+    def is_same(self, other: Correction) -> bool:
+        """Whether all twelve numbers are equal."""
+        return np.array_equal(self.parameters, other.parameters)
+
     def apply(self, field: FloatArray) -> FloatArray:
         """Correct fields (..., 3) in tesla; returns body axes, same shape and unit."""
         return np.asarray((field - self.hard_iron) @ self.matrix.T)

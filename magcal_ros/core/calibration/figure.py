@@ -100,6 +100,8 @@ class Figure(str, Enum):
     MOTOR_FIELD = "motor_field"
     """Field that is there while the robot turns and not while it rests beside its turn, or that
     switched on the way, tesla; zero where chance explains it, absent where nothing tells."""
+    ON_THE_SPOT = "on_the_spot"
+    """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"
     """By how much the field comes later than the gyro, seconds, taken off; absent where the turn
     does not show any."""

@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core.assessment.axes import LIFT, AxesFound, dip_is_known
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
+from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
@@ -21,6 +21,11 @@ NOTHING_FITS = (
     "no mounting and no swapped or mirrored axes make gyro, field and gravity tell one movement: "
     "check whether the gyro answers to turns at all, its unit and the stamps, and turn away from "
     "iron"
+)
+BOTH = (
+    "gyro, magnetometer and gravity do not tell one movement, and no single sensor's axes explain "
+    "it. Linear acceleration and iron nearby look like that, too: stand still, turn on the spot "
+    f"away from iron, and {LIFT}"
 )
 TOLD_OTHERWISE = (
     "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
@@ -86,7 +91,7 @@ def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame
     """
     best = explanations.best
     if explanations.rms[best] > AXES.worst_fit:
-        finding = wrong("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
+        finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,), best, None, False)
     misfit = explanations.misfit
     remains = misfit < TUNING.remains
@@ -149,10 +154,11 @@ def _all_agree(
     known = np.array_equal(knowledge.mounting.pose, STANDARD)
     evidence = "x forward, y left, z up" if known else "as mount_rpy_deg says"
     more = int(remains.sum() - remains[given])
-    if more:
-        rest = "one other way does" if more == 1 else f"{more} other ways do"
-        evidence += f" fit, and {rest}. To tell which, {axes.movement or LIFT}"
     found = [looked_at("axes", "axes", evidence)]
+    if more:
+        rest = "one other way" if more == 1 else f"{more} other ways"
+        why = f"{evidence} fit, but so would {rest}; to tell them apart, {axes.movement or LIFT}"
+        found = [not_shown("axes", "axes", why)]
     if contrary[given]:
         others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
@@ -177,32 +183,35 @@ def _accused(
     rank: dict[int, tuple[str, ...]],
     knowledge: Knowledge,
 ) -> Blame:
-    """Write a line for every sensor that errs, or of which one errs."""
+    """Name the sensor that errs; where another may err instead, or two must, ask.
+
+    One sensor is ordered to be changed only where the two others agree against it.
+    """
     culprits = list(dict.fromkeys(rank[k] for k in fewest))
-    words: list[tuple[str, str]] = []
-    axes: AxesFound | None = None
-    for sensors in culprits:
-        ways = [k for k in fewest if rank[k] == sensors]
-        for sensor in sensors:
-            if sensor == "magnetometer":
-                candidates = _distinct(explanations.field[ways])
-                axes = AxesFound(
-                    candidates, False, knowledge.mounting.pose, dip_is_known(knowledge)
-                )
-                words.append((sensor, axes.said))
-            elif sensor == "gyro":
-                words.append((sensor, _gyro_words(_distinct(explanations.gyro[ways]))))
-            else:
-                words.append((sensor, _force_words(_distinct(explanations.gyro[ways]))))
-    either = len(culprits) > 1
-    names = " or ".join(" and ".join(sensors) for sensors in culprits)
+    if len(culprits[0]) > 1:
+        names = " and ".join(culprits[0])
+        evidence = f"the movement fits better with other axes of {names}"
+        question = looked_at("axes", "axes", evidence, BOTH)
+        return Blame((question,), explanations.plain, None, False)
+    said, axes = {}, None
+    for (sensor,) in culprits:
+        ways = [k for k in fewest if rank[k] == (sensor,)]
+        if sensor == "magnetometer":
+            candidates = _distinct(explanations.field[ways])
+            axes = AxesFound(candidates, False, knowledge.mounting.pose, dip_is_known(knowledge))
+            said[sensor] = axes.said
+        else:
+            words = _gyro_words if sensor == "gyro" else _force_words
+            said[sensor] = words(_distinct(explanations.gyro[ways]))
+    names = " or ".join(said)
+    if len(said) > 1:
+        evidence = f"{names} contradicts the other sensors"
+        asked = f"which of them errs this movement does not show: {LIFT}. "
+        asked += f"Either {'; or '.join(said.values())}"
+        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], None, True)
     evidence = f"contradicted by the other sensors: {names}"
-    tell = f". Either this or another sensor errs; to tell which, {LIFT}" if either else ""
-    findings = tuple(
-        wrong(f"{KEYS[sensor]}_axes", f"{sensor}: axes", evidence, said + tell)
-        for sensor, said in dict(words).items()
-    )
-    return Blame(findings, fewest[0], None if either else axes, True)
+    line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
+    return Blame((line,), fewest[0], axes, True)
 
 
 KEYS = {"magnetometer": "field", "gyro": "gyro", "accelerometer": "force"}

@@ -8,6 +8,7 @@ import numpy as np
 
 from magcal_ros.core.doctor.finding import Finding, wrong
 from magcal_ros.core.doctor.quiet import block_means
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.sensor_log import SensorLog
 
 ONE_CLOCK = (
@@ -97,4 +98,22 @@ def _apart(log: SensorLog) -> float:
     near = float(alike[np.abs(lag) <= TUNING.least].max())
     best = int(np.argmax(alike))
     plain = alike[best] > max(TUNING.alike, near + TUNING.better)
-    return float(lag[best]) if plain else 0.0
+    shift = round(float(lag[best]) / TUNING.step)
+    return float(lag[best]) if plain and _in_both_halves(one, two, shift) else 0.0
+
+
+def _in_both_halves(one: FloatArray, two: FloatArray, shift: int) -> bool:
+    """Return whether speeds (n,) are alike at a shift in either half of the movement.
+
+    One jolt of each sensor is alike at some shift by chance.
+    """
+    first, last = max(0, -shift), min(len(one), len(two) - shift)
+    if last - first < 4:
+        return True
+    one, two = one[first:last], two[first + shift : last + shift]
+    middle = int(np.searchsorted(np.cumsum(one**2), 0.5 * float(np.sum(one**2))))
+    halves = [(a, b) for a, b in ((0, middle), (middle, len(one))) if b - a > 3]
+    return all(
+        float(np.nan_to_num(np.corrcoef(one[a:b], two[a:b])[0, 1])) > 0.5 * TUNING.alike
+        for a, b in halves
+    )

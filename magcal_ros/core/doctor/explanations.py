@@ -43,7 +43,8 @@ class ExplanationTuning:
     most : int
         Ways that are fitted.
     doubtful : float
-        Chi-square at most that the field counts for where soft iron could explain it.
+        Chi-square at most that field or gravity count for where soft iron or linear acceleration
+        could explain it.
     good_fit : float
         Residual over the changing field up to which small differences of the fit are believed.
     settled : float
@@ -199,8 +200,11 @@ def _remaining(
 ) -> list[_Way]:
     """Return the ways worth a fit together, and that in which all axes are right."""
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
-    gravity = gravity_misfit(stretch, every)
-    against_field = _decisive(senses, tuning)
+    misfit, rms = gravity_misfit(stretch, every)
+    gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0, tuning)
+    fits = bool(senses.rms[senses.best] < tuning.good_fit)
+    lifted = senses.tilt_seen > AXES.lift and fits
+    against_field = _decisive(senses.misfit, senses.rms, lifted, tuning)
     ways = []
     for g, axes in enumerate(every):
         mirrored = int(is_mirrored(axes))
@@ -213,17 +217,18 @@ def _remaining(
     return kept if any(way is right for way in kept) else [*kept, right]
 
 
-def _decisive(senses: Alignment, tuning: ExplanationTuning) -> FloatArray:
-    """Return the misfits against the field, shape (48,), as far as they can decide.
+def _decisive(
+    misfit: FloatArray, rms: FloatArray, lifted: bool, tuning: ExplanationTuning
+) -> FloatArray:
+    """Return misfits (k,) against field or gravity as far as they can decide.
 
-    In one turn about one axis a soft iron that is stronger than believed looks like other axes;
-    then only those are excluded that fit plainly worse.
+    In one turn about one axis a soft iron that is stronger than believed looks like other axes, and
+    so does linear acceleration where gravity does not see what the gyro tells of a lift: then only
+    those are excluded that fit plainly worse.
     """
-    fits = senses.rms[senses.best] < tuning.good_fit
-    lifted = senses.tilt_spread > AXES.lift and fits
-    plainly = senses.rms > AXES.times * senses.rms[senses.best]
-    capped = np.minimum(senses.misfit, tuning.doubtful)
-    return np.asarray(np.where(plainly | lifted, senses.misfit, capped))
+    plainly = rms > AXES.times * rms[np.argmin(misfit)]
+    capped = np.minimum(misfit, tuning.doubtful)
+    return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
 def _signed(

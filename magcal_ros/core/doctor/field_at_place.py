@@ -9,7 +9,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
@@ -83,7 +84,10 @@ def reference_findings(
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        if abs(dip - believed.inclination.value) > max(TUNING.inclination, TUNING.sigmas * spread):
+        limit = max(TUNING.inclination, TUNING.sigmas * spread)
+        if abs(dip - believed.inclination.value) > limit:
+            if abs(dip + believed.inclination.value) <= limit:
+                return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]
             wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
     remedy = (
         f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
@@ -134,8 +138,8 @@ def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Findin
     words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
     evidence = f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times"
     remedy = (
-        "the motors' current makes a field of its own: move the magnetometer away from motors, "
-        "drivers and battery wires, and twist each pair of wires"
+        "if motors turn it, their current makes a field of its own: move the magnetometer away "
+        "from motors, drivers and battery wires, and twist each pair of wires"
     )
     return looked_at(
         "motors", name, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
@@ -151,7 +155,7 @@ def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, flo
     up = np.median(log.force, axis=0)
     width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
     about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
-    speed = np.abs(np.convolve(about, np.ones(width) / width, "same"))
+    speed = np.abs(running_mean(about, width))
     found, resting, edge = [], bool(speed[0] < TUNING.still), 0
     for row in range(1, len(time)):
         if speed[row] < TUNING.still:

@@ -132,6 +132,16 @@ class Guide:
         else:
             self._field.append(sample.field)
 
+    def left(self, now: float) -> float:
+        """Return the seconds after which what is asked for is given up."""
+        return max(self._tuning.patience - (now - self._since), 0.0)
+
+    def skip(self, now: float) -> None:
+        """Give up what is asked for now; standing still is needed."""
+        stage = self.current
+        if stage is not None and stage is not GuideStep.STAND:
+            self._next(stage, GuideStepState.MISSED, now)
+
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
         if now - self._block_began < self._tuning.block or self.current is None:

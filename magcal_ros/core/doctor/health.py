@@ -10,6 +10,7 @@ from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
+from magcal_ros.core.samples.streams import slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 
 
@@ -51,12 +52,14 @@ TUNING = HealthTuning()
 def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
     """Look at a stream's stamps, seconds, increasing; at least two."""
     gaps = np.diff(time)
-    usual, span = float(np.median(gaps)), float(time[-1] - time[0])
+    usual = float(np.median(gaps))
     jitter = float(np.sqrt(np.mean(np.clip(gaps / usual - 1.0, -1.0, 3.0) ** 2)))
     evidence = (
-        f"{len(gaps) / span:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
+        f"{1.0 / usual:.1f} Hz, gaps of {usual * 1e3:.1f} ms ± {jitter:.0%}, "
         f"at most {gaps.max():.2f} s"
     )
+    if name == "IMU" and (slow := slow_words(usual)):
+        return looked_at("slow", f"{name}: stamps", evidence, slow)
     long = long_gaps(time)
     if len(long):
         return wrong("bursts", f"{name}: stamps", evidence, bursts_in_words(long))
@@ -133,12 +136,18 @@ def gravity_size_finding(force: FloatArray, tuning: HealthTuning = TUNING) -> Fi
 
 def alive_finding(name: str, values: FloatArray) -> Finding:
     """Look for axes of values (n, 3) that never change."""
-    still = [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
+    still = unchanging(values)
     evidence = f"{3 - len(still)} of 3 axes change"
     if not still:
         return looked_at("frozen", f"{name}: axes alive", evidence)
-    words = f"{_axes(still)} never changes: the driver does not read it"
+    verb, them = ("never changes", "it") if len(still) == 1 else ("never change", "them")
+    words = f"{_axes(still)} {verb}: the driver does not read {them}"
     return wrong("frozen", f"{name}: axes alive", evidence, words)
+
+
+def unchanging(values: FloatArray) -> list[int]:
+    """Return the axes of values (n, 3) that never change."""
+    return [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
 
 
 def saturated(field: FloatArray, axis: int, tuning: HealthTuning = TUNING) -> BoolArray:

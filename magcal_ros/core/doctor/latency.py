@@ -18,7 +18,7 @@ from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.log_stretch import LogStretch, LogStretchTuning, stretch_of_log
 from magcal_ros.core.doctor.noise import white_noise
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
@@ -173,10 +173,7 @@ def _noise_around(left: FloatArray, time: FloatArray) -> FloatArray:
     usual = float(np.median(power))
     width = max(1, int(TUNING.shaken / max(float(np.median(np.diff(time))), 1e-4)))
     calm = np.minimum(power, 20.0 * usual)
-    near = np.convolve(calm, np.ones(width), "same") / np.convolve(
-        np.ones_like(calm), np.ones(width), "same"
-    )
-    return np.asarray(np.maximum(near, 0.3 * usual) / 3.0)
+    return np.asarray(np.maximum(running_mean(calm, width), 0.3 * usual) / 3.0)
 
 
 def _walk(attitude: FloatArray, time: FloatArray, log: SensorLog) -> FloatArray:

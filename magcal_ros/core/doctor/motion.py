@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.axes import AxesFound
 from magcal_ros.core.doctor.blame import blame
+from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
@@ -19,6 +20,7 @@ from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
 from magcal_ros.core.doctor.upright import Told, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
+from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.stretch import Stretch
@@ -51,7 +53,7 @@ class MotionTuning:
     borne_out : float
         Share of the bias by which the rate at rest may be another.
     alike : float
-        Times the least residual with which a known unit of the gyro is preferred.
+        Times the least residual with which rad/s are preferred to a known slip.
     lag : float
         Seconds between the sensors' stamps.
     sigmas : float
@@ -59,8 +61,6 @@ class MotionTuning:
     vague : tuple of float
         Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
         beyond which it is not shown.
-    plain : float
-        So many standard deviations show a lag, however vague it is.
     largest_noise : float
         Usual change between neighbours, over the whole changing part, that is no noise at rest.
     """
@@ -73,7 +73,6 @@ class MotionTuning:
     lag: float = 0.015
     sigmas: float = 3.0
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
-    plain: float = 6.0
     largest_noise: float = 0.25
 
 
@@ -131,7 +130,8 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
-    given, factor = _explained(body, rate_factors(part.stretch), knowledge)
+    factors = rate_factors(part.stretch)
+    given, factor = _explained(body, factors, knowledge)
     if given is None:
         return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
     body = replace(body, rate=factor * body.rate)
@@ -140,7 +140,7 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
     stands = upright(log, given, other, told)
     explanations = other if stands.sign_wrong else given
     blamed = blame(explanations, knowledge, told if not stands.sign_wrong else told.opposite)
-    findings = [_unit(factor), *stands.findings, *blamed.findings]
+    findings = [_unit(factor, factors is None), *stands.findings, *blamed.findings]
     if blamed.explained:
         findings += _gyro_errors(
             explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped
@@ -161,17 +161,24 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...], knowledge: Knowledge
+    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge
 ) -> tuple[Explanations | None, float]:
-    """Explain the movement with the unit of the gyro that fits best, a known one if it can be."""
+    """Explain the movement with the gyro's unit: a known slip where only that fits well."""
     inclination = knowledge.reference.inclination
-    ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in factors]
-    found = [(way, f, float(way.rms[way.best])) for way, f in ways if way is not None]
+    given = explain(log, inclination)
     # A gyro that may be right and turned too little shows nothing.
-    if not found or (1.0 in factors and ways[factors.index(1.0)][0] is None):
-        return None, factors[0]
-    least = min(rms for _, _, rms in found)
-    return next((way, f) for way, f, rms in found if rms <= TUNING.alike * least)
+    if not factors or (given is None and 1.0 in factors):
+        return given, 1.0
+    slips = [f for f in factors if f != 1.0]
+    ways = [(explain(replace(log, rate=f * log.rate), inclination), f) for f in slips]
+    found = [(float(way.rms[way.best]), f, way) for way, f in ways if way is not None]
+    if not found:
+        return given, 1.0
+    rms, factor, way = min(found, key=lambda one: one[0])
+    as_good = given is not None and float(given.rms[given.best]) < TUNING.alike * rms
+    if as_good or rms > WEIGHED.good_fit:
+        return given, 1.0
+    return way, factor
 
 
 def _field_moves(stretch: Stretch) -> bool:
@@ -193,7 +200,9 @@ def _nothing_shown(why: str) -> tuple[Finding, ...]:
     )
 
 
-def _unit(factor: float) -> Finding:
+def _unit(factor: float, turns_alike: bool) -> Finding:
+    if factor == 1.0 and not turns_alike:
+        return not_shown("rate_unit", "gyro: unit", "turn on the spot, away from iron")
     if factor == 1.0:
         return looked_at("rate_unit", "gyro: unit", "rad/s, by how fast the field turns")
     evidence = f"rad/s times {1.0 / factor:.4g}, by how fast the field turns"
@@ -242,7 +251,27 @@ def _gyro_errors(
     evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
     remedy = f"multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
     too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
+    if too_large and not _gravity_agrees(explanations, chosen):
+        why = f"gravity and field tell two scales; {FULL_TURN}"
+        return [*found, not_shown("rate_scale", "gyro: scale", why)]
     return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
+
+
+def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
+    """Return whether the field alone tells the same scale of the gyro as with gravity.
+
+    Linear acceleration and a field that is bent change what one of them tells.
+    """
+    alone = align(
+        explanations.part.stretch,
+        explanations.field[chosen : chosen + 1],
+        WEIGHED.fit,
+        explanations.gyro[chosen : chosen + 1],
+        with_up=False,
+    )
+    gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
+    sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
+    return gap < TUNING.sigmas * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
 def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
@@ -255,9 +284,7 @@ def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
 def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[Finding]:
     """Say how late field and accelerometer are; where both are alike, the gyro is ahead."""
     field, force = (
-        measured
-        if measured is not None and measured.sigma < max(vague, abs(measured.lag) / TUNING.plain)
-        else None
+        measured if measured is not None and measured.sigma < vague else None
         for measured, vague in (
             (field_latency(log, explanations, chosen), TUNING.vague[2]),
             (force_latency(log, explanations, chosen), TUNING.vague[3]),

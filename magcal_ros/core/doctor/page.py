@@ -15,6 +15,7 @@ from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.noise import noise_findings
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
+from magcal_ros.core.doctor.quirks import known_habits
 from magcal_ros.core.doctor.upright import Told
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
@@ -44,9 +45,9 @@ class Page:
     used: AxesInUse | None = None
 
     @property
-    def is_wrong(self) -> bool:
-        """Whether there is something to change."""
-        return any(finding.is_wrong for finding in self.findings)
+    def misleads(self) -> bool:
+        """Whether something is wrong that would make a heading wrong."""
+        return any(finding.grade is Grade.REFUSED for finding in self.findings)
 
     @property
     def grade(self) -> Grade:
@@ -85,7 +86,7 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
-        return Page(prepared.findings)
+        return Page((*prepared.findings, *known_habits(log)))
     found = compare(prepared, knowledge, told)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
@@ -93,6 +94,9 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
     axes = found.axes
     if axes is not None and not axes.right and len(axes.candidates) == 1:
         mount = axes.mount_rpy_deg
+        lines += known_habits(log, axes.candidates[0])
+    else:
+        lines += known_habits(log)
     used = None
     if found.explained and found.factor == 1.0 and not found.up_is_down:
         assert found.explanations is not None

@@ -70,7 +70,10 @@ def prepare(
     imu = np.isfinite(log.imu_time) & np.isfinite(log.force).all(axis=1)
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
     field = np.isfinite(log.field_time) & np.isfinite(log.field).all(axis=1)
-    field &= np.linalg.norm(log.field, axis=1) > 0.0
+    # Drivers mark what is void by enormous numbers, whose squares are not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.linalg.norm(log.field, axis=1)
+    field &= (size > 0.0) & np.isfinite(size)
     if log.has_gyro:
         imu &= np.isfinite(log.rate).all(axis=1)
     log = _from_zero(_taken(log, imu, field))

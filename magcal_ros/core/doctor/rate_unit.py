@@ -48,11 +48,12 @@ class RateUnitTuning:
 TUNING = RateUnitTuning()
 
 
-def rate_factors(stretch: Stretch) -> tuple[float, ...]:
-    """Return what may make rad/s of the gyro's rates, the likeliest first; 1 alone if they are.
+def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
+    """Return what may make rad/s of the gyro's rates, 1 or a known slip; None if they are rad/s.
 
     The way that the field goes in half a second is its size times the angle; the size is that of
-    the field's changing part, which is right within a factor two for a quarter turn or more.
+    the field's changing part, which is right within a factor two for a quarter turn or more. A
+    field that changes from place to place goes farther than the gyro turns, and is no slip.
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
@@ -63,20 +64,21 @@ def rate_factors(stretch: Stretch) -> tuple[float, ...]:
     turned = np.linalg.norm(angle[last] - angle[first], axis=1)
     moved = way > max(TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
     if moved.sum() < 3:
-        return (1.0,)
+        return None
     rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
     if 1.0 / TUNING.plain < rough < TUNING.plain:
-        return (1.0,)
+        return None
     known = (1.0, *(factor for factor, _ in KNOWN))
-    near = [factor for factor in known if rough / TUNING.below < factor < rough * TUNING.above]
-    return (*sorted(near, key=lambda factor: abs(math.log(rough / factor))), rough)
+    return tuple(f for f in known if rough / TUNING.below < f < rough * TUNING.above)
 
 
 def factor_in_words(factor: float) -> str:
-    """Say what a factor of `rate_factor` means, and what to do."""
+    """Say what a factor of `rate_factors` means, and what to do."""
     size = (
         f"{1.0 / factor:.3g} times too large" if factor < 1.0 else f"{factor:.3g} times too small"
     )
-    known = next((words for value, words in KNOWN if math.isclose(value, factor)), "")
-    likely = f", which looks like {known}" if known else ""
-    return f"the gyro's rates are {size}{likely}; multiply them by {factor:.6g} in the driver"
+    known = dict(KNOWN)[factor]
+    return (
+        f"the gyro's rates are {size}, which looks like {known}; multiply them by {factor:.6g} in "
+        "the driver"
+    )

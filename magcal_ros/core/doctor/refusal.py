@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from magcal_ros.core.assessment.axes import GYRO_IS_WRONG, MISLED_BY_AXES, find_axes
+from magcal_ros.core.doctor.health import alive_finding, unchanging
 from magcal_ros.core.doctor.page import examine_window
+from magcal_ros.core.doctor.rate_unit import rate_factors
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.gyro_signs import gyro_contradicts
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
+from magcal_ros.core.samples.stretch import stretch_of
 from magcal_ros.core.samples.units import explained
 from magcal_ros.core.samples.window import Window
 
-AXES = ("gyro_axes", "field_axes", "force_axes", "rate_unit")
+AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
 """Lines of the page that say why field, gyro and gravity disagree."""
+
+
+SMOOTH = 1e-4
+"""Share of its largest value by which a rate without noise may bend from sample to sample."""
 
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
@@ -20,6 +30,9 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
 
     Which sensor errs is for the page to say; that one does is judged as cheaply as can be.
     """
+    refusal = wrong_gyro(window, knowledge)
+    if refusal is not None:
+        return refusal
     if gyro_contradicts(window):
         return Refusal(Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or GYRO_IS_WRONG)
     found = find_axes(window, knowledge)
@@ -28,6 +41,39 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     return wrong_stamps(window) or Refusal(
         Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words
     )
+
+
+def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
+
+    A dead axis hides what the robot leans by, and the gyro's turn cannot be followed in space.
+    """
+    rate = window.angular_rate
+    if rate is None or len(window) < 3:
+        return None
+    dead = unchanging(rate)
+    if 0 < len(dead) < 3 and _has_noise(np.delete(rate, dead, axis=1)):
+        words = alive_finding("gyro", rate).remedy
+        up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
+        if up in dead and len(dead) == 2:
+            living = 3 - sum(dead)
+            words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
+        return Refusal(
+            Reason.AXES_DISAGREE,
+            f"the gyro's {words}; mend the driver, or let it mark the rates as absent "
+            "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
+            "calibrated without a gyro",
+        )
+    if rate_factors(stretch_of(window)):
+        unit = _by_the_page(window, knowledge, ("rate_unit",))
+        return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
+    return None
+
+
+def _has_noise(rate: FloatArray) -> bool:
+    """Return whether rates (n, k) have noise; those of a simulator without any may stay zero."""
+    bend = np.abs(np.diff(rate, 2, axis=0))
+    return bool(np.median(bend) > SMOOTH * np.abs(rate).max())
 
 
 def wrong_stamps(window: Window) -> Refusal | None:
@@ -46,10 +92,13 @@ def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Re
 
 def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
     """Return the refusal of a turn that was not seen, or what the page says of the sensors."""
+    gyro = wrong_gyro(window, knowledge)
+    if gyro is not None:
+        return gyro
     words = _by_the_page(window, knowledge)
     return Refusal(Reason.AXES_DISAGREE, words) if words else refusal
 
 
-def _by_the_page(window: Window, knowledge: Knowledge) -> str:
+def _by_the_page(window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES) -> str:
     findings = examine_window(window, knowledge).findings
-    return "; ".join(f.remedy for f in findings if f.is_wrong and f.key in AXES)
+    return "; ".join(f.remedy for f in findings if f.is_wrong and f.key in lines)

@@ -120,6 +120,7 @@ class Chords:
         self._looked.clear()
         self._waiting.clear()
         self._anchor = self._velocity = None
+        self._placed_at = -math.inf
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
         tuning = self._tuning

@@ -74,3 +74,10 @@ def runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return first row and end of every run of true flags (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def running_mean(values: FloatArray, width: int) -> FloatArray:
+    """Return the mean of the `width` values around each, fewer at the ends, shape (n,)."""
+    window = np.ones(min(width, len(values)))
+    count = np.convolve(np.ones(len(values)), window, "same")
+    return np.asarray(np.convolve(values, window, "same") / count)

@@ -61,9 +61,9 @@ class SensorPoses:
         if lean < STEEPEST_GROUND:
             return ""
         return (
-            f"by the robot's description {frames.base} leans by {math.degrees(lean):.0f}° from the "
-            f"upright: gravity shows {frames.imu} sitting otherwise; mend its joint, or the axes "
-            "in the driver"
+            f"by the robot's description {frames.base!r} leans by {math.degrees(lean):.0f}° from "
+            f"the upright: gravity shows {frames.imu!r} sitting otherwise; mend its joint, or the "
+            "axes in the driver"
         )
 
 

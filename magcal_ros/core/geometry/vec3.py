@@ -23,11 +23,6 @@ def length(a: Triple) -> float:
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-def distance(a: Triple, b: Triple) -> float:
-    """Return the length of a - b."""
-    return length((a[0] - b[0], a[1] - b[1], a[2] - b[2]))
-
-
 def unit_triple(a: Triple) -> Triple:
     """Scale to length one.
 
@@ -38,6 +33,16 @@ def unit_triple(a: Triple) -> Triple:
     """
     size = length(a)
     return (a[0] / size, a[1] / size, a[2] / size)
+
+
+def minus(a: Triple, b: Triple) -> Triple:
+    """Return a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def distance(a: Triple, b: Triple) -> float:
+    """Return the length of a - b."""
+    return length(minus(a, b))
 
 
 def between(a: Triple, b: Triple, share: float) -> Triple:

@@ -6,11 +6,16 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
+from magcal_ros.core.heading.compass import field_variance
 from magcal_ros.core.heading.fusion_tuning import DisturbanceTuning
 
 PATIENCE = 60.0
 """Seconds after which a departed field is taken for the expected one, unless told otherwise."""
+
+UNKNOWN_YAW = math.pi**2 / 3.0
+"""Variance of a yaw of which nothing is known, rad²."""
 
 
 class Trust(str, Enum):
@@ -213,3 +218,56 @@ class DisturbanceDetector:
             self._expected = Expected(*self._mean)
             self._disturbed_since = None
         return accepts
+
+
+class FieldDoubt:
+    """By how much a field that contradicts the calibration makes the compass's yaw less certain.
+
+    Strength and dip show two of three parts of what is wrong with the field; the third, across
+    north, turns the yaw and is taken to be as large. A wrong calibration shows it at some
+    headings and hides it at others, so what was seen before counts as well.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What is in force.
+    tuning : DisturbanceTuning, optional
+        By how much good fields vary.
+    """
+
+    def __init__(self, calibration: Calibration, tuning: DisturbanceTuning | None = None) -> None:
+        tuning = tuning or DisturbanceTuning()
+        strength, dip = calibration.strength, calibration.inclination
+        self._memory = tuning.amplitude_memory
+        self._level, self._rise = strength * math.cos(dip), -strength * math.sin(dip)
+        own = (tuning.noise_share * calibration.noise_field) ** 2 + field_variance(calibration)
+        places = tuning.strength**2 + tuning.dip**2 + 2.0 * tuning.amplitude**2
+        self._usual = strength**2 * places + 2.0 * own
+        self._seen = self._seconds = 0.0
+        self._stamp = math.nan
+
+    def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
+        """Take a field that tells a heading; returns the variance that the yaw has beside its own.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field, up : tuple of float
+            Corrected field, tesla, and a unit vector; body axes.
+        tilt_variance : float
+            Of up, rad².
+        """
+        rise, square = dot(field, up), dot(field, field)
+        level = math.sqrt(max(square - rise * rise, 0.0))
+        off = (level - self._level) ** 2 + (rise - self._rise) ** 2
+        excess = max(0.0, off - self._usual - tilt_variance * square)
+        # After a jump of time the next sample counts as one of usual distance.
+        seconds = stamp - self._stamp
+        seconds = seconds if 0.0 < seconds < 1.0 else 1.0
+        self._stamp = stamp
+        self._seconds = min(self._seconds + seconds, self._memory)
+        self._seen += seconds / self._seconds * (excess - self._seen)
+        # A wrong field that is larger than the Earth's must not count as a level field that is.
+        level = max(min(level, self._level), 1e-9)
+        return min(max(excess, self._seen) / level**2, UNKNOWN_YAW)

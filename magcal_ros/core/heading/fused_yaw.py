@@ -124,7 +124,7 @@ class FusedYaw:
             self._north,
             ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds),
         )
-        level = _levelled(north, up.direction)
+        level = levelled(north, up.direction)
         if level is None:
             self.restart()
             return
@@ -161,7 +161,7 @@ class FusedYaw:
         heading : Heading
             What the compass makes of both.
         """
-        seen = _levelled(field, up.direction)
+        seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
             return
         detector = self.detector
@@ -175,9 +175,8 @@ class FusedYaw:
             return
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
-        # North that lies further to the left is a yaw further to the right.
-        angle = math.atan2(dot(cross(then.north, seen), up.direction), dot(then.north, seen))
-        innovation = wrapped(-angle - (self._shift - then.shift))
+        ahead = yaw_ahead(then.north, seen, up.direction)
+        innovation = wrapped(ahead - (self._shift - then.shift))
         self._unlearnt += since
         if self._unlearnt >= self.tuning.learning_step:
             self._move_on(self._unlearnt, innovation, heading)
@@ -204,13 +203,30 @@ class FusedYaw:
         variance = self._filter.yaw_variance + self._lasting
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
+    def north_at(self, stamp: float) -> Triple | None:
+        """Return level north at a stamp, body axes; None while it is not known there."""
+        if self._north is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
+            return None
+        then = self._at(stamp)
+        if then is None:
+            return None
+        # What was corrected since holds for then as well.
+        x, y, z = self._up.direction
+        angle = self._shift - then.shift
+        return propagated(then.north, (angle * x, angle * y, angle * z))
+
+    @property
+    def yaw_variance(self) -> float:
+        """Variance of the propagated yaw but for the calibration's part, rad²."""
+        return self._filter.yaw_variance
+
     @property
     def _disturbance_variance(self) -> float:
         """Variance of what places do to the compass, rad²."""
         return self.detector.amplitude_variance / self._level_share
 
     def _begin(self, seen: Triple, heading: Heading) -> None:
-        level = _levelled(seen, self._up.direction)
+        level = levelled(seen, self._up.direction)
         if level is None:
             return
         self._north = level
@@ -284,7 +300,13 @@ class FusedYaw:
         return None
 
 
-def _levelled(vector: Triple, up: Triple) -> Triple | None:
+def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:
+    """Return by how much the yaw by another north is ahead, radians; north is level."""
+    # North that lies further to the left is a yaw further to the right.
+    return -math.atan2(dot(cross(north, seen), up), dot(north, seen))
+
+
+def levelled(vector: Triple, up: Triple) -> Triple | None:
     """Return the direction of a vector's level part; None where it has hardly one."""
     rise = dot(vector, up)
     level = (vector[0] - rise * up[0], vector[1] - rise * up[1], vector[2] - rise * up[2])

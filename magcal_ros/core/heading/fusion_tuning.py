@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from magcal_ros.core.samples.streams import STREAMS
+
 
 @dataclass(frozen=True)
 class DisturbanceTuning:
@@ -102,3 +104,32 @@ class FusionTuning:
     unknown: float = 0.5
     start: float = 5.0
     disturbance: DisturbanceTuning = field(default_factory=DisturbanceTuning)
+
+
+@dataclass(frozen=True)
+class SeveralTuning:
+    """How several magnetometers are joined.
+
+    Parameters
+    ----------
+    lost : float
+        Seconds after which a magnetometer that is silent, or says the same again and again, takes
+        no part. A gyro propagates over as long a gap.
+    memory : float
+        Seconds over which a magnetometer's yaw is averaged before it is held against the others':
+        as long as a field is before it counts as disturbed.
+    left_out_from, believed_below : float
+        Sigmas of disagreement from which one is left out, and below which it is heard again.
+    lasting : float
+        Seconds over which a disagreement without a reason is remembered for the time when only
+        one of them still speaks.
+    offset_memory : float
+        Seconds over which it is learnt how their fields differ in the axes of the body.
+    """
+
+    lost: float = STREAMS.longest_gyro_step
+    memory: float = DisturbanceTuning.memory
+    left_out_from: float = DisturbanceTuning.ignored_from
+    believed_below: float = DisturbanceTuning.believed_below
+    lasting: float = 3.0
+    offset_memory: float = DisturbanceTuning.amplitude_memory

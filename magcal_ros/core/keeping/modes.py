@@ -61,7 +61,7 @@ class Probation:
 
 
 def is_same(one: Calibration | None, other: Calibration | None) -> bool:
-    """Whether the numbers are the same object, whoever accepted them."""
+    """Whether the twelve numbers are the same, whoever accepted them."""
     if one is None or other is None:
         return one is other
-    return one.correction is other.correction
+    return one.correction.is_same(other.correction)

@@ -47,6 +47,8 @@ class SelfCalibration:
     ----------
     proposal : Calibration or None
         What waits for a person's word.
+    lost : int
+        Jobs that were never finished since the last one that was.
     """
 
     def __init__(self, mode: Mode = Mode.PROPOSE, tuning: KeepingTuning = KEEPING) -> None:
@@ -65,6 +67,7 @@ class SelfCalibration:
         self._looked = -math.inf
         self._round = 0
         self._pending = 0
+        self.lost = 0
         self._generation = 0
         self._course: CourseSwing | None = None
 
@@ -154,7 +157,8 @@ class SelfCalibration:
             return False
         tuning = self.tuning
         wait = tuning.look_again if Kind.IRON in self._on_probation else tuning.look_every
-        return self._recorder.clock - self._looked >= wait
+        # What ends one job may well end the next: each time it is given twice as long to pass.
+        return self._recorder.clock - self._looked >= wait * 2.0**self.lost
 
     def job(self, knowledge: Knowledge) -> DriveJob:
         """Return what is to be computed for the look that is due; its findings come to `note`."""
@@ -185,8 +189,9 @@ class SelfCalibration:
         )
 
     def fail(self) -> None:
-        """Take note that a job was lost; the next look tries again."""
+        """Take note that a job was lost; a later look tries again."""
         self._pending = 0
+        self.lost += 1
 
     def note(self, findings: Findings) -> list[Decision]:
         """Take what a job found.
@@ -197,7 +202,7 @@ class SelfCalibration:
             One with a calibration is to be put in force, or offered where it is `PROPOSED`.
         """
         is_current = self._pending == self._generation + 1
-        self._pending = 0
+        self._pending = self.lost = 0
         if not is_current:
             return []
         made = self._weigh(findings)

@@ -38,8 +38,9 @@ class DrivePath:
         Seconds from the beginning.
     place : ndarray, shape (n, 2)
         Metres east and north of the beginning.
-    disturbance : ndarray, shape (n,)
-        Tesla by which level and upright field are off the calibrated ones.
+    error : ndarray, shape (n,)
+        Radians by which a disturbance may turn the heading: one as large as level and upright
+        field are off the calibrated ones, and across the level field.
     is_measured : bool
         Whether a receiver told the places; else they are reckoned from the compass and the speed.
     has_speed : bool
@@ -48,7 +49,7 @@ class DrivePath:
 
     time: FloatArray
     place: FloatArray
-    disturbance: FloatArray
+    error: FloatArray
     is_measured: bool
     has_speed: bool
 
@@ -69,6 +70,8 @@ class DriveStory:
         What went on at the end, in words.
     path : DrivePath or None
         None where no calibration tells a heading.
+    course : str
+        How the compass goes against course at the end, in words; empty where nothing tells it.
     """
 
     decisions: tuple[tuple[float, Decision], ...]
@@ -78,6 +81,7 @@ class DriveStory:
     moved: float
     doing: str
     path: DrivePath | None
+    course: str = ""
 
 
 @dataclass(frozen=True)
@@ -202,6 +206,7 @@ def path_along(
     disturbance = np.hypot(
         level - calibration.strength * math.cos(dip), rise + calibration.strength * math.sin(dip)
     )
+    error = np.arctan2(disturbance, calibration.strength * math.cos(dip))
     known = np.isfinite(speed)
     if fixes is not None:
         place = interpolated(time, fixes[:, 0], fixes[:, 1:])
@@ -211,7 +216,7 @@ def path_along(
         steps *= np.where(known, speed, TUNING.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
-    return DrivePath(time - time[0], place - place[0], disturbance, is_measured, bool(known.any()))
+    return DrivePath(time - time[0], place - place[0], error, is_measured, bool(known.any()))
 
 
 def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:

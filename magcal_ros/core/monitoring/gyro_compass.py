@@ -17,8 +17,10 @@ from magcal_ros.core.samples.window import Window
 
 def gyro_compass(
     window: Window, up: FloatArray, yaw: FloatArray, heading: FloatArray, tuning: RecheckTuning
-) -> GyroSwing | None:
-    """Compare gyro and compass over a window; None where there is nothing to compare.
+) -> tuple[GyroSwing, IntArray] | None:
+    """Compare gyro and compass over a window; return how the compass swings, and in which rows.
+
+    None where there is nothing to compare.
 
     Parameters
     ----------
@@ -39,7 +41,8 @@ def gyro_compass(
     turned = np.concatenate([[0.0], np.cumsum(steps)])
     error = compass_less_gyro(window.time, yaw, turned, heading, pieces)
     rms = math.sqrt(float(np.mean(error**2)))
-    return GyroSwing(heading[np.concatenate(pieces)], error, rms)
+    rows = np.concatenate(pieces)
+    return GyroSwing(heading[rows], error, rms), rows
 
 
 def compass_less_gyro(
@@ -50,6 +53,10 @@ def compass_less_gyro(
     pieces: list[IntArray],
 ) -> FloatArray:
     """Return compass less gyro, one offset a piece and one steady bias removed.
+
+    Each sample is compared by itself, as an angle: beside iron that takes away the level field the
+    compass may go once round by itself, and is right again afterwards. The gyro's bias turns far
+    less than that within a piece.
 
     Over a single turn an error that comes and goes with the heading looks like a bias in part:
     the bias is found beside two harmonics of the heading, and only the bias is removed. Less
@@ -72,7 +79,8 @@ def compass_less_gyro(
     basis = np.column_stack([time, *waves])
     design, residuals = [], []
     for rows in pieces:
-        residual = np.unwrap(yaw[rows] - turned[rows])
+        gap = yaw[rows] - turned[rows]
+        residual = wrap_angle(gap - np.angle(np.mean(np.exp(1j * gap))))
         residuals.append(residual - residual.mean())
         design.append(basis[rows] - basis[rows].mean(axis=0))
     a, b = np.concatenate(design), np.concatenate(residuals)

@@ -49,6 +49,10 @@ SENTENCES = {
 }
 
 NO_GYRO = "whether the compass turns as the robot does: there is no gyro"
+LOST_GYRO = (
+    "whether the compass turns as the robot does: the gyro is followed for "
+    f"{STREAMS.longest_gyro_step:g} s at most between field samples, and these are further apart"
+)
 NO_YAW = "an error of the yaw that is the same at every heading"
 
 
@@ -104,20 +108,28 @@ def check(
     field = calibration.correction.apply(window.field)
     heading = yaw_from_up_and_field(up, field)
     before = figures(window, up, heading, Correction.identity(), calibration, tuning)[0]
-    after, swing = figures(window, up, heading, calibration.correction, calibration, tuning)
+    after, compared = figures(window, up, heading, calibration.correction, calibration, tuning)
     arc = Coverage.of(heading).arc
     found = after | {Figure.ARC: arc}
-    chance = _chances(window, up, heading, calibration, swing, tuning)
+    chance = _chances(window, up, heading, calibration, compared, tuning)
+    swing = None if compared is None else compared[0]
+    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
     checks = tuple(
         check_beside_chance(
-            bound, found[bound.figure], chance.get(bound.figure, 0.0), before.get(bound.figure)
+            bound,
+            found[bound.figure],
+            chance.get(bound.figure, 0.0),
+            before.get(bound.figure),
+            decided=added is not None,
         )
         for bound in tuning.bounds
         if bound.figure in found
     )
-    added = iron_added(drive, calibration) if drive is not None and len(drive) else None
     checks += () if added is None else (added,)
-    not_shown = (NO_YAW, NO_GYRO) if swing is None else (NO_YAW,)
+    gaps = np.diff(window.time)
+    is_lost = window.angular_rate is not None and np.median(gaps) > STREAMS.longest_gyro_step
+    no_swing = LOST_GYRO if is_lost else NO_GYRO
+    not_shown = (NO_YAW, no_swing) if swing is None else (NO_YAW,)
     verdict = Verdict(checks, not_shown, "")
     estimate = _on_fresh_samples(calibration, window, up, arc, swing)
     return Recheck(replace(verdict, summary=_summary(verdict)), estimate)
@@ -128,7 +140,7 @@ def _chances(
     up: FloatArray,
     heading: FloatArray,
     calibration: Calibration,
-    swing: GyroSwing | None,
+    compared: tuple[GyroSwing, IntArray] | None,
     tuning: RecheckTuning,
 ) -> dict[Figure, float]:
     """Return what of each figure the calibration's uncertainty and the places may explain."""
@@ -142,7 +154,7 @@ def _chances(
     around = sectors(heading, tuning.bins)
     own = own_swings(calibration, unit(up.mean(axis=0)))
     most = {b.figure: tuning.own_share * b.warn / b.scale for b in tuning.bounds}
-    return chances(seen, visit, around, swing, own, most, tuning.bins)
+    return chances(seen, visit, around, compared, own, most, tuning.bins)
 
 
 def _parts(field: FloatArray, up: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -201,7 +213,7 @@ def figures(
     correction: Correction,
     calibration: Calibration,
     tuning: RecheckTuning,
-) -> tuple[dict[Figure, float], GyroSwing | None]:
+) -> tuple[dict[Figure, float], tuple[GyroSwing, IntArray] | None]:
     """Measure the field of a window after a correction.
 
     Parameters
@@ -222,8 +234,8 @@ def figures(
     -------
     dict of Figure to float
         As in the bounds; radians and ratios.
-    GyroSwing or None
-        Compass against gyro, where there is one.
+    tuple of GyroSwing and ndarray of int, or None
+        Compass against gyro and the rows that are compared, where there is a gyro.
     """
     field = correction.apply(window.field)
     size, level, dip = _parts(field, up)
@@ -240,10 +252,10 @@ def figures(
         Figure.DIP_OFFSET: abs(float(dip.mean()) - calibration.inclination),
     }
     yaw = yaw_from_up_and_field(up, field)
-    swing = gyro_compass(window, up, yaw, heading, tuning)
-    if swing is None:
+    compared = gyro_compass(window, up, yaw, heading, tuning)
+    if compared is None:
         return found, None
-    return found | {Figure.GYRO_COMPASS_DIFFERENCE: swing.rms}, swing
+    return found | {Figure.GYRO_COMPASS_DIFFERENCE: compared[0].rms}, compared
 
 
 def up_of(window: Window) -> FloatArray:

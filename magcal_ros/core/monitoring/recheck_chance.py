@@ -18,12 +18,16 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import HEADINGS, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 
+HARMONICS = 4
+"""Numbers of a swing: cosine and sine of the heading and of twice the heading."""
+LIKELY = 0.95
+
 
 def chances(
     seen: dict[Figure, FloatArray],
     visit: IntArray,
     around: IntArray,
-    swing: GyroSwing | None,
+    compared: tuple[GyroSwing, IntArray] | None,
     own: dict[Figure, float],
     most: dict[Figure, float],
     bins: int,
@@ -36,8 +40,9 @@ def chances(
         What a figure is the spread of, over the same as it.
     visit, around : ndarray of int, shape (n,)
         Stretch of time within which places are alike, and sector of the heading.
-    swing : GyroSwing or None
-        Compass less gyro: what does not come back with the heading is not the calibration's.
+    compared : tuple of GyroSwing and ndarray of int, or None
+        Compass less gyro, and its rows: what does not come back with the heading is not the
+        calibration's.
     own : dict of Figure to float
         Of `own_swings`.
     most : dict of Figure to float
@@ -50,9 +55,14 @@ def chances(
         figure: math.hypot(min(own[figure], most[figure]), scatter_of_means(values, around, visit))
         for figure, values in seen.items()
     }
-    if swing is not None:
+    if compared is not None:
+        swing, rows = compared
         figure = Figure.GYRO_COMPASS_DIFFERENCE
-        found[figure] = math.hypot(min(own[figure], most[figure]), _unrepeated(swing, bins))
+        found[figure] = math.hypot(
+            min(own[figure], most[figure]),
+            _unrepeated(swing, bins),
+            scatter_of_means(swing.deviation, sectors(swing.heading, bins), visit[rows]),
+        )
     return found
 
 
@@ -103,9 +113,11 @@ def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
 
 
 def scatter_of_means(values: FloatArray, around: IntArray, visit: IntArray) -> float:
-    """Return by how much the means over headings vary because each heading was seen so rarely.
+    """Return by how much the means over headings may vary because each was seen so rarely.
 
-    Zero where no heading was visited twice: then nothing tells places apart.
+    Zero where headings were not visited twice: then nothing tells places apart. What few visits
+    tell of places is uncertain itself: this is the largest of 19 in 20 by an F test, a swing being
+    the first two harmonics of the heading, and the headings of one visit counting as one.
 
     Parameters
     ----------
@@ -125,21 +137,30 @@ def scatter_of_means(values: FloatArray, around: IntArray, visit: IntArray) -> f
     squares = float(np.sum((means - middle[sector]) ** 2))
     filled = visits[visits > 0]
     freedom = int(np.sum(filled - 1))
-    if freedom == 0:
+    independent = freedom * len(np.unique(visit)) / len(cells)
+    if independent < 1.0:
         return 0.0
-    return math.sqrt(squares / freedom * float(np.mean(1.0 / filled)))
+    # The node loads this module for its watch, and does without scipy.
+    from scipy.special import fdtri
+
+    quantile = float(fdtri(HARMONICS, independent, LIKELY))
+    return math.sqrt(quantile * squares / freedom * float(np.mean(1.0 / filled)))
 
 
-def check_beside_chance(bound: Bound, figure: float, chance: float, before: float | None) -> Check:
+def check_beside_chance(
+    bound: Bound, figure: float, chance: float, before: float | None, decided: bool = False
+) -> Check:
     """Grade what of a figure chance does not explain.
 
-    Where chance alone reaches the bound of what is stale, the turn does not show it: doubtful.
+    Where chance alone reaches the bound of what is stale, the turn does not show it: doubtful,
+    unless the figure is small, or the drive itself has shown whether iron was added (`decided`).
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
     note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
     check = bound.check(figure, excess=excess, note=note, before=before)
-    if seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
+    is_small = figure * bound.scale <= bound.good
+    if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
     words = f"{check.words}: not shown by this turn; turn once, in one place away from iron"
     return Check(

@@ -1,4 +1,4 @@
-"""What course tells of a calibration on a recorded drive."""
+"""What course, or an autopilot's own yaw, tells of a calibration on a recorded drive."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
@@ -31,11 +35,14 @@ class RecordedCourse:
         vehicle goes where it looks.
     mounting : MountingYaw or None
         How the IMU sits in the vehicle, where its acceleration shows it.
+    declination : float or None
+        Radians, positive east, of the place; it is part of the offset. None where nobody knows it.
     """
 
     offset: CourseOffset
     checks: tuple[Check, ...]
     mounting: MountingYaw | None = None
+    declination: float | None = None
 
     @property
     def words(self) -> str:
@@ -44,7 +51,7 @@ class RecordedCourse:
         return (
             f"compass less course {math.degrees(found.offset):+.1f}° ±"
             f"{math.degrees(found.sigma):.1f}° over {found.metres:.0f} m of straight driving,"
-            f" {found.sectors} of 8 courses"
+            f" {found.sectors} of 8 courses; {_north(found.offset, self.declination)}"
         )
 
     def facts(self) -> dict[str, Any]:
@@ -53,6 +60,9 @@ class RecordedCourse:
         return {
             "offset_deg": round(math.degrees(found.offset), 2),
             "sigma_deg": round(math.degrees(found.sigma), 2),
+            "declination_deg": None
+            if self.declination is None
+            else round(math.degrees(self.declination), 2),
             "metres": round(found.metres),
             "courses": found.sectors,
             "findings": [
@@ -66,6 +76,7 @@ def recorded_course(
     calibration: Calibration,
     readings: Iterable[ImuSample | FieldSample | None],
     travel: Iterable[TravelSample],
+    declination: float | None = None,
 ) -> RecordedCourse | None:
     """Compare a calibration's compass with course; None where nothing was driven straight.
 
@@ -76,6 +87,8 @@ def recorded_course(
         What the sensors said, in its order.
     travel : iterable
         What receiver and wheels said, by stamp.
+    declination : float or None
+        Radians, of the place.
     """
     companion, compass = Companion(travel, Streams(STREAMS.max_gap)), Compass(calibration)
     travelling = companion.travelling
@@ -89,4 +102,86 @@ def recorded_course(
     if course is None:
         return None
     mounting = travelling.known_mounting
-    return RecordedCourse(course, () if mounting is None else check_by_course(course), mounting)
+    checks = () if mounting is None else check_by_course(course)
+    return RecordedCourse(course, checks, mounting, declination)
+
+
+def _north(offset: float, declination: float | None) -> str:
+    """Say what part of an offset against true north is declination."""
+    if declination is None:
+        return "this includes the declination, which is not known: give the place"
+    rest = math.degrees(math.remainder(offset - declination, math.tau))
+    return (
+        f"{math.degrees(declination):+.1f}° of it is declination, {rest:+.1f}° how the IMU sits in "
+        "the vehicle or an error"
+    )
+
+
+@dataclass(frozen=True)
+class AgainstOwnYaw:
+    """Compass less an autopilot's own yaw.
+
+    Parameters
+    ----------
+    offset, scatter : float
+        Radians: median, and 1.48 median deviations from it.
+    samples : int
+    declination : float or None
+        Radians; taken off the compass where it is known.
+    """
+
+    offset: float
+    scatter: float
+    samples: int
+    declination: float | None
+
+    @property
+    def words(self) -> str:
+        """What was found, in one sentence."""
+        north = "" if self.declination is None else ", declination taken off"
+        north = north or ", with the declination, which is not known"
+        return (
+            f"compass less the autopilot's own yaw {math.degrees(self.offset):+.1f}°, scattered by "
+            f"{math.degrees(self.scatter):.1f}° (1σ) over {self.samples} samples{north}: its yaw "
+            "rests on its own compass and calibration, so this is no proof"
+        )
+
+
+def against_own_yaw(
+    calibration: Calibration,
+    readings: Iterable[ImuSample | FieldSample | None],
+    yaw: FloatArray,
+    declination: float | None = None,
+) -> AgainstOwnYaw | None:
+    """Compare a calibration's compass with an autopilot's yaw; None where it has none.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    readings : iterable
+        What the sensors said, in its order.
+    yaw : ndarray, shape (n, 2)
+        Stamp (s) and yaw (rad, ENU, true north).
+    declination : float or None
+        Radians, of the place.
+    """
+    if len(yaw) < 2:
+        return None
+    companion, compass = Companion((), Streams(STREAMS.max_gap)), Compass(calibration)
+    seen = []
+    for sample in companion.along(readings):
+        if isinstance(sample, FieldSample):
+            up = companion.up.at(sample.stamp, STREAMS.max_gap)
+            heading = Moment.of(compass, sample, up, None).heading
+            if heading is not None:
+                seen.append((sample.stamp, heading.yaw))
+    inside = [each for each in seen if yaw[0, 0] <= each[0] <= yaw[-1, 0]]
+    if not inside:
+        return None
+    stamps, compass_yaw = np.array(inside).T
+    own = np.interp(stamps, yaw[:, 0], np.unwrap(yaw[:, 1]))
+    gaps = wrap_angle(compass_yaw - (declination or 0.0) - own)
+    middle = math.atan2(float(np.sin(gaps).mean()), float(np.cos(gaps).mean()))
+    offset = middle + float(np.median(wrap_angle(gaps - middle)))
+    scatter = 1.4826 * float(np.median(np.abs(wrap_angle(gaps - offset))))
+    return AgainstOwnYaw(math.remainder(offset, math.tau), scatter, len(gaps), declination)

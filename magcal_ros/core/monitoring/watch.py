@@ -154,12 +154,14 @@ class Watch:
         self._visit.append(row)
 
     def _propagate(self, stamp: float, rate: float) -> None:
-        """Follow the gyro's path; a gap parts it, and time that went back starts all over."""
+        """Follow the gyro's path; a gap parts it, and time that jumped starts all over."""
         step = stamp - self._newest
-        if step < 0.0:
+        if not 0.0 <= step <= self._tuning.memory:
             self._records.clear()
             self._sampled = self._looked = -math.inf
             self._doubts_since = self._clear_since = None
+            if math.isfinite(step):
+                self._stale_since += step
         if not 0.0 <= step <= STREAMS.longest_gyro_step:
             self._path += 1
             self._visit.clear()

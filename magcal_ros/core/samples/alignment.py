@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.signed_axes import signed_permutations
 from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.stretch import Stretch
 
@@ -29,6 +30,9 @@ class Alignment:
         Of the parameters; infinite for candidates that were given up.
     tilt_spread : float
         Radians RMS by which the movement was more than a turn about one axis.
+    tilt_seen : float
+        The same; zero where gravity strays farther than that, for it may be the gyro's own
+        wandering.
     size : float
         Tesla in which field and hard iron are counted.
     """
@@ -38,6 +42,7 @@ class Alignment:
     parameters: FloatArray
     covariance: FloatArray
     tilt_spread: float
+    tilt_seen: float
     size: float
 
     @property
@@ -90,7 +95,9 @@ def align(
     covariance = np.full((len(axes), PARAMETERS, PARAMETERS), np.inf)
     covariance[kept] = np.linalg.inv(information)
     attitude = problem.propagate(some)[0][best]
-    return Alignment(misfit, rms, state, covariance, _tilt_spread(attitude), stretch.size)
+    tilt = _tilt_spread(attitude)
+    seen = tilt if tilt > _gravity_spread(attitude, stretch.up) else 0.0
+    return Alignment(misfit, rms, state, covariance, tilt, seen, stretch.size)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:
@@ -98,6 +105,17 @@ def _tilt_spread(attitude: FloatArray) -> float:
     apart = attitude - attitude.mean(axis=0)
     power = np.einsum("nij,nik->jk", apart, apart) / len(attitude)
     return math.sqrt(max(float(np.linalg.eigvalsh(power)[0]), 0.0))
+
+
+def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
+    """Return how far gravity strays in the world that attitudes (n, 3, 3) tell, radians RMS.
+
+    Whatever the axes of gyro and accelerometer: those with which it strays least count.
+    """
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    world = np.einsum("nji,kjl,nl->kni", attitude, signed_permutations(), up)
+    strays = world - world.mean(axis=1, keepdims=True)
+    return math.sqrt(float(np.sum(strays**2, axis=2).mean(axis=1).min()))
 
 
 def _shares(residuals: tuple[FloatArray, FloatArray], best: int) -> tuple[float, float]:

@@ -26,6 +26,8 @@ class CoverageTuning:
         Of `BINS`, that are filled on a complete turn.
     largest_gap : float
         Radians that a complete turn may leave out at one place.
+    spacings : float
+        Mean distances between samples that are no gap.
     spread_over_noise : float
         The field's cloud must be so many times wider than its noise before it shows a phase.
     smallest_radius : float
@@ -41,6 +43,7 @@ class CoverageTuning:
 
     bins_needed: int = 34
     largest_gap: float = math.radians(20.0)
+    spacings: float = 4.0
     spread_over_noise: float = 6.0
     smallest_radius: float = 4e-6
     gyro_leads_until: float = math.radians(60.0)
@@ -60,7 +63,8 @@ class Coverage:
     filled : ndarray of bool, shape (36,)
         Bins of yaw relative to the first sample, counter-clockwise.
     arc : float
-        Radians seen: the full turn less the largest gap.
+        Radians seen: the full turn less the largest gap, which is none where it is a few
+        samples' spacing.
     gap : float
         Radians of the largest gap.
     gap_centre : float
@@ -93,7 +97,10 @@ class Coverage:
         filled[np.minimum((around * (BINS / (2.0 * math.pi))).astype(int), BINS - 1)] = True
         centre = float(wrap_angle(around[widest] + 0.5 * gap))
         turned = float(progress[-1] - progress[0])
-        return cls(filled, 2.0 * math.pi - gap, gap, centre, turned)
+        arc = 2.0 * math.pi - gap
+        spacing = arc / max(int(np.count_nonzero(gaps)) - 1, 1)
+        is_full = gap < min(COVERAGE.spacings * spacing, COVERAGE.largest_gap)
+        return cls(filled, 2.0 * math.pi if is_full else arc, gap, centre, turned)
 
     @property
     def share(self) -> float:

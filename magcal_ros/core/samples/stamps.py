@@ -21,7 +21,7 @@ class BurstTuning:
     longer : float
         How many usual gaps such a one lasts.
     fewest : int
-        Gaps of a turn from which they are more than pauses that were thinned out of it.
+        Gaps from which they are more than pauses.
     alike, apart : float
         Share of them that are no further than this off the usual one, relative: a buffer is read
         by the clock.
@@ -50,6 +50,8 @@ class BurstTuning:
 def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray:
     """Return the gaps between bursts, seconds; empty where most of the time passes otherwise.
 
+    A few long gaps are pauses of a recording, and no bursts.
+
     Parameters
     ----------
     time : ndarray, shape (n,)
@@ -59,7 +61,8 @@ def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArr
     gaps = np.diff(time)
     # Stamps of one buffer may be equal but for rounding: then the median alone parts nothing.
     long = gaps[gaps > max(tuning.longer * float(np.median(gaps)), float(np.mean(gaps)))]
-    return long if long.sum() > tuning.share * float(time[-1] - time[0]) else long[:0]
+    often = len(long) >= tuning.fewest
+    return long if often and long.sum() > tuning.share * float(time[-1] - time[0]) else long[:0]
 
 
 def bursts_in_words(long: FloatArray) -> str:
@@ -81,10 +84,8 @@ def bursts_of_a_turn(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> s
         Stamps in their order.
     tuning : BurstTuning
     """
-    if len(time) < tuning.fewest:
-        return ""
-    long = long_gaps(time, tuning)
-    if len(long) < tuning.fewest:
+    long = long_gaps(time, tuning) if len(time) > tuning.fewest else time[:0]
+    if not len(long):
         return ""
     usual = float(np.median(long))
     alike = float(np.mean(np.abs(long - usual) < tuning.apart * usual))
@@ -115,7 +116,7 @@ def mended(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray 
         None as well if samples are missing, or time was set back.
     """
     long = long_gaps(time, tuning) if len(time) > tuning.fewest else time[:0]
-    if len(long) < tuning.fewest or len(time) < tuning.each * len(long):
+    if not len(long) or len(time) < tuning.each * len(long):
         return None
     even = evenly(time - time[0])
     late = time - time[0] - even

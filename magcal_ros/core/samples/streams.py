@@ -121,6 +121,28 @@ class StampGuard:
         return None
 
 
+def slow_words(gap: float) -> str:
+    """Say that IMU samples so many seconds apart are not joined; empty where they are."""
+    if not gap > STREAMS.max_gap:
+        return ""
+    return (
+        f"it comes at {1.0 / gap:.2g} Hz, and samples more than {STREAMS.max_gap:g} s apart are "
+        "not joined: publish or record the IMU at 10 Hz or more, at best at 50 Hz"
+    )
+
+
+def slow_field_words(gap: float) -> str:
+    """Say that no drive is told by field samples so many seconds apart; empty where one is."""
+    if not gap > STREAMS.longest_gyro_step:
+        return ""
+    return (
+        f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
+        f"{STREAMS.longest_gyro_step:g} s at most: a drive needs the field at "
+        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz. A slow turn is still "
+        "fitted (magcal fit)"
+    )
+
+
 class Streams:
     """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
 

@@ -8,30 +8,35 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.window import Window
 
-FIELD_UNITS: tuple[tuple[float, float, str, str], ...] = (
-    (0.05, 5.0, "gauss", "1e-4"),
-    (5.0, 150.0, "microtesla", "1e-6"),
-    (150.0, 5000.0, "milligauss", "1e-7"),
-    (5000.0, 500_000.0, "nanotesla", "1e-9"),
+OF_ITS_OWN = "the field's strength there (tesla)"
+FIELD_UNITS: tuple[tuple[float, float, str, str, str], ...] = (
+    (0.05, 5.0, "gauss", "1e-4", "imu_3dm_gx4, Gazebo"),
+    (0.7, 1.3, "a unit of its own (1 on Earth)", OF_ITS_OWN, "Xsens MTi"),
+    (1.2, 1.9, "a unit of its own (1.4 on Earth)", OF_ITS_OWN, "Inertial Sense"),
+    (5.0, 150.0, "microtesla", "1e-6", ""),
+    (150.0, 5000.0, "milligauss", "1e-7", ""),
+    (5000.0, 150_000.0, "nanotesla", "1e-9", ""),
+    (80_000.0, 5e6, "a thousand times milligauss", "1e-10", "MAVROS with ArduPilot"),
 )
-"""Size range of a field in the Earth's when published in another unit, its name, its factor."""
+"""Size range of a field in the Earth's when published in another unit, its name, its factor, and
+the drivers that are known to publish it so."""
 
 
 def likely_field_unit(size: float) -> str:
-    """Say in words which unit a field of `size` "tesla" probably has; empty if none fits.
+    """Say in words which units a field of `size` "tesla" may have; empty if none fits.
 
     Parameters
     ----------
     size : float
         Length of the field vector as published.
     """
-    for low, high, name, factor in FIELD_UNITS:
-        if low <= size < high:
-            return (
-                f"a field of {size:.3g} T looks like {name} published as tesla; "
-                f"multiply by {factor} in the driver"
-            )
-    return ""
+    fitting = [
+        f"looks like {name} published as tesla{f', as by {drivers}' if drivers else ''}; "
+        f"multiply by {factor} in the driver"
+        for low, high, name, factor, drivers in FIELD_UNITS
+        if low <= size < high
+    ]
+    return f"a field of {size:.3g} T {'; or it '.join(fitting)}" if fitting else ""
 
 
 Z_NOT_UP = (

@@ -1,9 +1,9 @@
-"""Whether a gyro that leads a turn measures it: the field tells, within a quarter turn.
+"""Whether the gyro that controls a turn measures it, tested by the field in a quarter turn.
 
-A gyro that hangs or is at its end still brings numbers. The level field of a robot that turned by
+A gyro that hangs or is saturated still gives numbers. The level field of a robot that turned by
 an angle goes as far round an unknown circle: the angle of the gyro and the one that was commanded
 are both fitted to it, each free by the factor that a slipping wheel or a field bent by iron
-explains, and the gyro is not believed where only the other one fits.
+explains, and the gyro is rejected if only the other one fits.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from magcal_ros.core.geometry.arrays import FloatArray
 
 @dataclass(frozen=True)
 class ObjectionTuning:
-    """When the field objects to what the gyro says.
+    """When the field contradicts the gyro.
 
     Attributes
     ----------
     spans : tuple[float, float, float]
-        Radians that gyro or commands have turned before the field is asked: more tell more.
+        Radians that gyro or commands have turned before a test; larger spans show more.
     disagree : float
-        Share of the span by which gyro and commands must differ before the field is asked.
+        Share of the span by which gyro and commands must differ before the field is tested.
     factors : tuple[float, float, float]
         How far an angle may be off in scale and still be taken for the true one.
     clearly_worse : float
-        Times the squared misfit of the other angle, from which one is not believed.
+        Times the squared misfit of the other angle, from which an angle is rejected.
     smallest_radius : float
         Tesla. A field on a smaller circle has not turned.
     most_rows : int
@@ -76,13 +76,13 @@ def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, s
     shown, told = math.degrees(gyro_span), math.degrees(told_span)
     misfit, radius = _best_fit(by_gyro, level)
     if gyro_span >= span and radius < TUNING.smallest_radius:
-        return f"the gyro shows {shown:.0f}° of turn in which the field stood still"
+        return f"the gyro shows {shown:.0f}° of turn, but the field did not change"
     if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, told_span):
         return ""
     other, radius = _best_fit(by_command, level)
     if radius > TUNING.smallest_radius and misfit > TUNING.clearly_worse * other:
         return (
-            f"the gyro shows {shown:.0f}° where the field turned with the {told:.0f}° that were "
+            f"the gyro shows {shown:.0f}°, but the field turned with the {told:.0f}° that were "
             "commanded"
         )
     return ""

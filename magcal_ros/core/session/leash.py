@@ -1,4 +1,4 @@
-"""How far and how long a robot may turn itself at most, whatever the turn believes."""
+"""How far and how long a robot may turn itself at most, independent of all other checks."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Leash:
         self._commanded = self._path = 0.0
 
     def is_late(self, now: float) -> bool:
-        """Whether the robot has had all its time."""
+        """Whether the time for the turn is up."""
         return now > self._deadline
 
     def note(self, now: float, command: float, seen: Seen) -> None:
@@ -71,7 +71,7 @@ class Leash:
             and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
         ):
             self.objection = (
-                f"by the gyro it stands at {math.degrees(seen.turned):+.0f}° of a turn that goes "
+                f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
         elif (
@@ -79,5 +79,5 @@ class Leash:
             or self._path > TUNING.leeway * 2.0 * math.tau
         ):
             self.objection = (
-                f"{math.degrees(self._path):.0f}° were commanded, and its turn is still not done"
+                f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
             )

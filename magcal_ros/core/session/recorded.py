@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
+import numpy as np
+
 from magcal_ros.core.calibrate import (
     DRIVES,
     METHODS,
@@ -22,7 +24,15 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
 from magcal_ros.core.samples.diagnosis import Heard, complaints
-from magcal_ros.core.samples.streams import STREAMS, Drop, FieldSample, ImuSample, Pairer, Streams
+from magcal_ros.core.samples.streams import (
+    STREAMS,
+    Drop,
+    FieldSample,
+    ImuSample,
+    Pairer,
+    Streams,
+    slow_field_words,
+)
 from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
@@ -30,7 +40,7 @@ from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 
 Reading: TypeAlias = ImuSample | FieldSample | None
-"""What a sensor said; None is an Imu message that says it has no acceleration."""
+"""One sample; None is an Imu message that marks its acceleration as absent."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ TUNING = RecordedTuning()
 
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
-"""Reasons that a longer recording would mend."""
+"""Refusals that a longer recording could avoid."""
 
 
 class Gathering:
@@ -114,8 +124,15 @@ class Gathering:
         self._heard[1] += fields
 
     def drive(self) -> DriveLog:
-        """Return what was driven; nothing without a gyro."""
-        return self._drive.log()
+        """Return what was driven; nothing without a gyro, or of a field too slow for one."""
+        return DriveRecorder(TUNING.longest_drive).log() if self.slow_field else self._drive.log()
+
+    @property
+    def slow_field(self) -> str:
+        """Why the rate of the field is too low for a drive; empty if it is not."""
+        gaps = np.diff(self._drive.log().time)
+        words = slow_field_words(float(np.median(gaps))) if len(gaps) else ""
+        return f"{self._topics[1]}: {words}" if words else ""
 
     def complaints(self) -> list[str]:
         """Say in words what is wrong with what came; empty if nothing is."""
@@ -159,7 +176,7 @@ class Gathering:
                 self._drive.add(pair.field.stamp, pair.field.field, force, pair.imu.rate, speed)
 
     def _choose(self) -> None:
-        """Of the stretches between which time was set back keep the one with most of a turn."""
+        """Keep the part with most of a turn, of the parts between which time was set back."""
         best = self._best
         if best is not None and _arc(best) >= _arc(self._session):
             self._session = best
@@ -192,7 +209,11 @@ def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHO
         return calibrate_drive(log, knowledge)
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
-        return calibrate(window, knowledge, method, log)
+        outcome = calibrate(window, knowledge, method, log)
+        verdict, slow = outcome.verdict, gathering.slow_field
+        if slow and not verdict.accepted:
+            verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")
+        return replace(outcome, verdict=verdict)
     turn = Outcome.refused(window)
     return drive_instead(turn, log, knowledge) if method == METHODS[0] else turn
 
@@ -225,7 +246,7 @@ def fit_several(
     Raises
     ------
     Misuse
-        If the method can make nothing of several turns.
+        If the method cannot join several turns.
     """
     looked = [_window_or_refusal(gathering) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}

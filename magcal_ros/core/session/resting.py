@@ -1,7 +1,7 @@
-"""What a session saw while the robot stood before and after its turn, kept apart from the turn.
+"""The rests before and after a turn, separated from the turn.
 
-A pause does not weigh in a turn, but it says what the gyro's bias is, and what the field is like
-while the motors are off.
+A rest has no weight in the fit of the turn. It shows the gyro's bias, and the field while the
+motors are off.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from magcal_ros.core.up import relative_attitudes
 
 @dataclass(frozen=True)
 class RestingTuning:
-    """What of a rest is taken apart from a turn.
+    """Which part of a rest is used.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ TUNING = RestingTuning()
 def apart_from_rests(
     rows: FloatArray, known: GyroAtRest | None = None
 ) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
-    """Take the gyro's bias off, and the rests before and after the turn away from it.
+    """Subtract the gyro's bias, and separate the rests before and after the turn.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def apart_from_rests(
         Stamp, field, specific force and angular rate of pairs; the rates are all finite, or none
         is.
     known : GyroAtRest, optional
-        What a rest before all of them has shown; a rest among them tells more.
+        What a rest before all of them has shown; a rest among them has priority.
 
     Returns
     -------
@@ -66,12 +66,14 @@ def apart_from_rests(
     if end - first < TUNING.fewest:
         before, after, first, end = None, None, 0, len(rows)
     rests = []
+    # Of a long recording, thinned, a rest may end long before the turn's first row: it says nothing
+    # of the turn then.
     if before is not None:
         near = rows[before][time[before] > time[first] - TUNING.longest]
-        rests.append(_rest(near, near[-1], rows[first], has_gyro))
+        rests += [_rest(near, near[-1], rows[first], has_gyro)] if len(near) else []
     if after is not None:
         near = rows[after][time[after] < time[end - 1] + TUNING.longest]
-        rests.append(_rest(near, near[0], rows[end - 1], has_gyro))
+        rests += [_rest(near, near[0], rows[end - 1], has_gyro)] if len(near) else []
     sigma = math.inf
     if has_gyro and bias is None and rests:
         weights = [rest.rate_sigma**-2 for rest in rests]
@@ -85,7 +87,7 @@ def apart_from_rests(
 
 
 def _rest(rows: FloatArray, last: FloatArray, beside: FloatArray, has_gyro: bool) -> RestBeside:
-    """Return what rows at rest say; `last` is the one of them next to the turn's row `beside`."""
+    """Return what rows at rest show; `last` is the one of them next to the turn's row `beside`."""
     time = rows[:, 0]
     (field, field_sigma), (force, _) = (
         mean_and_sigma(time, rows[:, columns]) for columns in (slice(1, 4), slice(4, 7))

@@ -1,4 +1,4 @@
-"""What a robot that turns itself should do now: one turn out, one back, and when to stop.
+"""The plan of a robot that turns itself: one turn out, one back, and when to stop.
 
 Time and what the sensors show are passed in; out comes the yaw rate to command. A turn each way
 winds no cable, and delays between gyro and compass cancel.
@@ -13,7 +13,7 @@ from enum import Enum
 
 @dataclass(frozen=True)
 class RotationTuning:
-    """How a robot turns itself, and what shows that it does not.
+    """How a robot turns itself, and how a fault is recognised.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ TUNING = RotationTuning()
 
 
 class Phase(Enum):
-    """Where the plan stands."""
+    """The phase of the plan."""
 
     OUT = "out"
     PAUSE = "pause"
@@ -53,7 +53,7 @@ class Phase(Enum):
 
 
 class Fault(str, Enum):
-    """Why the robot must stop: it does not do what it was told."""
+    """Why the robot must stop: it does not follow its commands."""
 
     NOT_TURNING = "not_turning"
     WRONG_WAY = "wrong_way"
@@ -71,7 +71,7 @@ class Seen:
     rate : float
         rad/s over the last moments, left positive.
     by_gyro : bool
-        Whether the gyro says so; the compass alone is slower, and blind at first.
+        Whether the gyro shows it; the compass alone is slower, and shows nothing at first.
     is_complete : bool
         Whether every heading was seen.
     """
@@ -92,7 +92,7 @@ class Patience:
 
     @classmethod
     def of(cls, by_gyro: bool, speed: float) -> Patience:
-        """Return the patience with either sensor; the compass needs an arc before it sees."""
+        """Return the patience with either sensor; the compass shows nothing before an arc."""
         if by_gyro:
             return cls(2.5, 0.5, 0.5)
         return cls(max(5.0, 1.5 / speed), 4.0, 3.0)

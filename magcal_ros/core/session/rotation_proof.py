@@ -1,4 +1,4 @@
-"""What gyro and compass tell about a turn that was commanded, and whom to blame for a fault."""
+"""What gyro and compass show of a commanded turn, and the cause of a fault."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class ProofTuning:
-    """What shows that a robot turns, and to which side.
+    """How a turn and its direction are recognised.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class ProofTuning:
         Tesla between the means of the two halves of the last `recently` seconds, if the
         field turns.
     smallest_arc : float
-        Radians of the field's circle below which its sense of rotation is not asked.
+        Radians of the field's circle below which its sense of rotation is unknown.
     clearly_better : float
-        Share of the other sense's misfit below which one sense is believed.
+        Share of the other sense's misfit below which one sense is accepted.
     """
 
     rate_span: float = 0.5
@@ -103,7 +103,7 @@ class RotationProof:
         return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
     def objection(self, now: float) -> str:
-        """Say how the field contradicts the gyro; asked often, it looks now and then.
+        """Say how the field contradicts the gyro; most calls return at once, without a test.
 
         Parameters
         ----------
@@ -150,11 +150,11 @@ class RotationProof:
         if sense > 0:
             return f"{base}; the compass agrees with the gyro"
         if sense < 0:
-            return "the gyro is mirrored, for the compass shows the turn as commanded"
-        return f"{base}, or the gyro is mirrored; the compass cannot tell yet"
+            return "the gyro is mirrored, because the compass shows the turn as commanded"
+        return f"{base}, or the gyro is mirrored; the compass does not show which yet"
 
     def compass_sense(self) -> int:
-        """Return +1 if the field turns as the gyro says, -1 if the other way, 0 if unknown.
+        """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.
 
         The level field of a robot that turned left by t has turned right by t about an unknown
         centre. Both senses are fitted by least squares; the arc may be short.

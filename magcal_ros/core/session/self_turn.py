@@ -1,7 +1,7 @@
-"""A robot that turns itself: when it sets off, what it is told, and every reason to stop it.
+"""A robot that turns itself: when it starts, its commands, and every reason to stop it.
 
-Time and what is around are passed in; out comes the rate to command, if any. Nothing is said, not
-even zero, before the robot has set off, and nothing after the zeros that end it.
+Time and the surroundings are passed in, and the rate to command, if any, is returned. No command,
+not even zero, is given before the robot starts, and none after the zeros that end the turn.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class SelfTurnTuning:
-    """For how long a robot that turns itself may go without what it needs.
+    """How long a robot that turns itself may be without what it needs.
 
     Attributes
     ----------
@@ -30,15 +30,15 @@ class SelfTurnTuning:
     silence : float
         Seconds without a sensor after which a moving robot is stopped.
     gyro_silence : float
-        Seconds without an angular velocity after which a robot that is led by the gyro is
+        Seconds without an angular velocity after which a robot that is controlled by the gyro is
         stopped.
     longest_look : float
-        Seconds between two looks at a moving robot; whoever looks away for longer could not
-        stop it.
+        Seconds between two looks at a moving robot; after a longer gap it could not be
+        stopped in time.
     listeners_within : float
         Seconds within which something must have subscribed to the commands.
     stands_first : float
-        Seconds that it stands before it sets off: they show the gyro's bias and the motors' field.
+        Seconds that it stands before it starts: they show the gyro's bias and the motors' field.
     guarded_within : float
         Seconds within which the guard must be ready; a small computer takes three to start
         one.
@@ -57,13 +57,13 @@ TUNING = SelfTurnTuning()
 
 
 UNGUARDED = (
-    "the robot does not set off: the guard, a second process that would stop it if this node "
+    "the robot does not start to turn: the guard, a second process that would stop it if this node "
     f"could not, was not ready within {TUNING.guarded_within:g} s; see the log, and what keeps the "
     "machine busy"
 )
 GUARD_GONE = (
-    "its guard has ended, or has stopped it because this node was silent for too long: leave the "
-    "calibrator more time, or end what takes it"
+    "its guard has ended, does not answer, or has stopped it because this node was silent for too "
+    "long: end other programs that keep the machine busy"
 )
 
 
@@ -97,18 +97,18 @@ class Topics:
 
 @dataclass(frozen=True)
 class Around:
-    """What is around a robot at one look.
+    """The state of sensors, base and guard at one look.
 
     Parameters
     ----------
     imu_age, field_age : float
         Seconds since the newest message of either sensor; infinite before the first.
     listeners : int
-        How many hear the commands.
+        How many subscribe to the commands.
     is_allowed : bool
         Whether the user still lets the robot turn itself.
     is_guarded : bool
-        Whether something else would stop the robot if nobody looked at it any more.
+        Whether the guard would stop the robot if this node failed.
     """
 
     imu_age: float
@@ -125,7 +125,7 @@ class End:
     Parameters
     ----------
     reason : str
-        Empty if there is nothing to say: every heading was seen.
+        Empty if every heading was seen.
     is_usable : bool
         Whether what was seen is to be fitted.
     """
@@ -144,9 +144,9 @@ class Steering:
 
 @dataclass(frozen=True)
 class Waiting:
-    """It is to turn, and waits for both sensors, a base that listens and a guard.
+    """It waits for both sensors, a subscriber of the commands and the guard.
 
-    So many zeros are still owed to the turn before.
+    So many zeros are still to be sent for the turn before.
     """
 
     order: Order
@@ -156,7 +156,7 @@ class Waiting:
 
 @dataclass(frozen=True)
 class Moving:
-    """It turns."""
+    """The robot turns."""
 
     plan: RotationPlan
     proof: RotationProof
@@ -165,13 +165,13 @@ class Moving:
 
 @dataclass(frozen=True)
 class Stopping:
-    """It is told to stand, so many times still."""
+    """Zeros are sent, so many times still."""
 
     zeros: int
 
 
 Stage: TypeAlias = Waiting | Moving | Stopping | None
-"""Where a robot's own turn stands; None while there is none."""
+"""The stage of a robot's own turn; None if there is none."""
 
 
 class SelfTurn:
@@ -180,7 +180,7 @@ class SelfTurn:
     Parameters
     ----------
     topics : Topics
-        For the words.
+        Names for the messages.
     """
 
     def __init__(self, topics: Topics = Topics()) -> None:
@@ -201,7 +201,7 @@ class SelfTurn:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether there is nothing to look at any more."""
+        """Whether the turn and its zeros are over."""
         return self._stage is None
 
     def open(self, order: Order, now: float) -> None:
@@ -214,7 +214,7 @@ class SelfTurn:
     def hear(self, rate: Triple, now: float) -> None:
         """Note the angular velocity (rad/s, NaN without one) of an IMU message."""
         is_finite = all(map(math.isfinite, rate))
-        # A field that nobody fills reads zero; once a gyro was heard zero is a rate like others.
+        # Without a gyro many drivers send zero; after another value zero is a rate like others.
         if is_finite and (self._gyro_heard is not None or any(rate)):
             self._gyro_heard = now
 
@@ -226,12 +226,12 @@ class SelfTurn:
             stage.proof.add(pair, stage.plan.command)
 
     def look(self, now: float, progress: Progress, around: Around) -> Steering:
-        """Return what to tell the robot at `now`, seconds on a steady clock.
+        """Return the command for the robot at `now`, seconds on a steady clock.
 
         Parameters
         ----------
         now : float
-            To be asked some twenty times a second.
+            To be called some twenty times a second.
         progress : Progress
             Of the session that collects the turn.
         around : Around
@@ -249,7 +249,7 @@ class SelfTurn:
         return Steering()
 
     def stop(self) -> Steering:
-        """Let the robot stand, whatever it does."""
+        """Stop the robot."""
         if isinstance(self._stage, Moving):
             self._stage = Stopping(TUNING.zeros)
             return Steering(0.0)
@@ -258,7 +258,7 @@ class SelfTurn:
         return Steering()
 
     def break_off(self, reason: str) -> Steering:
-        """Let the robot stand, and say why its turn is over."""
+        """Stop the robot and end its turn, with the reason."""
         moved = self.may_move
         rate = self.stop().rate
         return Steering(rate, End(f"the robot was stopped: {reason}" if moved else reason, False))
@@ -275,7 +275,7 @@ class SelfTurn:
             if now - stage.since > TUNING.listeners_within:
                 topic = self._topics.command
                 remedy = "remap cmd_vel to the base's topic"
-                return self.break_off(f"nobody listens to {topic}: {remedy}")
+                return self.break_off(f"nothing subscribes to {topic}: {remedy}")
         elif around.is_guarded:
             if now - stage.since >= TUNING.stands_first:
                 self._set_off(stage.order, now)
@@ -301,7 +301,8 @@ class SelfTurn:
         if objection:
             return self.break_off(objection)
         if stage.leash.is_late(now):
-            return Steering(self.stop().rate, End("the robot did not come round in time", True))
+            words = "the robot did not complete its turn in time"
+            return Steering(self.stop().rate, End(words, True))
         rate = plan.step(now, seen)
         if plan.fault is not None:
             return self.break_off(proof.explain(plan.fault, seen, told))
@@ -314,8 +315,8 @@ class SelfTurn:
         """Say why the robot must not turn on; empty if it may."""
         if since > TUNING.longest_look:
             return (
-                f"the machine was too busy to look at it for {since:.1f} s: "
-                "leave the calibrator more time, or end what takes it"
+                f"the machine was too busy to check it for {since:.1f} s: "
+                "end other programs that keep the machine busy"
             )
         if not around.is_allowed:
             return "rotate.enabled was switched off"
@@ -341,8 +342,8 @@ class SelfTurn:
                 return f"{topic} has been silent for {age:.1f} s"
         if self._gyro_heard is not None and now - self._gyro_heard > TUNING.gyro_silence:
             return (
-                f"the gyro is not heard any more: for {now - self._gyro_heard:.1f} s "
-                f"{topics.imu} has brought no angular velocity"
+                f"the gyro sends no data: for {now - self._gyro_heard:.1f} s "
+                f"{topics.imu} has had no angular velocity"
             )
         if is_unpaired:
             return "no new field sample with an acceleration has come while the robot turned"

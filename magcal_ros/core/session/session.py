@@ -1,4 +1,4 @@
-"""The state machine of one calibration; time is passed in.
+"""Collects the samples of one turn and decides when it is over; time is passed in.
 
 Paired samples enter, coverage answers how far the turn is, and the session says when it is over
 and why. It does not fit: whoever owns it takes the window and gives it to a method.
@@ -27,21 +27,21 @@ from magcal_ros.core.up import relative_attitudes
 
 @dataclass(frozen=True)
 class SessionTuning:
-    """What a session keeps, and when it takes a turn to be done.
+    """What a session keeps, and when a turn is taken to be complete.
 
     Attributes
     ----------
     largest_buffer : int
-        Pairs. When it is full it is thinned to equal angles, or while none can be told to
-        equal times, so neither an hour of waiting nor an hour of turning does harm.
+        Pairs. A full buffer is thinned to equal angles, or to equal times without known angles. So
+        its size is bounded, however long the robot waits or turns.
     enough_for_progress : int
         Rows beyond which progress looks at every second, third ... row: it is asked ten
         times a second, between the messages.
     most_turns : float
         Full turns after which more of the same hardly makes the answer more certain.
     near : float
-        Times the target up to which turning may be given up before it is reached. Far from it the
-        surroundings are what is wrong, and a second round is worth what it costs.
+        Times the target up to which turning may end before the target is reached. Far from it the
+        surroundings are at fault, and a second round is useful.
     whole : float
         Radians turned at a look from which more only repeats what was seen.
     look_back : float
@@ -109,7 +109,7 @@ class Limits:
 
 
 class Stage(str, Enum):
-    """Where a session stands."""
+    """The stage of a session."""
 
     COLLECTING = "collecting"
     COMPLETE = "complete"
@@ -119,7 +119,7 @@ class Stage(str, Enum):
 
 @dataclass(frozen=True)
 class Glance:
-    """What a fit of the samples so far said.
+    """The result of a fit of the samples so far.
 
     Parameters
     ----------
@@ -235,8 +235,8 @@ class Session:
         """Take a pair.
 
         A stamp that stands still is left out. One before the newest means that time was set back,
-        by a clock or by a bag that loops; whether the robot stands where it stood nobody knows, so
-        the turn begins anew.
+        by a clock or by a bag that loops; the robot may have moved meanwhile, so the
+        turn starts again.
         """
         rows = self._buffer
         newest = self.newest
@@ -324,7 +324,7 @@ class Session:
         return Stage.COLLECTING
 
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
-        """Whether waiting longer is pointless: certain enough, or no longer getting better."""
+        """Whether the turn can end: certain enough, or no longer getting more certain."""
         target = self.limits.target_sigma
         return (
             self._is_within(target)
@@ -334,9 +334,8 @@ class Session:
         )
 
     def _is_within(self, sigma: float) -> bool:
-        """Whether a fit said so twice in a row."""
-        last = self._glances[-2:]
-        return len(last) == 2 and max(glance.sigma for glance in last) <= sigma
+        """Whether the newest fit says so: another costs the robot a good part of a turn."""
+        return bool(self._glances) and self._glances[-1].sigma <= sigma
 
     def _thin_out(self) -> None:
         if self._size < TUNING.largest_buffer:
@@ -369,7 +368,7 @@ def _is_worth_while(glances: Sequence[Glance]) -> bool:
 
 
 def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
-    """Return the mean rate over the last two seconds, rad/s; zero if there is no telling."""
+    """Return the mean rate over the last two seconds, rad/s; zero if it is not known."""
     first = int(np.searchsorted(stamps, stamps[-1] - 2.0))
     span = float(stamps[-1] - stamps[first])
     return float(angle[-1] - angle[first]) / span if span > 0.2 else 0.0
@@ -378,7 +377,7 @@ def _turn_rate(stamps: FloatArray, angle: FloatArray) -> float:
 def _turned_over(rows: FloatArray) -> IntArray:
     """Return the rows in which the robot turns about another axis than up.
 
-    Its heading may stand still meanwhile, and the gyro's way through it is wanted whole.
+    Its heading may stand still meanwhile, and the gyro's path through it must be complete.
     """
     rate = _rate_if_any(rows)
     if rate is None:

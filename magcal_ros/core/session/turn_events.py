@@ -1,4 +1,4 @@
-"""What happens to a turn, and what is to be done about it: the words of the state machine."""
+"""The events and commands of the state machine of a turn."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from magcal_ros.core.session.session import Limits
 
 
 class Event:
-    """What happens to a turn."""
+    """Something that happens to a turn."""
 
 
 class Command:
-    """What is to be done about it."""
+    """Something that the owner of the state machine has to do."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class PreviewFitted(Event):
 
 @dataclass(frozen=True)
 class FinishAsked(Event):
-    """Somebody wants what there is fitted now."""
+    """Somebody wants what there is fitted now; no answer where the fit is under way already."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class FitDone(Event):
 
 @dataclass(frozen=True)
 class FitFailed(Event):
-    """A fault of ours; the words say which."""
+    """A fit ended with an error of the program; the words say which."""
 
     turn: int
     words: str
@@ -141,38 +141,46 @@ class Saved(Event):
 
 @dataclass(frozen=True)
 class CancelAsked(Event):
-    """Somebody gives up the turn."""
+    """Somebody cancels the turn."""
 
 
 @dataclass(frozen=True)
 class Faulted(Event):
-    """Something around the turn has failed, and may be what watches a robot that turns itself."""
+    """Something beside the turn has failed; it may be what supervises a robot that turns itself."""
 
     reason: str
 
 
 @dataclass(frozen=True)
+class Broken(Event):
+    """Something that a turn needs has failed, and it cannot go on; the words say what."""
+
+    words: str
+
+
+@dataclass(frozen=True)
 class ForgetAsked(Event):
-    """The next turn starts afresh."""
+    """The turns kept so far are discarded."""
 
 
 @dataclass(frozen=True)
 class SensorsMet(Event):
-    """Other sensors than before: turns of others are not joined."""
+    """The frames that the sensors name: turns of others are not joined, nor one turn of two."""
 
-    names: str
+    field: str
+    imu: str
 
 
 @dataclass(frozen=True)
 class Answer(Command):
-    """Tell the one who asked."""
+    """Answer the caller."""
 
     conclusion: Conclusion
 
 
 @dataclass(frozen=True)
 class Conclude(Command):
-    """Tell everyone who waits for the turn how it ended, and let go of what computes for it."""
+    """Answer everyone who waits for the turn, and release what computes for it."""
 
     conclusion: Conclusion
 
@@ -194,7 +202,7 @@ class Preview(Command):
 
 @dataclass(frozen=True, eq=False)
 class FitTurn(Command):
-    """FitTurn a turn; answered by `FitDone` or `FitFailed`."""
+    """Fit a turn; answered by `FitDone` or `FitFailed`."""
 
     turn: int
     kept: Kept

@@ -1,7 +1,7 @@
 """The state machine of a turn: events in, commands out, time passed in.
 
-Whoever owns it (a node, a test in virtual time) says what happens and does what it is told; fits,
-files and messages are theirs.
+Its owner (a node, or a test in virtual time) passes the events in and carries the commands out;
+fits, files and messages belong to the owner.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PreviewTuning:
     Attributes
     ----------
     preview_arc : float
-        Radians of arc before which a prediction is worth nothing.
+        Radians of arc before which no prediction is made.
     preview_share : float
         Share of one core that may go into predicting the heading sigma while the robot
         turns.
@@ -49,6 +49,9 @@ class PreviewTuning:
 
 TUNING = PreviewTuning()
 
+
+NOBODY = ("", "")
+"""The frames of magnetometer and IMU before either is heard; some drivers never name one."""
 
 SET_BACK = "time was set back during the turn, and what came before was left out"
 UNCHANGED = "the calibration in force is unchanged"
@@ -79,7 +82,7 @@ class TurnMachine:
         self._stand: Stand = None
         self._number = 0
         self._kept = Kept()
-        self._sensors = self._sensors_of_kept = ""
+        self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NOBODY
         self._commands: list[ev.Command] = []
         self._handlers: dict[type[Any], Callable[[Any, float], None]] = {
             ev.Opened: self._on_opened,
@@ -95,6 +98,7 @@ class TurnMachine:
             ev.Saved: self._on_saved,
             ev.CancelAsked: self._on_cancel,
             ev.Faulted: self._on_fault,
+            ev.Broken: self._on_broken,
             ev.ForgetAsked: lambda _, __: self._forget(),
             ev.SensorsMet: self._on_sensors,
         }
@@ -103,6 +107,11 @@ class TurnMachine:
     def state(self) -> TurnState:
         """What is going on."""
         return TurnState.IDLE if self._stand is None else STATES[type(self._stand)]
+
+    @property
+    def outcome_is_of_others(self) -> bool:
+        """Whether the last outcome is of other sensors than those that are heard now."""
+        return bool(_changes(self._sensors_of_outcome, self._sensors))
 
     @property
     def turns_kept(self) -> int:
@@ -198,7 +207,7 @@ class TurnMachine:
             self._begin_fit(stand, why, now)
 
     def _look_ahead(self, stand: Collecting, progress: Progress, now: float) -> None:
-        """Ask now and then how certain a fit would be already."""
+        """Ask at intervals how certain a fit would be already."""
         if (
             stand.previewed_since is None
             and progress.coverage.arc > TUNING.preview_arc
@@ -254,8 +263,6 @@ class TurnMachine:
             self._begin_fit(self._stand, "finished by hand", now)
         elif self._stand is None:
             self._answer(False, "no turn is being collected: call ~/start first")
-        else:
-            self._answer(False, f"already {self.state.value}")
 
     def _begin_fit(self, stand: Collecting, why: str, now: float) -> None:
         session, brief = stand.session, stand.brief
@@ -293,7 +300,7 @@ class TurnMachine:
         self._judge(Outcome.refused(refusal), why)
 
     def _judge(self, outcome: Outcome, why: str) -> None:
-        self.last_outcome = outcome
+        self.last_outcome, self._sensors_of_outcome = outcome, self._sensors
         words = outcome.verdict.summary
         if outcome.several is not None and outcome.calibration is not None:
             words = f"{words} {outcome.several.in_words}"
@@ -309,7 +316,7 @@ class TurnMachine:
             self._weigh(self._stand, event.words)
 
     def _weigh(self, stand: Reporting, report: str) -> None:
-        """Put the calibration in force if it is good enough; else say what remains."""
+        """Put the calibration in force if it is good enough; else say what can be done."""
         outcome = stand.outcome
         ending = f" {report}" if report else ""
         unchanged = UNCHANGED[0].upper() + UNCHANGED[1:]
@@ -338,9 +345,32 @@ class TurnMachine:
             self._answer(True, f"cancelled; {UNCHANGED}")
 
     def _on_sensors(self, event: ev.SensorsMet, _: float) -> None:
-        self._sensors = event.names
+        (field, imu), before = self._sensors, self._sensors
+        self._sensors = event.field or field, event.imu or imu
+        changes = _changes(before, self._sensors)
+        if changes and isinstance(self._stand, (Collecting, Fitting)):
+            self._leave_collecting()
+            self._conclude(
+                False,
+                f"{' and '.join(changes)} during the turn: let one sensor publish, and turn "
+                f"again; {UNCHANGED}",
+            )
+
+    def _on_broken(self, event: ev.Broken, _: float) -> None:
+        if self._stand is not None:
+            self._leave_collecting()
+            self._conclude(False, event.words)
 
     def _conclude(self, success: bool, message: str) -> None:
         self._stand = None
         self.last_conclusion = ev.Conclusion(success, message)
         self._do(ev.Conclude(self.last_conclusion))
+
+
+def _changes(before: tuple[str, str], after: tuple[str, str]) -> list[str]:
+    """Say which sensor is another one now."""
+    return [
+        f"the frame of {sensor} changed from {old!r} to {new!r}"
+        for sensor, old, new in zip(("the magnetometer", "the IMU"), before, after, strict=True)
+        if old and new and old != new
+    ]

@@ -1,4 +1,4 @@
-"""Where a turn stands: in one state at a time, each with what it needs and nothing else."""
+"""The states of a turn, each with the data that it needs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magcal_ros.core.session.turn_events import Brief
 
 
 class TurnState(str, Enum):
-    """What a turn is busy with."""
+    """The state of a turn."""
 
     IDLE = "idle"
     COLLECTING = "collecting"
@@ -24,7 +24,7 @@ class TurnState(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Collecting:
-    """Samples come in; a preview of the fit is under way since a moment, or will be from one on."""
+    """Samples arrive; a preview of the fit is running or is planned."""
 
     brief: Brief
     session: Session
@@ -51,7 +51,7 @@ class Reporting:
 
 @dataclass(frozen=True)
 class Saving:
-    """The new calibration is in force, and on its way to the disk."""
+    """The new calibration is in force and is being written to disk."""
 
     words: str
     report: str

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.level import Level, level_of
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+
+if TYPE_CHECKING:
+    from magcal_ros.core.smoothing.level import Level
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,9 @@ class DriveLog:
     @cached_property
     def level(self) -> Level:
         """Up at each row, and what goes with it."""
+        # What only remembers a drive, as a running node does, needs none of this.
+        from magcal_ros.core.smoothing.level import level_of
+
         return level_of(self.time, self.force, self.rate, self.bias_sigma)
 
     @cached_property

@@ -20,6 +20,9 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
 
+CHUNKS_TO_TELL = 5
+"""Chunks that tell whether the robot stands."""
+
 
 @dataclass
 class _Rest:
@@ -49,7 +52,9 @@ class _Rest:
 class DriveRecorder:
     """Averages samples into rows, and keeps those of movement.
 
-    Its clock runs while the robot moves: a pause is cut out, however long it is.
+    Its clock runs while the robot moves: a pause is cut out, however long it is. Where time jumps,
+    or nothing is heard for longer than it takes to tell a rest, a piece of the drive ends, and the
+    next follows it on the clock. A piece too short to tell a rest is dropped.
 
     Parameters
     ----------
@@ -72,10 +77,11 @@ class DriveRecorder:
         gyro: GyroAtRest | None = None,
     ) -> None:
         self._tuning = tuning
+        self._longest_silence = CHUNKS_TO_TELL * tuning.chunk * tuning.row
         self._chunks: deque[FloatArray] = deque(
             maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
         )
-        self._recent: deque[FloatArray] = deque(maxlen=5)
+        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_TO_TELL)
         self._rested: deque[_Rest] = deque(maxlen=tuning.rests)
         self.begin_anew()
         self._gyro = gyro
@@ -125,7 +131,7 @@ class DriveRecorder:
         Parameters
         ----------
         stamp : float
-            Seconds. Where time goes back, the drive goes on after a gap.
+            Seconds.
         field, force, rate : tuple of float
             Raw field (tesla); specific force (m/s²) less the vehicle's own acceleration where that
             is known; rad/s.
@@ -137,13 +143,11 @@ class DriveRecorder:
         bool
             Whether more of the drive is known than before.
         """
-        if stamp < self._newest:
-            self._rows.clear()
-            self._recent.clear()
-            self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
-            self._pause = (
-                stamp - self.clock - 2.0 * STREAMS.longest_gyro_step if self._chunks else 0.0
-            )
+        if not 0.0 <= stamp - self._newest <= self._longest_silence:
+            self._end_piece()
+            # The gyro's path does not reach across the hole that is left.
+            hole = 2.0 * STREAMS.longest_gyro_step
+            self._pause = stamp - self.clock - hole if self._chunks else 0.0
         self._newest = stamp
         grown = False
         if stamp >= self._row + self._tuning.row:
@@ -152,6 +156,20 @@ class DriveRecorder:
         self._count += 1
         self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed)))
         return grown
+
+    def _end_piece(self) -> None:
+        if not self._is_told:
+            for _ in self._recent:
+                self._chunks.pop()
+        self._rows.clear()
+        self._recent.clear()
+        self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
+        self._rests = False
+
+    @property
+    def _is_told(self) -> bool:
+        """Whether the piece under way is long enough to tell a rest."""
+        return len(self._recent) == CHUNKS_TO_TELL
 
     def log(self) -> DriveLog:
         """Return everything that is kept, by the drive's own clock.
@@ -207,7 +225,7 @@ class DriveRecorder:
 
     def _stands(self) -> bool:
         """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
-        if len(self._recent) < 5:
+        if not self._is_told:
             return False
         rows, tuning = np.concatenate(list(self._recent)), self._tuning
         speed = np.abs(rows[-tuning.chunk :, SPEED])

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters import (
     ardupilot,
     c_header,
@@ -21,7 +20,8 @@ from magcal_ros.files.exporters import (
 )
 from magcal_ros.files.exporters.common import NotExportable
 
-Exporter: TypeAlias = Callable[[Calibration], str]
+Exporter: TypeAlias = Callable[..., str]
+"""Takes the calibration, and those of `OF_LOGS` the magnetometer's frame as well."""
 
 EXPORTERS: dict[str, Exporter] = {
     "ctu-vras": ctu_vras.export,
@@ -34,7 +34,10 @@ EXPORTERS: dict[str, Exporter] = {
 }
 """By the name that users give."""
 
+OF_LOGS = {"ardupilot", "px4"}
+"""Those of programs whose logs are read: a calibration from one knows which sensor it is of."""
+
 NOTES = {"vectornav": vectornav.NOTES}
 """What a form without comments cannot say of itself, by the same names."""
 
-__all__ = ["EXPORTERS", "NOTES", "Exporter", "NotExportable"]
+__all__ = ["EXPORTERS", "NOTES", "OF_LOGS", "Exporter", "NotExportable"]

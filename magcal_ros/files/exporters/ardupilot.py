@@ -8,6 +8,8 @@ the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 
 
 from __future__ import annotations
 
+import re
+
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import (
     MILLIGAUSS,
@@ -17,14 +19,19 @@ from magcal_ros.files.exporters.common import (
     without_rotation,
 )
 
+FRAME = "ardupilot_compass"
+"""What a calibration from a log of ArduPilot remembers, with the number of the parameters."""
 
-def export(calibration: Calibration) -> str:
+
+def export(calibration: Calibration, frame: str = "") -> str:
     """Return a parameter file for a ground station.
 
     Parameters
     ----------
     calibration : Calibration
         What to export; made from fields in the vehicle's forward-left-up axes.
+    frame : str
+        Of the magnetometer: from a log it says which compass this is.
 
     Returns
     -------
@@ -37,23 +44,32 @@ def export(calibration: Calibration) -> str:
         If the calibration turns the field by more than 5°.
     """
     held = without_rotation(calibration.correction, "ArduPilot")
+    of_log = re.fullmatch(rf"{FRAME}([23]?)", frame)
+    slot = of_log[1] if of_log else ""
+    origin = (
+        f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
+        "These numbers replace those in force; the compensation of the motors stays.",
+    )
+    driver = (
+        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
+        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
+        "OFS to those in force.",
+    )
     header = commented(
         "#",
         provenance(calibration),
         "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
         "a larger COMPASS_OFFS_MAX.",
-        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
-        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
-        "OFS to those in force.",
+        *(origin if of_log else driver),
         *held.comments,
     )
     offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
-    values = {f"COMPASS_OFS_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
-    values |= {f"COMPASS_DIA_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
+    values = {f"COMPASS_OFS{slot}_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
+    values |= {f"COMPASS_DIA{slot}_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
     values |= {
-        "COMPASS_ODI_X": matrix[0, 1],
-        "COMPASS_ODI_Y": matrix[0, 2],
-        "COMPASS_ODI_Z": matrix[1, 2],
-        "COMPASS_SCALE": 1.0,
+        f"COMPASS_ODI{slot}_X": matrix[0, 1],
+        f"COMPASS_ODI{slot}_Y": matrix[0, 2],
+        f"COMPASS_ODI{slot}_Z": matrix[1, 2],
+        f"COMPASS_SCALE{slot}": 1.0,
     }
     return header + "".join(f"{name},{number(value)}\n" for name, value in values.items())

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.files.exporters.common import numbers, provenance
+from magcal_ros.files.exporters.common import OF_TESLA, numbers, provenance
 
 
 def export(calibration: Calibration) -> str:
@@ -23,6 +23,7 @@ def export(calibration: Calibration) -> str:
         With an include guard.
     """
     correction = calibration.correction
+    iron = numbers(correction.hard_iron, OF_TESLA)
     rows = ",\n".join(f"    {{{numbers(row)}}}" for row in correction.matrix)
     return (
         f"/* {provenance(calibration)}.\n"
@@ -30,7 +31,7 @@ def export(calibration: Calibration) -> str:
         " * (x forward, y left, z up). */\n"
         "#ifndef MAGCAL_CALIBRATION_H\n"
         "#define MAGCAL_CALIBRATION_H\n\n"
-        f"static const double MAGCAL_HARD_IRON[3] = {{{numbers(correction.hard_iron)}}};\n"
+        f"static const double MAGCAL_HARD_IRON[3] = {{{iron}}};\n"
         f"static const double MAGCAL_MATRIX[3][3] = {{\n{rows}}};\n\n"
         "#endif\n"
     )

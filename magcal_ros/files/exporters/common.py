@@ -21,6 +21,12 @@ GAUSS = 1e4
 MILLIGAUSS = 1e7
 """Milligauss in a tesla."""
 
+DECIMALS = 9
+"""Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
+
+OF_TESLA = 13
+"""The same of tesla."""
+
 LARGEST_LOST_ROTATION = math.radians(5.0)
 """A rotation beyond this belongs into the consumer's mounting, not into a comment."""
 
@@ -103,17 +109,17 @@ def _above(value: float, limit: float) -> str:
     return f"{value:.{digits}f}"
 
 
-def number(value: float) -> str:
-    """Write a number so that it reads back as the same one, and as a float everywhere."""
-    text = repr(float(value) + 0.0)
+def number(value: float, decimals: int = DECIMALS) -> str:
+    """Write a number without the digits that are rounding errors, as a float everywhere."""
+    text = repr(round(float(value), decimals) + 0.0)
     # YAML 1.1 takes 1e-05 for text: it wants a point in the mantissa.
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}.0e{exponent}" if mark and "." not in mantissa else text
 
 
-def numbers(values: FloatArray) -> str:
+def numbers(values: FloatArray, decimals: int = DECIMALS) -> str:
     """Write numbers separated by a comma and a blank."""
-    return ", ".join(number(value) for value in np.ravel(values))
+    return ", ".join(number(value, decimals) for value in np.ravel(values))
 
 
 def commented(mark: str, *lines: str) -> str:

@@ -11,7 +11,13 @@ got as a parameter stays in force.
 from __future__ import annotations
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.files.exporters.common import commented, number, numbers, provenance
+from magcal_ros.files.exporters.common import (
+    OF_TESLA,
+    commented,
+    number,
+    numbers,
+    provenance,
+)
 
 
 def export(calibration: Calibration) -> str:
@@ -31,7 +37,7 @@ def export(calibration: Calibration) -> str:
     matrix = f"[{numbers(correction.matrix)}]"
     lines = ["/**:", "  ros__parameters:"]
     lines += [
-        f"    {prefix}_{axis}: {number(value)}"
+        f"    {prefix}_{axis}: {number(value, OF_TESLA)}"
         for prefix in ("initial_mag_bias", "magnetometer_bias")
         for axis, value in zip("xyz", correction.hard_iron, strict=True)
     ]

@@ -8,7 +8,13 @@ docs/configuration.md of github.com/manankharwar/fusioncore).
 from __future__ import annotations
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.files.exporters.common import commented, number, numbers, provenance
+from magcal_ros.files.exporters.common import (
+    OF_TESLA,
+    commented,
+    number,
+    numbers,
+    provenance,
+)
 
 
 def export(calibration: Calibration) -> str:
@@ -35,7 +41,7 @@ def export(calibration: Calibration) -> str:
         "/**:\n"
         "  ros__parameters:\n"
         "    magnetometer.enabled: true\n"
-        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron)}]\n"
+        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron, OF_TESLA)}]\n"
         f"    magnetometer.soft_iron: [{numbers(correction.matrix)}]\n"
-        f"    magnetometer.field_strength: {number(calibration.strength)}\n"
+        f"    magnetometer.field_strength: {number(calibration.strength, OF_TESLA)}\n"
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.rotations import rotation_angle
-from magcal_ros.files.exporters.common import commented, number, provenance
+from magcal_ros.files.exporters.common import OF_TESLA, commented, number, provenance
 
 UNCHANGED = 1e-9
 
@@ -43,5 +43,5 @@ def export(calibration: Calibration) -> str:
         ]
     lines = ["/**:", "  ros__parameters:"]
     for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
-        lines.append(f"    mag_bias_{axis}: {number(value)}")
+        lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
     return commented("#", *comments) + "\n".join(lines) + "\n"

@@ -15,6 +15,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.files.exporters.common import (
+    DECIMALS,
     GAUSS,
     NotExportable,
     in_forward_right_down,
@@ -54,7 +55,9 @@ def export(calibration: Calibration) -> str:
             "The calibration has numbers that no VectorNav sensor could need. Check the field's "
             "unit (tesla) in the driver, and calibrate again."
         )
-    body = "VNWRG,23," + ",".join(f"{value + 0.0:.9f}" for value in twelve)
+    body = "VNWRG,23," + ",".join(
+        f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve
+    )
     return f"${body}*{checksum(body):02X}\n"
 
 

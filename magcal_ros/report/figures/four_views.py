@@ -91,7 +91,7 @@ def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any
         clouds.append((field[kept], {"color": CORRECTED, "label": "corrected field"}))
         left_out = turn.rows(~turn.believed, most=POINTS // 4)
         if len(left_out):
-            clouds.append((field[left_out], LEFT_OUT | {"label": "not believed"}))
+            clouds.append((field[left_out], LEFT_OUT | {"label": "left out"}))
     return clouds
 
 

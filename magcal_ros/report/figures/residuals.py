@@ -79,7 +79,9 @@ def _draw_ring(axes: Any, turn: Turn) -> None:
     axes.tick_params(axis="x", pad=0)
     axes.grid(False)
     axes.spines["polar"].set_visible(False)
-    seen = f"{math.degrees(turn.coverage.arc):.0f}°\nseen"
+    # The same arc as in the table of numbers, where a fit has measured one.
+    arc = turn.coverage.arc if turn.corrected is None else turn.corrected.estimate.arc
+    seen = f"{math.degrees(arc):.0f}°\nseen"
     axes.text(0.0, 0.0, seen, ha="center", va="center", fontsize=9.5)
 
 
@@ -108,6 +110,6 @@ def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:
         shown = MICRO * values
         dots(axes, angle[kept], shown[kept], color=colour, marker=marker, label=words)
         if len(left_out):
-            label = "not believed" if values is corrected.axial else None
+            label = "left out" if values is corrected.axial else None
             dots(axes, angle[left_out], shown[left_out], **LEFT_OUT, label=label)
     axes.set(xlabel="turned since the start [°], left positive", ylabel="residual [µT]")

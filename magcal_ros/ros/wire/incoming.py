@@ -89,7 +89,7 @@ def read_imu(data: bytes) -> ImuArrival:
             pass
         else:
             return ImuArrival(_frame_of(frame), sample, data[_STAMP_PLACE])
-    message = _by_rclpy(data, Imu)
+    message = by_rclpy(data, Imu)
     return ImuArrival(message.header.frame_id, imu_sample(message), _packed(message.header.stamp))
 
 
@@ -108,7 +108,7 @@ def read_field(data: bytes) -> FieldArrival:
             pass
         else:
             return FieldArrival(_frame_of(frame), sample, data[_STAMP_PLACE], covariance)
-    message = _by_rclpy(data, MagneticField)
+    message = by_rclpy(data, MagneticField)
     return FieldArrival(
         message.header.frame_id,
         field_sample(message),
@@ -128,7 +128,7 @@ def _travel_reader(
                 return from_bytes(data)
             except struct.error:
                 pass
-        return from_message(_by_rclpy(data, kind))
+        return from_message(by_rclpy(data, kind))
 
     return read
 
@@ -150,7 +150,14 @@ def _packed(stamp: Time) -> bytes:
     return STAMP.pack(stamp.sec, stamp.nanosec)
 
 
-def _by_rclpy(data: bytes, kind: type) -> Any:
+def by_rclpy(data: bytes, kind: type) -> Any:
+    """Return a message of any kind.
+
+    Raises
+    ------
+    Unreadable
+        If the bytes are none.
+    """
     try:
         return deserialize_message(data, kind)
     except Exception as error:  # rclpy has several roots, and a message from outside no manners

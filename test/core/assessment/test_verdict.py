@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import estimate
 
-from magcal_ros.core.assessment.grading import Aspect, Check, Grade, shown
+from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
 from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import (
     GYRO_UNUSED,
@@ -203,7 +203,7 @@ class TestJudge:
         }
         verdict = judge(estimate(figures=figures), KNOWN)
         assert "gyro against compass" in verdict.summary
-        assert "field strength pulled" in verdict.summary
+        assert "field strength deviates" in verdict.summary
         assert verdict.summary.endswith("; and 2 more.")
         assert sum(check.grade is Grade.WARN for check in verdict.checks) == 4
 
@@ -234,7 +234,7 @@ class TestWhatTheEstimateItselfShows:
         few = {"inliers": np.ones(30, dtype=bool), "residual": np.zeros((30, 3))}
         verdict = judge(estimate(**few), KNOWN)
         assert verdict.confidence is Grade.WARN
-        assert "believed samples: 30 (want 50 or more)" in verdict.summary
+        assert "samples used: 30 (want 50 or more)" in verdict.summary
 
     @pytest.mark.parametrize(
         ("axis", "grade"),
@@ -270,7 +270,7 @@ class TestWhatTheEstimateItselfShows:
         figures = {"gyro_carried": carried, "gyro_compass_rms": 0.01}
         verdict = judge(estimate(figures=figures), KNOWN)
         assert verdict.quality is grade
-        told = "gyro's turning does not explain the samples" in verdict.summary
+        told = "the turn that the gyro measured does not explain the samples" in verdict.summary
         assert told == (grade is Grade.WARN)
 
     def test_halves_that_differ_by_chance_are_no_fault(self):
@@ -359,6 +359,11 @@ class TestNotShown:
         told = " ".join([grade_of(verdict, figure).words, *verdict.not_shown])
         assert ("give the reference field" in told) == (not known)
 
+    @pytest.mark.parametrize(("gap", "said"), [(0.0, "no calibration"), (2.0, "differs by 2°")])
+    def test_a_rival_is_named_only_where_there_is_one(self, gap, said):
+        verdict = judge(estimate(figures={"rival_gap": math.radians(gap)}), KNOWN)
+        assert said in grade_of(verdict, "rival_gap").words
+
     def test_an_uncertain_axial_hard_iron_is_named_with_its_cost(self):
         covariance = np.zeros((12, 12))
         covariance[9:, 9:] = np.diag([0.05e-6, 0.05e-6, 5e-6]) ** 2
@@ -366,7 +371,7 @@ class TestNotShown:
         words = [text for text in not_shown if "along the turn's axis" in text]
         # 5 µT * sin 10° / 25 µT / sqrt 2
         assert len(words) == 1
-        assert "at 10° of tilt it costs 1.4° (1σ) of heading" in words[0]
+        assert "at 10° of tilt its error in the heading is 1.4° (1σ)" in words[0]
 
     def test_a_certain_axial_hard_iron_is_not_named(self):
         assert not [t for t in judge(estimate(), KNOWN).not_shown if "turn's axis" in t]
@@ -401,3 +406,13 @@ def test_an_optimisation_that_did_not_converge_is_a_warning(figure, grade):
 def test_a_method_that_does_not_iterate_is_not_asked_whether_it_converged():
     figures = {check.figure for check in judge(estimate(), KNOWN).checks}
     assert Figure.NOT_CONVERGED not in figures
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(2.003, "2.003"), (2.4, "2.4"), (2.0000004, "2.0000004")]
+)
+def test_a_bound_that_is_missed_narrowly_is_not_called_met(value, words):
+    bound = Bound(Figure.STRENGTH_OFFSET, 2.0, 8.0, "off by", "look", unit="%")
+    check = bound.check(value / bound.scale)
+    assert check.words.startswith(f"off by {words}%")
+    assert "(want 2% or less)" in check.words

@@ -99,3 +99,16 @@ def test_silence_is_given_up_too():
     for tick in range(1000):
         guide.pass_time(0.3 * tick)
     assert set(guide.states.values()) == {GuideStepState.MISSED}
+
+
+def test_a_step_can_be_skipped_and_says_how_long_it_waits():
+    person = Person()
+    person.guide.skip(0.0)
+    assert person.guide.current is GuideStep.STAND  # nothing is seen without it
+    person.does(6.0)
+    assert person.guide.current is GuideStep.TURN
+    assert 30.0 < person.guide.left(6.0) <= 45.0
+    person.guide.skip(6.0)
+    assert person.guide.current is GuideStep.LIFT
+    person.guide.skip(6.0)
+    assert person.guide.current is None

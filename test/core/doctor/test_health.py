@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from magcal_ros.core.doctor.health import (
     repeats_finding,
     stamps_finding,
 )
+from magcal_ros.core.doctor.page import examine_window
+from magcal_ros.core.simulation.simulator import Robot, measure, turn
 
 COUNT = 600
 
@@ -109,3 +113,10 @@ def test_coarse_numbers_of_a_quiet_sensor_are_no_repeats():
 @pytest.mark.parametrize(("factor", "words"), [(1.0 / 9.8, "g published"), (2.0, "scale")])
 def test_a_wrong_size_of_gravity_is_named(force, factor, words):
     assert words in gravity_size_finding(factor * force).remedy
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 1.0, 1.25, 1.5])
+def test_a_turn_that_was_ended_after_a_moment_can_be_looked_at(seconds):
+    motion = turn(arc=math.radians(57.0), samples=max(3, round(60 * seconds)), duration=seconds)
+    window = measure(Robot(noise_rate=1e-3), motion, np.random.default_rng(3), gyro=True)
+    assert examine_window(window).findings

@@ -172,8 +172,8 @@ def test_the_model_makes_tilted_headings_certain_and_the_verdict_says_what_its_a
     assert not [
         words for words in known.verdict.not_shown if "reference field is not known" in words
     ]
-    (cost,) = [w for w in unknown.verdict.not_shown if "at 10° of tilt it costs" in w]
-    assert float(cost.split("it costs ")[1].split("°")[0]) > 0.5
+    (cost,) = [w for w in unknown.verdict.not_shown if "at 10° of tilt its error" in w]
+    assert float(cost.split("heading is ")[1].split("°")[0]) > 0.5
     assert [words for words in unknown.verdict.not_shown if "reference field is not known" in words]
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.arrays import frozen_array
+from magcal_ros.core.geometry.arrays import frozen_array, running_mean
 
 
 def test_it_copies_and_locks():
@@ -19,3 +19,12 @@ def test_it_copies_and_locks():
 def test_it_names_what_is_wrong(values):
     with pytest.raises(ValueError, match="field"):
         frozen_array(values, (-1, 3), "field")
+
+
+@pytest.mark.parametrize("width", [1, 3, 5, 50])
+def test_a_running_mean_has_as_many_values_however_few_there_are(width):
+    values = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    mean = running_mean(values, width)
+    assert mean.shape == values.shape
+    assert mean[2] == pytest.approx(3.0)
+    assert running_mean(np.ones(5), width) == pytest.approx(1.0)

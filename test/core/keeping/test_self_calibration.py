@@ -228,6 +228,24 @@ def test_a_lost_job_is_asked_for_again():
     assert machine.note(findings(140.0, candidate(FAR, 140.0))) != []
 
 
+def test_after_each_lost_job_the_next_is_asked_for_later():
+    machine, due = SelfCalibration(), []
+    for k in range(20 * 400):
+        # A robot that drives in a circle, so that all of it counts as movement.
+        yaw = 0.3 * 0.05 * k
+        field = (20e-6 * math.cos(yaw), -20e-6 * math.sin(yaw), -40e-6)
+        if machine.add(100.0 + 0.05 * k, field, (0.0, 0.0, 9.81), (0.0, 0.0, 0.3), 1.0):
+            due.append(0.05 * k)
+            machine.job(BOSTON)
+            machine.fail()
+    waits = np.diff(due)
+    assert len(waits) >= 3
+    assert np.allclose(waits[1:] / waits[:-1], 2.0, atol=0.1)
+    machine.job(BOSTON)
+    machine.note(findings(400.0, candidate(FAR, 400.0)))
+    assert machine.lost == 0
+
+
 def test_what_one_quarter_of_headings_says_proves_nothing_of_all_twelve():
     proof = dataclasses.replace(PROVED, elsewhere=-0.1)
     assert not proof.stands(kind=Kind.ALL)
@@ -258,12 +276,15 @@ def driven(seed, legs, **options):
     return simulated_drive(travel(legs, rng), rng, Vehicle(ROBOT), receiver=None, **options)
 
 
-def follow(drive, machine):
-    """Let the machine decide along a drive; returns its decisions with their seconds."""
+def follow(drive, machine, told=lambda stamp: stamp):
+    """Let the machine decide along a drive; returns its decisions with their seconds.
+
+    The machine is told other stamps than the true ones where `told` says so.
+    """
     made = []
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
-        if machine.add(stamp, field, force, rate):
+        if machine.add(told(stamp), field, force, rate):
             for decision in machine.note(run(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
@@ -287,6 +308,33 @@ def test_an_ordinary_drive_calibrates_from_nothing():
     assert len(applied) == 1
     assert all(0.0 < decision.clock <= seconds for seconds, decision in made)
     assert heading_error(applied[0].calibration.correction, ROBOT) < 5.0
+
+
+HOURS = 5 * 3600.0
+JUMPS = {
+    "blip": lambda seconds: HOURS if 100.0 < seconds < 101.0 else 0.0,
+    "jump": lambda seconds: HOURS if seconds > 100.0 else 0.0,
+    "ten_minutes": lambda seconds: 600.0 if seconds > 100.0 else 0.0,
+    "back": lambda seconds: -600.0 if seconds > 100.0 else 0.0,
+    "epoch": lambda seconds: 2e9 if 100.0 < seconds < 101.0 else 0.0,
+    "often": lambda seconds: HOURS if seconds % 30.0 < 0.3 else 0.0,
+}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("jump", JUMPS)
+def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
+    drive = driven(5, city(np.random.default_rng(5), 360.0))
+    begun = float(drive.time[0])
+    machines = [SelfCalibration(Mode.APPLY) for _ in range(2)]
+    undisturbed = follow(drive, machines[0])
+    made = follow(drive, machines[1], lambda stamp: stamp + JUMPS[jump](stamp - begun))
+    first, usual = (
+        next(seconds for seconds, decision in each if decision.verb is Verb.APPLIED)
+        for each in (made, undisturbed)
+    )
+    assert first < usual + 75.0
+    assert machines[1].seconds == pytest.approx(machines[0].seconds, abs=15.0)
 
 
 @pytest.mark.nightly

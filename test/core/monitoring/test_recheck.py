@@ -89,6 +89,18 @@ def test_a_steady_gyro_bias_is_no_fault(calibration):
     assert result.state == "holds", result.verdict.summary
 
 
+def test_a_compass_that_spins_once_beside_iron_is_no_fault(calibration):
+    """Iron takes the level field away for a moment: the compass goes once round by itself."""
+    clean = window(seed=7, samples=6000, duration=120.0, arc=4 * math.tau)
+    body = calibration.correction.apply(clean.field)
+    spin = np.interp(clean.time - clean.time[0], [20.0, 20.1], [0.0, math.tau])
+    cosine, sine = np.cos(spin), np.sin(spin)
+    x, y = cosine * body[:, 0] - sine * body[:, 1], sine * body[:, 0] + cosine * body[:, 1]
+    raw = calibration.correction.undo(np.column_stack([x, y, body[:, 2]]))
+    result = check(dataclasses.replace(clean, field=raw), calibration)
+    assert result.state == "holds", result.verdict.summary
+
+
 def test_wobble_and_vibration_are_no_fault(calibration):
     wobble = smooth_wobble(np.random.default_rng(8), 700, 14.0, math.radians(4.0))
     shaky = moved(noise_force=0.5)

@@ -33,15 +33,27 @@ def test_where_chance_reaches_the_bound_nothing_is_shown():
     assert "not shown" in found.words
 
 
-def test_means_over_headings_scatter_by_how_rarely_each_was_visited():
+@pytest.mark.parametrize("visits", [4, 40])
+def test_chance_is_as_large_as_few_visits_may_make_it(visits):
+    """One bend of the field a visit, and no swing: chance explains it 19 times of 20."""
     rng = np.random.default_rng(2)
-    visits, sectors, per = 4, 36, 10
-    around = np.tile(np.repeat(np.arange(sectors), per), visits)
-    visit = np.repeat(np.arange(visits), sectors * per)
-    places = rng.normal(0.0, 1.0, (visits, sectors))
-    values = places[visit, around] + np.sin(around)
-    assert scatter_of_means(values, around, visit) == pytest.approx(0.5, rel=0.2)
-    assert scatter_of_means(values[: sectors * per], around[: sectors * per], visit[:360]) == 0.0
+    around, visit = np.tile(np.arange(36), visits), np.repeat(np.arange(visits), 36)
+    misses = 0
+    for _ in range(200):
+        phase = np.arange(36) * (math.tau / 36)
+        waves = np.array([np.cos(phase), np.sin(phase), np.cos(2.0 * phase), np.sin(2.0 * phase)])
+        values = (rng.normal(0.0, 1.0, (visits, 4)) @ waves).ravel()
+        seen = values.reshape(visits, 36).mean(axis=0).std()
+        misses += bool(seen > scatter_of_means(values, around, visit))
+    assert misses <= 0.12 * 200
+    assert scatter_of_means(values[:36], around[:36], visit[:36]) == 0.0
+
+
+def test_what_a_drive_shows_of_iron_replaces_what_its_streets_hide():
+    hidden = check_beside_chance(BOUND, degrees(8.0), degrees(9.0), None, decided=True)
+    assert hidden.grade is Grade.GOOD
+    clear = check_beside_chance(BOUND, degrees(12.0), degrees(1.0), None, decided=True)
+    assert clear.grade is Grade.REFUSED
 
 
 def through_streets(seed, added):

@@ -137,6 +137,16 @@ def test_memory_stays_bounded_and_time_that_goes_back_starts_all_over():
     assert not watch.watched.is_stale
 
 
+@pytest.mark.parametrize("hours", [5.0, -0.2])
+def test_a_jump_of_time_makes_no_warning_older(hours):
+    watch, _ = watched([changed(4.0)], [9], seed=3)
+    minutes = watch.watched.minutes
+    assert watch.watched.is_stale
+    drive(watch, PROMISE, [changed(4.0)], [6], start=1540.0 + hours * 3600.0, seed=3)
+    assert watch.watched.is_stale
+    assert minutes <= watch.watched.minutes < minutes + 7.0
+
+
 def test_gaps_and_repeats_do_no_harm():
     class Holed(Watch):
         def add(self, stamp, *rest):

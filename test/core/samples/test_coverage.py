@@ -37,6 +37,10 @@ class TestCoverage:
         assert math.degrees(coverage.gap) == pytest.approx(360.0 - arc, abs=1e-6)
         assert math.degrees(coverage.turned) == pytest.approx(sense * arc, abs=1e-6)
 
+    @pytest.mark.parametrize(("last", "arc"), [(358.0, 360.0), (350.0, 350.0)])
+    def test_the_distance_between_two_samples_is_no_gap(self, last, arc):
+        assert math.degrees(Coverage.of(sweep(0.0, last)).arc) == pytest.approx(arc)
+
     @given(st.lists(st.floats(-50.0, 50.0), min_size=2, max_size=60))
     def test_going_over_it_again_or_in_another_order_changes_no_arc(self, headings):
         once = Coverage.of(np.array(headings))

@@ -27,7 +27,7 @@ def test_the_factor_named_brings_the_field_back_to_tesla(tesla, name, per_tesla,
     assert tesla * per_tesla * float(factor) == pytest.approx(tesla)
 
 
-@pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e5, math.inf, math.nan])
+@pytest.mark.parametrize("size", [0.0, 48e-6, 1e-3, 0.049, 6e6, math.inf, math.nan])
 def test_where_no_unit_fits_nothing_is_said(size):
     assert likely_field_unit(size) == ""
 

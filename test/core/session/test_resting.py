@@ -8,6 +8,7 @@ import pytest
 from uneven_turns import DEGREE, REST, ROBOT, SECONDS, collected, driven, evenly, stop_and_go
 
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.session import resting
 
 BIAS = np.array([0.3, -0.2, 0.1]) * DEGREE
 
@@ -25,6 +26,18 @@ def test_rests_before_and_after_are_no_part_of_the_turn(course):
         assert rest.rate_sigma < 4e-4
         assert rest.field_sigma < 0.1e-6
         np.testing.assert_allclose(rest.turned, np.eye(3), atol=1e-3)
+
+
+def test_a_rest_that_ended_long_before_the_turn_is_no_rest_beside_it(monkeypatch):
+    """A long recording is thinned, which may leave a minute between the two."""
+    _, window = driven(evenly)
+    time = np.where(np.arange(len(window)) < 30, window.time - 60.0, window.time)
+    rows = np.column_stack([time, window.field, window.specific_force, window.angular_rate])
+    ends = slice(0, 30), slice(len(rows) - 30, len(rows))
+    monkeypatch.setattr(resting, "rests_around", lambda *_: ends)
+    turn, rests, _ = resting.apart_from_rests(rows)
+    assert len(turn) == len(rows) - 60
+    assert [rest.beside for rest in rests] == [rows[-31, 0]]
 
 
 def test_even_a_small_bias_is_taken_off():

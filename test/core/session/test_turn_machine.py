@@ -7,6 +7,7 @@ from scene import BAD, GOOD, SHORT, Scene
 
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.session.turn_events import (
+    Broken,
     CancelAsked,
     FinishAsked,
     FitDone,
@@ -86,8 +87,20 @@ def test_finish_fits_what_there_is_and_says_by_whom_it_was_ended():
     scene.open()
     scene.live(8.0, 0.5)
     assert scene.tell(FinishAsked()) is None
-    assert scene.tell(FinishAsked()).message == "already fitting"
+    assert scene.turn.state is TurnState.FITTING
+    assert scene.tell(FinishAsked()) is None
     assert scene.until_concluded().message.startswith("finished by hand; ")
+
+
+def test_finish_after_the_turn_has_ended_by_itself_waits_for_its_verdict():
+    for state in (TurnState.FITTING, TurnState.SAVING):
+        scene = Scene()
+        scene.open()
+        scene.live(60.0, 0.5, stop=lambda scene=scene, state=state: scene.turn.state is state)
+        assert scene.turn.state is state
+        assert scene.tell(FinishAsked()) is None
+        assert scene.until_concluded().success
+        assert len(asked_for(scene, FitTurn)) == 1
 
 
 def test_finish_of_too_little_is_refused_with_what_was_seen_and_not_fitted():
@@ -210,6 +223,61 @@ def test_the_preview_of_a_turn_that_is_gone_says_nothing_of_the_next():
     assert scene.turn.progress.heading_sigma == math.inf
 
 
+class TestAnotherSensor:
+    @pytest.mark.parametrize("changed", [("spare", "imu"), ("mag", "spare")])
+    @pytest.mark.parametrize("state", [TurnState.COLLECTING, TurnState.FITTING])
+    def test_that_comes_in_the_middle_of_a_turn_ends_it(self, state, changed):
+        scene = Scene()
+        scene.tell(SensorsMet("mag", "imu"))
+        scene.open()
+        scene.live(60.0, 0.5, stop=lambda: scene.turn.state is state)
+        scene.live(0.1, 0.5)
+        scene.tell(SensorsMet(*changed))
+        assert not scene.conclusion.success
+        assert "to 'spare' during the turn" in scene.conclusion.message
+        scene.live(5.0)
+        assert len(scene.concluded) == 1
+        assert not scene.in_force
+
+    def test_stops_a_robot_that_turns_itself(self):
+        scene = Scene(speed=0.8)
+        scene.tell(SensorsMet("mag", "imu"))
+        scene.open()
+        scene.until_moving()
+        scene.tell(SensorsMet("spare", "imu"))
+        assert not scene.conclusion.success
+        scene.assert_stopped_and_silent()
+
+    def test_is_none_that_names_itself_late_or_only_now_and_then(self):
+        scene = Scene()
+        scene.open()
+        for field, imu in (("", "imu"), ("mag", "imu"), ("", ""), ("mag", "imu")):
+            scene.live(1.0, 0.5)
+            scene.tell(SensorsMet(field, imu))
+        assert scene.until_concluded(yaw_rate=0.5).success
+
+    def test_does_not_get_what_was_fitted_for_the_one_before(self):
+        scene = Scene(outcome=SHORT)
+        scene.tell(SensorsMet("mag", "imu"))
+        scene.open()
+        scene.until_concluded(yaw_rate=0.5)
+        assert not scene.turn.outcome_is_of_others
+        scene.tell(SensorsMet("spare", "imu"))
+        assert scene.turn.outcome_is_of_others
+
+
+def test_what_breaks_ends_the_turn_in_every_state():
+    for state in (TurnState.COLLECTING, TurnState.FITTING, TurnState.SAVING):
+        scene = Scene()
+        scene.tell(Broken("no turn"))
+        assert not scene.concluded
+        scene.open()
+        scene.live(60.0, 0.5, stop=lambda scene=scene, state=state: scene.turn.state is state)
+        scene.tell(Broken("no room"))
+        assert scene.conclusion.message == "no room"
+        assert scene.turn.state is TurnState.IDLE
+
+
 class TestKeptTurns:
     def after_one(self):
         scene = Scene()
@@ -232,7 +300,7 @@ class TestKeptTurns:
 
     def test_turns_of_another_sensor_are_not_joined(self):
         scene = self.after_one()
-        scene.tell(SensorsMet("another imu"))
+        scene.tell(SensorsMet("another", "imu"))
         assert self.kept_by_the_next(scene) == 0
 
     def test_a_turn_alone_forgets_those_before(self):

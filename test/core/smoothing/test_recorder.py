@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 
 BIAS = np.radians([3.5, -2.0, 1.9])
@@ -110,3 +111,34 @@ def test_who_knows_nothing_takes_nothing_off():
     log = DriveRecorder().log()
     assert not len(log)
     assert math.isinf(log.bias_sigma)
+
+
+@pytest.mark.parametrize("jump", [18000.0, 10.0, -18000.0, 2e9])
+def test_a_jump_of_time_ends_a_piece_and_the_next_follows_it(ride, jump):
+    ride.go(20.0, rate=0.4)
+    ride.stamp += jump
+    ride.go(20.0, rate=0.4)
+    log = ride.recorder.log()
+    steps = np.diff(log.time)
+    assert 36.0 < ride.recorder.seconds < 41.0
+    assert (steps > 0.0).all()
+    assert np.count_nonzero(steps > STREAMS.longest_gyro_step) == 1
+
+
+@pytest.mark.parametrize("seconds", [0.1, 1.0, 4.0])
+@pytest.mark.parametrize("jump", [18000.0, -18000.0])
+def test_a_blip_of_time_is_dropped(ride, jump, seconds):
+    ride.go(20.0, rate=0.4)
+    ride.stamp += jump
+    ride.go(seconds, rate=-0.4)
+    ride.stamp -= jump
+    ride.go(20.0, rate=0.4)
+    assert 36.0 < ride.recorder.seconds < 41.0
+    assert (ride.recorder.log().rate[:, 2] > 0.0).all()
+
+
+def test_where_time_jumps_all_the_while_nothing_is_remembered(ride):
+    for _ in range(20):
+        ride.go(2.0, rate=0.4)
+        ride.stamp += 100.0
+    assert ride.recorder.seconds < 4.0

@@ -135,16 +135,8 @@ def visible_motion(values: FloatArray) -> bool:
 
 
 def seen_arc(block: TurnBlock) -> float:
-    """Return how much of the circle the inliers cover, radians up to a full turn.
-
-    The turn minus its largest hole; a hole of a few samples' spacing is none.
-    """
-    angle = turns_about_z(block.place.state.attitude[block.weighting.inliers])
-    seen = Coverage.of(angle)
-    if len(angle) < 2:
-        return seen.arc
-    usual = seen.arc / (len(angle) - 1)
-    return 2.0 * math.pi if seen.gap < 4.0 * usual else seen.arc
+    """Return how much of the circle the inliers cover, radians up to a full turn."""
+    return Coverage.of(turns_about_z(block.place.state.attitude[block.weighting.inliers])).arc
 
 
 def check_solution(

@@ -48,7 +48,7 @@ def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
     outcome = calibrate(window, known(robot))
     assert outcome.verdict.accepted
     assert outcome.verdict.quality is Grade.WARN
-    assert any("lets through" in check.words for check in outcome.verdict.checks)
+    assert any("reaches the sensor" in check.words for check in outcome.verdict.checks)
     assert outcome.estimate.figures[Figure.LEVEL_SHARE] == pytest.approx(share, abs=0.04)
     assert level_error(outcome.estimate, robot) < 2.0 * DEGREE
 

@@ -1,0 +1,71 @@
+"""A turn whose gyro is dead in an axis or counts in another unit is refused in those words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.doctor.refusal import blamed_on_sensors, wrong_axes
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+
+
+@pytest.fixture(scope="module")
+def window():
+    rng = np.random.default_rng(2)
+    sway = smooth_wobble(rng, 600, 20.0, 0.0175, (0.2, 2.0))
+    motion = turn(arc=6.8, samples=600, duration=20.0, start_rpy=(0.02, 0.03, 0.0), wobble=sway)
+    robot = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
+    return measure(robot, motion, rng, gyro=True)
+
+
+def with_rate(window, *axes):
+    """The window with other axes of its gyro; None for one that is dead."""
+    columns = [np.zeros(len(window)) if k is None else window.angular_rate[:, k] for k in axes]
+    return replace(window, angular_rate=np.column_stack(columns))
+
+
+def test_a_good_gyro_is_not_refused(window):
+    assert wrong_axes(window, Knowledge()) is None
+
+
+@pytest.mark.parametrize(
+    ("axes", "words"),
+    [
+        ((None, None, 2), "the gyro's x and y never change"),
+        ((0, None, 2), "the gyro's y never changes"),
+        ((2, None, None), "y and z never change: the driver does not read them, and gives the "
+         "turn about z as x"),
+    ],
+)  # fmt: skip
+def test_a_dead_axis_is_named_with_the_way_out(window, axes, words):
+    turned = with_rate(window, *axes)
+    found = wrong_axes(turned, Knowledge())
+    assert found.reason is Reason.AXES_DISAGREE
+    assert words in str(found)
+    assert "calibrated without a gyro" in str(found)
+    unseen = Refusal(Reason.ARC_TOO_SHORT, "nothing was seen of a turn")
+    assert words in str(blamed_on_sensors(unseen, turned, Knowledge()))
+
+
+def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
+    robot = Robot(noise_rate=0.0)
+    window = measure(robot, turn(samples=300), np.random.default_rng(1), gyro=True)
+    level = with_rate(window, None, None, 2)
+    assert wrong_axes(level, Knowledge()) is None
+    assert calibrate(level, robot.knowledge()).verdict.accepted
+
+
+def test_a_fit_with_a_dead_axis_is_refused_and_without_the_gyro_it_is_not(window):
+    outcome = calibrate(with_rate(window, None, None, 2), Knowledge())
+    assert not outcome.verdict.accepted
+    assert "the gyro's x and y never change" in outcome.verdict.summary
+    assert calibrate(replace(window, angular_rate=None), Knowledge()).verdict.accepted
+
+
+def test_rates_in_another_unit_are_said_as_such(window):
+    outcome = calibrate(replace(window, angular_rate=562.0 * window.angular_rate), Knowledge())
+    assert outcome.reason is Reason.AXES_DISAGREE
+    assert "the gyro's rates are 562 times too large" in outcome.verdict.summary

@@ -1,0 +1,62 @@
+"""The page on a drive: its map in degrees, and how the compass goes against course."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.keeping.story import DrivePath, DriveStory, path_along
+from magcal_ros.report.drive_page import render_drive
+
+ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
+
+
+def story(place):
+    path = DrivePath(np.arange(5.0), np.array(place, dtype=float), ERRORS, True, True)
+    return DriveStory((), None, None, 60.0, 50.0, "nothing", path)
+
+
+def test_the_map_shows_degrees():
+    page = render_drive(story([[0, 0], [10, 0], [20, 0], [30, 0], [40, 0]]), "a drive")
+    for name in ("0 to 2°: 20 %", "2 to 5°: 20 %", "more than 20°: 20 %"):
+        assert name in page
+    assert "On 40 % of the points it was less than 5°" in page
+    assert "µT:" not in page
+
+
+def test_start_and_end_of_a_loop_are_named_together():
+    apart = render_drive(story([[0, 0], [10, 0], [20, 10], [30, 0], [40, 0]]), "a drive")
+    assert ">start</text>" in apart
+    assert ">end</text>" in apart
+    loop = render_drive(story([[0, 0], [10, 0], [20, 10], [10, 10], [0.2, 0]]), "a drive")
+    assert ">start and end</text>" in loop
+    assert ">end</text>" not in loop
+
+
+def test_no_name_is_written_over_the_scale():
+    page = render_drive(story([[0, 0], [10, 5], [20, 10], [30, 5], [40, 8]]), "a drive")
+    start, bar = (
+        float(re.search(rf'y="([0-9.]+)"[^>]*>{name}<', page)[1]) for name in ("start", "[0-9]+ m")
+    )
+    assert bar - start > 16.0  # the height of its letters
+
+
+def test_the_offset_against_course_stands_on_the_page():
+    told = replace(story([[k, 0] for k in range(5)]), course="compass less course +3.0° ±1.0°")
+    assert 'id="course">After: compass less course +3.0°' in render_drive(told, "a drive")
+
+
+def test_a_disturbance_across_the_level_field_may_turn_the_heading_by_its_angle():
+    strength, dip = 50e-6, math.radians(60.0)
+    correction = Correction(np.eye(3), np.zeros(3))
+    evidence = Evidence("smoother", "good", "good", "")
+    calibration = Calibration(correction, np.eye(12) * 1e-14, 5e-7, 0.01, strength, dip, evidence)
+    clean = np.array([0.0, strength * math.cos(dip), -strength * math.sin(dip)])
+    raw = np.array([clean, clean + np.array([0.0, 5e-6, 0.0]), clean])
+    up = np.tile([0.0, 0.0, 1.0], (3, 1))
+    path = path_along(calibration, np.arange(3.0), raw, up, np.ones(3))
+    assert np.degrees(path.error) == pytest.approx([0.0, math.degrees(math.atan(0.2)), 0.0])

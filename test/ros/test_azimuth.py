@@ -1,0 +1,89 @@
+"""Where compass_interfaces is installed, the yaw is published as its Azimuth, too."""
+
+import math
+import struct
+import sys
+from types import ModuleType, SimpleNamespace
+
+import pytest
+from std_msgs.msg import Header
+
+from magcal_ros.core.heading.compass import Heading
+from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.knowledge import Belief, ReferenceField
+from magcal_ros.ros.messages import azimuth_message
+from magcal_ros.ros.outputs import HeadingOutput
+
+HEADING = Heading(0.0, 0.0, 1.0, 1e-4, 4e-4, 0.0, 0.0)
+DECLINATION = math.radians(7.0)
+PLACE = ReferenceField(Belief(48e-6, 1e-6), Belief(1.1, 0.01), DECLINATION, 0.01)
+
+
+class Azimuth:
+    """As compass_interfaces 3.0.6 lays it out."""
+
+    UNIT_RAD, UNIT_DEG = 0, 1
+    ORIENTATION_ENU, ORIENTATION_NED = 0, 1
+    REFERENCE_MAGNETIC, REFERENCE_GEOGRAPHIC, REFERENCE_UTM = 0, 1, 2
+
+    def __init__(self):
+        self.header = Header()
+        self.azimuth = self.variance = math.nan
+        self.unit = self.orientation = self.reference = 255
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    module = ModuleType("compass_interfaces.msg")
+    module.Azimuth = Azimuth
+    monkeypatch.setitem(sys.modules, "compass_interfaces", ModuleType("compass_interfaces"))
+    monkeypatch.setitem(sys.modules, "compass_interfaces.msg", module)
+
+
+def topics_of_outputs():
+    """Return what the outputs publish, type by topic, and what they published."""
+    published, kinds = [], {}
+
+    def create(kind, topic, qos):
+        kinds[topic] = kind
+        return SimpleNamespace(
+            get_subscription_count=lambda: int(topic.endswith("/rad")),
+            publish=lambda message: published.append((topic, message)),
+        )
+
+    view = SimpleNamespace(heading=lambda heading: heading)
+    seat = SimpleNamespace(view=view, frame=lambda frame: frame)
+    return HeadingOutput(SimpleNamespace(create_publisher=create), seat), kinds, published
+
+
+def arrived(outputs, reference):
+    moment = Moment(12.0, (0.0, 0.0, 0.0), None, HEADING, None)
+    outputs.publish(moment, struct.pack("<iI", 12, 34), "imu_link", reference)
+
+
+def test_without_the_package_nothing_of_it_is_advertised():
+    assert not [topic for topic in topics_of_outputs()[1] if topic.endswith("/rad")]
+
+
+def test_both_norths_are_published_where_the_declination_is_known(installed):
+    outputs, kinds, published = topics_of_outputs()
+    assert kinds["compass/mag/enu/rad"] is kinds["compass/true/enu/rad"] is Azimuth
+    arrived(outputs, PLACE)
+    magnetic, true = (dict(published)[f"compass/{north}/enu/rad"] for north in ("mag", "true"))
+    assert (magnetic.reference, true.reference) == (0, 1)
+    assert magnetic.azimuth == pytest.approx(1.0)
+    assert true.azimuth == pytest.approx(1.0 - DECLINATION)
+    assert true.header.frame_id == "imu_link"
+    assert (true.header.stamp.sec, true.header.stamp.nanosec) == (12, 34)
+
+
+def test_without_a_declination_there_is_no_true_azimuth(installed):
+    outputs, _, published = topics_of_outputs()
+    arrived(outputs, ReferenceField())
+    assert [topic for topic, _ in published] == ["compass/mag/enu/rad"]
+
+
+def test_the_variance_holds_the_declinations_own():
+    stamp = struct.pack("<iI", 0, 0)
+    assert azimuth_message(Azimuth, stamp, "", HEADING).variance == pytest.approx(4e-4)
+    assert azimuth_message(Azimuth, stamp, "", HEADING, PLACE).variance == pytest.approx(5e-4)

@@ -1,0 +1,135 @@
+"""Whatever fails around a turn, everyone who waits for it is answered."""
+
+import dataclasses
+import errno
+import os
+import time
+
+import numpy as np
+from support import REFERENCE, ROBOT
+
+from magcal_ros.core.samples.streams import ImuSample, Streams
+from magcal_ros.core.session.self_turn import SelfTurn
+from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.ros import aside
+from magcal_ros.ros.control import Control
+from magcal_ros.ros.parameter_table import PARAMETERS
+from magcal_ros.ros.settings import Settings
+
+
+class AtOnce:
+    """Does all work where it is asked for."""
+
+    def run(self, work, then, otherwise):
+        try:
+            found = work()
+        except Exception as error:
+            otherwise(error)
+        else:
+            then(found)
+
+    def finish_within(self, _):
+        return True
+
+
+class House:
+    """What a node does for a turn, where nothing is to be done."""
+
+    def __init__(self):
+        self.errors = []
+
+    def put_in_force(self, _):
+        return lambda: "In force."
+
+    def begin_report(self, *_):
+        return ""
+
+    def describe_silence(self):
+        return "/mag has been silent"
+
+    def turn_ended(self):
+        pass
+
+    def note_error(self, error):
+        self.errors.append(error)
+
+
+def no_room(*_, **__):
+    raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+
+def begun_in(house):
+    """Return the control of a turn that nobody has ended yet."""
+    streams = Streams(0.2)
+    control = Control(streams, house, SelfTurn(), AtOnce(), AtOnce())
+    settings = Settings.of({**{s.name: s.default for s in PARAMETERS}, **REFERENCE})
+    assert control.start(dataclasses.replace(settings)).success
+    ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=50.0, steps_per_field=2)
+    for _ in range(800):
+        for sample in ride.step(0.5):
+            if isinstance(sample, ImuSample):
+                streams.add_imu(sample)
+            elif streams.add_field(sample):
+                control.add(sample)
+    return control
+
+
+def turn_in(house):
+    """Return what everyone is told of a turn, two of them waiting."""
+    control, told = begun_in(house), []
+    control.when_done(told.append)
+    control.when_done(told.append)
+    try:
+        control.finish()
+    except OSError as error:
+        house.note_error(error)
+    assert control.state is TurnState.IDLE
+    control.shut_down()
+    first, second = told
+    assert first is second
+    return first
+
+
+def test_no_room_for_the_process_that_fits(monkeypatch):
+    monkeypatch.setattr(aside, "start", no_room)
+    answer = turn_in(House())
+    assert not answer.success
+    assert "cannot be started: Too many open files" in answer.message
+
+
+def test_no_room_for_the_report():
+    house = House()
+    house.begin_report = no_room
+    answer = turn_in(house)
+    assert answer.success
+    assert "No report: [Errno 24] Too many open files" in answer.message
+    assert len(house.errors) == 1
+
+
+def test_no_room_for_putting_it_in_force():
+    house = House()
+    house.put_in_force = no_room
+    answer = turn_in(house)
+    assert not answer.success
+    assert "Too many open files" in answer.message
+    assert len(house.errors) == 1
+
+
+def test_no_room_for_what_the_end_needs():
+    house = House()
+    house.turn_ended = no_room
+    assert turn_in(house).success
+    assert len(house.errors) == 1
+
+
+def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():
+    control = begun_in(House())
+    until = time.monotonic() + 60.0
+    while control.state is not TurnState.IDLE and time.monotonic() < until:
+        control.tick()
+    answer = control.finish()
+    assert answer.success, answer.message
+    assert answer.message.startswith("Calibrated")
+    assert "~/start" in control.finish().message
+    control.shut_down()
