@@ -12,7 +12,6 @@ from magcal_ros.core.smoother.model import Model, Point, course_at, evidence, so
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.sizes import (
-    effect_factor,
     effect_factors,
     expected_square,
     noise_sizes,
@@ -220,8 +219,8 @@ def _covariance(
         name: expected_square(size, (shown or {}).get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
     }
-    axes = effect_factor(model, point, solution, "axes", expected=True)
-    groups = {**point.groups, "axes": max(axes, point.groups["axes"])}
+    expected = effect_factors(model, point, solution, frozenset({"axes"}))
+    groups = {**point.groups, "axes": max(expected["axes"], point.groups["axes"])}
     _, widened = solve_at(model, replace(point, sizes=wide, groups=groups))
     out, free = np.zeros((SHARED, SHARED)), model.free
     out[np.ix_(free, free)] = widened.covariance[: len(free), : len(free)]

@@ -34,6 +34,9 @@ GAUSSIAN = 1e9
 LEAST_VARIANCE = 1e-9
 """Added to the variance of the processes' steps, which would be zero at rest."""
 
+LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most
+"""µT per axis."""
+
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -107,7 +110,7 @@ class Point:
             state,
             course_at(model, state),
             {name: size.usual for name, size in model.priors.sizes.items()},
-            dict.fromkeys(AT, 1.0),
+            _usual_groups(model.priors, state),
             Places.none(len(model.nodes), model.priors.lengths.street),
             np.full(len(model.nodes), 2.0 * model.speed**2),
         )
@@ -123,6 +126,17 @@ class Point:
         return replace(self, state=replace(state, local=local), places=places)
 
 
+def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
+    """Return the factors of the groups' sigmas at a start: larger where it is beyond the usual."""
+    found = dict.fromkeys(AT, 1.0)
+    for name, at in AT.items():
+        scale = priors.scale[at]
+        if priors.spread[name] > 0.0 and scale.all():
+            off = (state.shared - priors.mean)[at] / scale
+            found[name] = float(np.clip(np.sqrt(np.mean(off**2)), 1.0, UNKNOWNS[name].most))
+    return found
+
+
 def course_at(model: Model, state: State) -> Course:
     """Return where the robot rests, by the bias at a state."""
     bias = state.shared[AT["gyro_bias"]]
@@ -134,6 +148,8 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, beliefs, places = nodes.seconds, model.priors.sizes, point.places
     per_node = np.median(nodes.count) / nodes.count
+    # The share of an edge's node in which motors run is uniform between zero and one.
+    per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
 

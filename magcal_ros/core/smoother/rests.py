@@ -28,7 +28,10 @@ class Course:
     axes : ndarray, shape (3, 3)
         The body's level axes: ahead, left and up in body axes, as columns.
     moving : ndarray, shape (n,)
-        One where the robot moves, else zero.
+        Expected share of the node in which the robot moves: one, zero at rest, and a half where
+        it starts or stops.
+    edge : ndarray of bool, shape (n,)
+        Whether the robot starts or stops there; the share is between zero and one then.
     still : ndarray of bool, shape (n,)
         Whether the robot rests there.
     span : ndarray, shape (n,)
@@ -38,6 +41,7 @@ class Course:
     nodes: Nodes
     axes: FloatArray
     moving: FloatArray
+    edge: BoolArray
     still: BoolArray
     span: FloatArray
 
@@ -50,4 +54,6 @@ class Course:
         lonely = ~(np.append(quiet[1:], False) | np.insert(quiet[:-1], 0, False))
         still = quiet & ~lonely
         span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
-        return cls(nodes, axes, (~still).astype(float), still, span)
+        edge = ~still & (np.append(still[1:], False) | np.insert(still[:-1], 0, False))
+        moving = np.where(edge, 0.5, (~still).astype(float))
+        return cls(nodes, axes, moving, edge, still, span)

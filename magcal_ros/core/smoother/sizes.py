@@ -105,37 +105,67 @@ def expected_square(size: float, shown: float, belief: Size) -> float:
     return size * math.exp(1.0 / (2.0 * shown + belief.spread**-2.0))
 
 
-def effect_factors(model: Model, point: Point, solution: Solution) -> dict[str, float]:
-    """Return the most likely factors of the effects' sigmas."""
-    return {name: effect_factor(model, point, solution, name) for name in AT}
+def effect_factors(
+    model: Model, point: Point, solution: Solution, expected: frozenset[str] = frozenset()
+) -> dict[str, float]:
+    """Return the most likely factors of the effects' sigmas, or the roots of their mean squares.
+
+    Each group's factor is chosen with the others at their new values, one after the other: two
+    effects that explain the same samples do not both vanish because the other is there.
+
+    Parameters
+    ----------
+    model : Model
+    point : Point
+        Its shared unknowns are at their posterior mean.
+    solution : Solution
+        The covariance, by the point's factors.
+    expected : frozenset of str
+        Groups of which the root of the mean square is wanted.
+    """
+    free, found = model.free, dict(point.groups)
+    # By the samples and the fixed priors alone, each unknown over its usual sigma.
+    scale = np.concatenate([model.priors.scale[free], np.ones(3 * len(point.places))])
+    information = np.linalg.inv(solution.covariance / np.outer(scale, scale))
+    off = (point.state.shared - model.priors.mean)[free]
+    off = np.concatenate([off, point.state.centres.ravel()]) / scale
+    by_samples = information @ off
+    for name, spread in model.priors.spread.items():
+        at = AT[name]
+        rows = np.flatnonzero((free >= at.start) & (free < at.stop))
+        if spread == 0.0 or not len(rows):
+            continue
+        covariance = np.linalg.inv(information)
+        own = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        mean = covariance[rows] @ by_samples
+        factor = _factor(name, spread, own, mean, found[name], is_expected=name in expected)
+        information[rows, rows] += factor**-2.0 - found[name] ** -2.0
+        found[name] = factor
+    return found
 
 
-def effect_factor(
-    model: Model, point: Point, solution: Solution, name: str, *, expected: bool = False
+def _factor(
+    name: str,
+    spread: float,
+    posterior: FloatArray,
+    mean: FloatArray,
+    before: float,
+    *,
+    is_expected: bool,
 ) -> float:
     """Return the most likely factor of a group's sigmas, or the root of its mean square.
 
-    Of each group the posterior less its prior is what the samples say, with all else integrated
-    out. From that the marginal likelihood of any other factor follows in closed form.
+    Of a group the posterior less its prior is what the samples say, with all else integrated out.
+    From that the marginal likelihood of any other factor follows in closed form.
     """
-    at, spread = AT[name], model.priors.spread[name]
-    seen = np.flatnonzero(model.priors.scale[at] > 0.0)
-    if spread == 0.0 or not len(seen):
-        return 1.0
-    scale = model.priors.scale[at][seen]
-    rows = np.searchsorted(model.free, at.start + seen)
-    covariance = solution.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
-    posterior = np.linalg.inv(covariance)
-    mean = (point.state.shared[at] - model.priors.mean[at])[seen] / scale
-    own = posterior - np.eye(len(seen)) / point.groups[name] ** 2
-    values, vectors = np.linalg.eigh(own)
+    values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
-    pull = vectors.T @ posterior @ mean
+    drawn = vectors.T @ posterior @ mean
     x = np.linspace(-3.0 * spread, math.log(UNKNOWNS[name].most), GRID)
     square = np.exp(2.0 * x)[:, None]
-    likely = 0.5 * np.sum(square * pull**2 / (1.0 + square * values), axis=1)
+    likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
     likely -= 0.5 * np.sum(np.log1p(square * values), axis=1) + 0.5 * (x / spread) ** 2
-    if not expected:
+    if not is_expected:
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())
     return math.sqrt(float(odds @ square[:, 0] / np.sum(odds)))
