@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.factors import Linear
 from magcal_ros.core.smoother.nodes import Nodes
@@ -109,7 +109,10 @@ class Point:
         return cls(
             state,
             course_at(model, state),
-            {name: size.usual for name, size in model.priors.sizes.items()},
+            {
+                name: size.usual if math.isnan(size.start) else size.start
+                for name, size in model.priors.sizes.items()
+            },
             _usual_groups(model.priors, state),
             Places.none(len(model.nodes), model.priors.lengths.street),
             np.full(len(model.nodes), 2.0 * model.speed**2),
@@ -156,9 +159,16 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     def freedom(name: str) -> float:
         return beliefs[name].freedom if point.is_robust else GAUSSIAN
 
-    def forgets(name: str, which: slice, per_step: FloatArray, level: float) -> Weighted:
+    def forgets(
+        name: str,
+        which: slice,
+        per_step: FloatArray,
+        level: float,
+        where: BoolArray | bool = True,
+    ) -> Weighted:
         keeps = np.exp(-per_step)
         variance = level**2 * (1.0 - keeps**2) + LEAST_VARIANCE
+        variance = np.where(where, variance, math.inf)
         return Weighted(factors.process(state, which, keeps), variance, freedom(name))
 
     def measured(name: str, linear: Linear, scale: FloatArray) -> Weighted:
@@ -166,13 +176,17 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
 
     course, change = point.course, sizes["speed_change"] / model.speed
     steps = way_between(model, point) / places.length
+    # What motors do while they run says nothing of the rest before or after.
+    still = course.still
+    fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
     return {
         "field": measured("field", factors.magnetic(course, state, places), per_node),
         "force": measured("force", factors.force(course, state), per_link),
         "gyro": measured("gyro", factors.gyro(course, state), seconds),
         "street": forgets("street", STREET, steps, sizes["street"]),
-        "body_field": forgets(
-            "body_field", BODY_FIELD, seconds / lengths.body_field, sizes["body_field"]
+        "body_field": forgets("body_field", BODY_FIELD, fades, sizes["body_field"], still[1:]),
+        "motors_noise": forgets(
+            "motors_noise", BODY_FIELD, fades, sizes["motors_noise"], ~still[1:]
         ),
         "speed_change": forgets("speed_change", VELOCITY, 0.5 * seconds * change**2, model.speed),
     }
@@ -205,7 +219,7 @@ def prior_at(model: Model, point: Point) -> Prior:
     local = np.full_like(state.local, LEAST_VARIANCE)
     local[0, VELOCITY] = model.speed**-2.0
     local[0, STREET] = sizes["street"] ** -2.0
-    local[0, BODY_FIELD] = sizes["body_field"] ** -2.0
+    local[0, BODY_FIELD] = _body_field_at_first(point) ** -2.0
     local[point.course.still, VELOCITY] = model.priors.lengths.creep**-2.0
     count = SHARED + 3 * len(places)
     information = np.zeros((count, count))
@@ -248,7 +262,7 @@ def evidence(
     levels = (
         (VELOCITY, model.speed),
         (STREET, sizes["street"]),
-        (BODY_FIELD, sizes["body_field"]),
+        (BODY_FIELD, _body_field_at_first(point)),
     )
     for which, level in levels:
         first = state.local[0, which]
@@ -261,6 +275,11 @@ def evidence(
     for name, belief in model.priors.sizes.items():
         cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
     return cost + _cost_of_shared(model, point)
+
+
+def _body_field_at_first(point: Point) -> float:
+    """Return the size of the body's coloured noise at the first node."""
+    return point.sizes["body_field" if point.course.still[0] else "motors_noise"]
 
 
 def _cost_of_shared(model: Model, point: Point) -> float:

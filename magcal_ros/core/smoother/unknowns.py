@@ -62,6 +62,8 @@ class Size(NamedTuple):
     freedom : float
         Degrees of freedom of the Student distribution of the noise itself.
     unit, meaning, source : str
+    start : float
+        Where the iterations begin, if not at the median.
     """
 
     usual: float
@@ -70,6 +72,7 @@ class Size(NamedTuple):
     unit: str
     meaning: str
     source: str
+    start: float = math.nan
 
 
 UNKNOWNS: dict[str, Unknown] = {
@@ -124,7 +127,11 @@ SIZES: dict[str, Size] = {
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's force", "vibration: .01 to .5"),
     "gyro": Size(0.001, 0.6, 6.0, "rad/√s", "angle random walk", "MEMS: .0002 to .003"),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
-    "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body", "currents: .05 to .5"),
+    "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
+    # It begins wide: else the local disturbance takes what motors do.
+    "motors_noise": Size(
+        0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
+    ),
     "speed_change": Size(0.05, 1.2, 4.0, "m/s/√s", "change of velocity", "cars .5, on the spot 0"),
 }
 
