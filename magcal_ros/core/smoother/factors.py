@@ -184,6 +184,8 @@ def force(course: Course, state: State) -> Linear:
         + by_arm @ shared[AT["lever_arm"]]
     )
     predicted[:, 2] += shared[AT["upward_offset"]][0]
+    moving = 0.5 * (course.moving[1:] + course.moving[:-1])[:, None]
+    predicted += moving * shared[AT["force_moving"]]
     count = len(seconds)
     here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
     here[:, :, ATTITUDE] = -nodes.along @ skews(gravity)
@@ -193,6 +195,7 @@ def force(course: Course, state: State) -> Linear:
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, 2, AT["upward_offset"].start] = 1.0
+    by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
     arm = shared[AT["lever_arm"]]
     sideways = mean @ QUARTER.T @ level.T
     # Of w x (w x r) and of the turning about up, with w = measured - bias.

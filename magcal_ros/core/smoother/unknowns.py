@@ -119,13 +119,21 @@ UNKNOWNS: dict[str, Unknown] = {
     "drift": Unknown(
         (0.15,) * 3, 0.7, 30.0, "µT", "drift of hard iron over the window", ".2 to 1 µT"
     ),
+    "force_moving": Unknown(
+        (0.01,) * 3,
+        1.2,
+        50.0,
+        "m/s²",
+        "shift of the accelerometer while the robot moves",
+        "vibration: most none, some .1",
+    ),
     "upward_offset": Unknown((0.1,), 0.7, 10.0, "m/s²", "accelerometer offset along z", "MEMS: .1"),
 }
 
 SIZES: dict[str, Size] = {
     "field": Size(0.3, 1.5, 6.0, "µT", "noise of a node's field", "MEMS: .1 to 1 µT a sample"),
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's force", "vibration: .01 to .5"),
-    "gyro": Size(0.001, 0.6, 6.0, "rad/√s", "angle random walk", "MEMS: .0002 to .003"),
+    "gyro": Size(0.001, 0.6, 3.0, "rad/√s", "angle random walk", "MEMS: .0002 to .003"),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
     # It begins wide: else the local disturbance takes what motors do.
@@ -256,7 +264,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "motors_rate",
         ):
             scale[AT[name]] = 0.0
-        for name in ("drift", "upward_offset"):
+        for name in ("drift", "force_moving", "upward_offset"):
             scale[AT[name]] = 0.0
         scale[YAW] = 0.0
     if knowledge.soft_iron.sigma_diagonal == 0.0:
