@@ -39,11 +39,6 @@ ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Rows and columns of the numbers of soft iron."""
 
 
-GYRO_ELEMENTS = ((0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1), (2, 2))
-LEAN_ELEMENTS = ((0, 2), (1, 2))
-"""Rows and columns of the numbers of the gyro's scale and misalignment."""
-
-
 def _element_matrices() -> FloatArray:
     out = np.zeros((6, 3, 3))
     for k, (row, column) in enumerate(ELEMENTS):
@@ -52,6 +47,16 @@ def _element_matrices() -> FloatArray:
 
 
 ELEMENT_MATRICES = _element_matrices()
+def _element_matrices() -> FloatArray:
+    out = np.zeros((6, 3, 3))
+    for k, (row, column) in enumerate(ELEMENTS):
+        out[k, row, column] = out[k, column, row] = 1.0
+    return out
+
+
+ELEMENT_MATRICES = _element_matrices()
+LEANS = np.array([[[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, 0, 0], [0, 0, 1], [0, -1, 0]]], float)
+"""What the numbers of the accelerometer's lean add to the gyro's misalignment."""
 X, Y, Z = np.eye(3)
 
 
@@ -94,11 +99,7 @@ def soft_iron(shared: FloatArray) -> FloatArray:
 
 def gyro_matrix(shared: FloatArray) -> FloatArray:
     """Return the gyro's scale and misalignment, shape (3, 3)."""
-    out = np.zeros((3, 3))
-    for name, elements in (("gyro_matrix", GYRO_ELEMENTS), ("gyro_lean", LEAN_ELEMENTS)):
-        rows, columns = np.array(elements).T
-        out[rows, columns] = shared[AT[name]]
-    return out
+    return shared[AT["gyro_matrix"]].reshape(3, 3)
 
 
 def distortion(shared: FloatArray) -> FloatArray:
@@ -183,9 +184,8 @@ def force(course: Course, state: State) -> Linear:
         + acceleration @ level.T
         + by_arm @ shared[AT["lever_arm"]]
     )
-    predicted[:, 2] += shared[AT["upward_offset"]][0]
     moving = 0.5 * (course.moving[1:] + course.moving[:-1])[:, None]
-    predicted += moving * shared[AT["force_moving"]]
+    predicted += shared[AT["force_offset"]] + moving * shared[AT["force_moving"]]
     count = len(seconds)
     here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
     here[:, :, ATTITUDE] = -nodes.along @ skews(gravity)
@@ -194,7 +194,7 @@ def force(course: Course, state: State) -> Linear:
     there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["lever_arm"]] = by_arm
-    by[:, 2, AT["upward_offset"].start] = 1.0
+    by[:, :, AT["force_offset"]] = np.eye(3)
     by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
     arm = shared[AT["lever_arm"]]
     sideways = mean @ QUARTER.T @ level.T
@@ -218,9 +218,9 @@ def gyro(course: Course, state: State) -> Linear:
     there[:, :, ATTITUDE] = np.eye(3)
     by = np.zeros((count, 3, SHARED))
     by[:, :, AT["gyro_bias"]] = -nodes.seconds[:, None, None] * np.eye(3)
-    for name, elements in (("gyro_matrix", GYRO_ELEMENTS), ("gyro_lean", LEAN_ELEMENTS)):
-        for k, (row, column) in enumerate(elements):
-            by[:, row, AT[name].start + k] = -nodes.angle[:, column]
+    for row in range(3):
+        columns = AT["gyro_matrix"].start + 3 * row
+        by[:, row, columns : columns + 3] = -nodes.angle
     return Linear(-off, here, there, by)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
@@ -17,6 +18,11 @@ from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import KINDS, Priors, priors_of
+
+BELIEVED = 0.25
+"""Of the evidence, which is minus twice a logarithm; exact evidence would count by a half.
+
+It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +82,7 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
         if name != best:
             _try(fits, name, nodes, priors, state, fits[best])
     least = min(each.evidence for each in fits.values())
-    odds = {n: math.exp(-0.5 * min(f.evidence - least, 700.0)) for n, f in fits.items()}
+    odds = {n: math.exp(-BELIEVED * min(f.evidence - least, 700.0)) for n, f in fits.items()}
     weights = {name: value / sum(odds.values()) for name, value in odds.items()}
     best = max(weights, key=lambda name: weights[name])
     to_sensor = knowledge.mounting.matrix
@@ -105,10 +111,12 @@ def _try(
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:
-    """Return the best answer with the mean square of all about it as its covariance."""
-    best = found[mode]
+    """Return the mean of the twelve numbers under all answers, with its covariance."""
+    numbers = {name: each.correction.parameters for name, each in found.items()}
+    mean = np.sum([weights[name] * each for name, each in numbers.items()], axis=0)
     covariance = np.zeros((12, 12))
     for name, each in found.items():
-        off = each.correction.parameters - best.correction.parameters
+        off = numbers[name] - mean
         covariance += weights[name] * (each.covariance + np.outer(off, off))
-    return replace(best, covariance=covariance)
+    correction = Correction.from_parameters(mean)
+    return replace(found[mode], correction=correction, covariance=covariance)

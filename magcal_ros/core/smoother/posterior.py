@@ -9,7 +9,8 @@ import numpy as np
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, skew
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
 from magcal_ros.core.smoother.factors import (
     ELEMENT_MATRICES,
     X,
@@ -75,8 +76,9 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
         From nominal body axes to sensor axes (`Mounting.matrix`).
     """
     shared = fit.state.shared
-    correction = correction_of(shared, to_sensor)
-    jacobian = _by_shared(shared, correction, to_sensor)
+    up = unit(np.median(fit.state.attitude[:, :, 2], axis=0))
+    correction = correction_of(shared, to_sensor, up)
+    jacobian = _by_shared(shared, correction, to_sensor, up)
     covariance = jacobian @ fit.covariance @ jacobian.T
     level, down = shared[EARTH] / MICROTESLA
     return Posterior(
@@ -87,13 +89,32 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     )
 
 
-def correction_of(shared: FloatArray, to_sensor: FloatArray) -> Correction:
-    """Return the correction of the shared unknowns, SI units."""
-    matrix = np.asarray(np.linalg.inv(to_sensor @ distortion(shared)))
-    return Correction(matrix, to_sensor @ shared[AT["iron"]] / MICROTESLA)
+def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:
+    """Return the correction of the shared unknowns, SI units.
+
+    It leads to the axes in which the accelerometer shows up, as these are what its users know.
+
+    Parameters
+    ----------
+    shared : ndarray, shape (SHARED,)
+    to_sensor : ndarray, shape (3, 3)
+        From nominal body axes to sensor axes.
+    up : ndarray, shape (3,)
+        Of the level robot, in body axes.
+    """
+    matrix = _to_shown(shared, up) @ np.linalg.inv(to_sensor @ distortion(shared))
+    return Correction(np.asarray(matrix), to_sensor @ shared[AT["iron"]] / MICROTESLA)
 
 
-def _by_shared(shared: FloatArray, correction: Correction, to_sensor: FloatArray) -> FloatArray:
+def _to_shown(shared: FloatArray, up: FloatArray) -> FloatArray:
+    """Return the rotation from body axes to those in which the accelerometer shows up."""
+    shown = unit(STANDARD_GRAVITY * up + shared[AT["force_offset"]])
+    return np.asarray(exp_rotations(np.cross(up, shown)[None])[0])
+
+
+def _by_shared(
+    shared: FloatArray, correction: Correction, to_sensor: FloatArray, up: FloatArray
+) -> FloatArray:
     """Return the derivative of the twelve numbers by the shared unknowns, (12, SHARED)."""
     out = np.zeros((12, SHARED))
     out[9:, AT["iron"]] = to_sensor / MICROTESLA
@@ -103,6 +124,10 @@ def _by_shared(shared: FloatArray, correction: Correction, to_sensor: FloatArray
     axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y, YAW: turn @ Z}
     for k, axis in axes.items():
         changes[k] = -bend @ skew(axis) @ turn
+    back = np.linalg.inv(bend @ turn)
     for k, change in changes.items():
-        out[:9, k] = -(correction.matrix @ to_sensor @ change @ correction.matrix).ravel()
+        out[:9, k] = -(correction.matrix @ to_sensor @ change @ back @ to_sensor.T).ravel()
+    for k, axis in enumerate(np.eye(3)):
+        turned = skew(np.cross(up, axis) / STANDARD_GRAVITY)
+        out[:9, AT["force_offset"].start + k] = (turned @ correction.matrix).ravel()
     return out

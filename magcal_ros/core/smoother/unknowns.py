@@ -91,20 +91,7 @@ UNKNOWNS: dict[str, Unknown] = {
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
     "gyro_matrix": Unknown(
-        (0.008,) * 7,
-        0.5,
-        3.0,
-        "-",
-        "gyro scale and misalignment: xx, xy, yx, yy, zx, zy, zz",
-        "MEMS: .2 to 2%",
-    ),
-    "gyro_lean": Unknown(
-        (0.005,) * 2,
-        0.7,
-        10.0,
-        "-",
-        "gyro misalignment xz, yz: lean of its z axis from the accelerometer's up",
-        "accelerometer offsets of .02 to .5 m/s² count as well",
+        (0.008,) * 9, 0.5, 3.0, "-", "gyro scale and misalignment, by rows", "MEMS: .2 to 2%"
     ),
     "lever_arm": Unknown(
         (0.08,) * 3, 0.5, 4.0, "m", "accelerometer from the pivot", "small robots"
@@ -127,7 +114,9 @@ UNKNOWNS: dict[str, Unknown] = {
         "shift of the accelerometer while the robot moves",
         "vibration: most none, some .1",
     ),
-    "upward_offset": Unknown((0.1,), 0.7, 10.0, "m/s²", "accelerometer offset along z", "MEMS: .1"),
+    "force_offset": Unknown(
+        (0.08, 0.08, 0.08), 0.9, 10.0, "m/s²", "offset of the accelerometer", "MEMS: .02 to .8"
+    ),
 }
 
 SIZES: dict[str, Size] = {
@@ -154,7 +143,7 @@ class KindOfMotion(NamedTuple):
 ON_THE_SPOT = "on the spot"
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 0.08),
-    "small circle": KindOfMotion(0.6, 0.15),
+    "small circle": KindOfMotion(0.8, 0.15),
     "drive": KindOfMotion(6.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
@@ -257,14 +246,13 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if knowledge.systematics.are_none:
         for name in (
             "gyro_matrix",
-            "gyro_lean",
             "lever_arm",
             "latency",
             "motors_moving",
             "motors_rate",
         ):
             scale[AT[name]] = 0.0
-        for name in ("drift", "force_moving", "upward_offset"):
+        for name in ("drift", "force_moving", "force_offset"):
             scale[AT[name]] = 0.0
         scale[YAW] = 0.0
     if knowledge.soft_iron.sigma_diagonal == 0.0:
