@@ -29,8 +29,9 @@ from magcal_ros.core.smoother.unknowns import (
     LOCAL,
     ROLL_PITCH,
     SHARED,
-    SOFT_IRON,
+    SHIELDING,
     STREET,
+    SYMMETRIC,
     VELOCITY,
     YAW,
 )
@@ -57,7 +58,11 @@ def _element_matrices() -> FloatArray:
 ELEMENT_MATRICES = _element_matrices()
 LEANS = np.array([[[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, 0, 0], [0, 0, 1], [0, -1, 0]]], float)
 """What the numbers of the accelerometer's lean add to the gyro's misalignment."""
+LEVEL = np.diag([1.0, 1.0, 0.0])
+"""What shielding adds to the soft iron."""
 X, Y, Z = np.eye(3)
+LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)
+"""Components of a residual in body axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +85,11 @@ class Linear:
     there: FloatArray | None = None
     shared: FloatArray | None = None
 
+    def part(self, components: slice) -> Linear:
+        """Return some components of the residuals."""
+        rest = (None if each is None else each[:, components] for each in (self.there, self.shared))
+        return Linear(self.residual[:, components], self.here[:, components], *rest)
+
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None
@@ -94,7 +104,8 @@ def installation(shared: FloatArray) -> FloatArray:
 
 def soft_iron(shared: FloatArray) -> FloatArray:
     """Return I + E, shape (3, 3)."""
-    return np.eye(3) + np.tensordot(shared[SOFT_IRON], ELEMENT_MATRICES, 1)
+    own = np.eye(3) + np.tensordot(sum(shared[at] for at in SYMMETRIC), ELEMENT_MATRICES, 1)
+    return np.asarray(own + shared[SHIELDING] * LEVEL)
 
 
 def gyro_matrix(shared: FloatArray) -> FloatArray:
@@ -140,7 +151,9 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
     for k in range(6):
-        by[:, :, SOFT_IRON.start + k] = turned @ ELEMENT_MATRICES[k]
+        for at in SYMMETRIC:
+            by[:, :, at.start + k] = turned @ ELEMENT_MATRICES[k]
+    by[:, :, SHIELDING] = turned @ LEVEL
     axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y, YAW: turn @ Z}
     for k, axis in axes.items():
         across = np.cross(turned, axis)

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother import factors
-from magcal_ros.core.smoother.factors import Linear
+from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.rests import Course, level_axes
@@ -151,6 +151,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
     seconds, beliefs, places = nodes.seconds, model.priors.sizes, point.places
     per_node = np.median(nodes.count) / nodes.count
+    per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
     # The share of an edge's node in which motors run is uniform between zero and one.
     per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
@@ -174,15 +175,22 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     def measured(name: str, linear: Linear, scale: FloatArray) -> Weighted:
         return Weighted(linear, sizes[name] ** 2 * scale, freedom(name))
 
+    def turned(name: str, axes: slice) -> Weighted:
+        variance = sizes[name] ** 2 * seconds + nodes.unseen[:, axes].mean(axis=1)
+        return Weighted(gyro.part(axes), variance, freedom(name))
+
     course, change = point.course, sizes["speed_change"] / model.speed
     steps = way_between(model, point) / places.length
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
+    force, gyro = factors.force(course, state), factors.gyro(course, state)
     return {
         "field": measured("field", factors.magnetic(course, state, places), per_node),
-        "force": measured("force", factors.force(course, state), per_link),
-        "gyro": measured("gyro", factors.gyro(course, state), seconds),
+        "force": measured("force", force.part(LEVEL_AXES), per_link),
+        "force_up": measured("force_up", force.part(UP_AXIS), per_link),
+        "gyro": turned("gyro", LEVEL_AXES),
+        "gyro_up": turned("gyro_up", UP_AXIS),
         "street": forgets("street", STREET, steps, sizes["street"]),
         "body_field": forgets("body_field", BODY_FIELD, fades, sizes["body_field"], still[1:]),
         "motors_noise": forgets(

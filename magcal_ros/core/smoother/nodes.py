@@ -13,6 +13,9 @@ from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 
+LONG = 1.5
+"""Of the usual time between samples, from which some are missing."""
+
 
 @dataclass(frozen=True)
 class Spacing:
@@ -65,6 +68,10 @@ class Nodes:
         Change of the turn rate, rad/s².
     samples : ndarray, shape (n - 1,)
         Of force in each mean; zero where there is none.
+    unseen : ndarray, shape (n - 1, 3)
+        Variance of the angle there of what happened while samples were missing, radians².
+    noise : float
+        White noise of a field sample per axis, microtesla.
     """
 
     time: FloatArray
@@ -80,6 +87,8 @@ class Nodes:
     along: FloatArray
     swing: FloatArray
     samples: FloatArray
+    unseen: FloatArray
+    noise: float
 
     def __len__(self) -> int:
         return len(self.time)
@@ -128,6 +137,8 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         links.along,
         np.diff(mean_rate, axis=0) / np.diff(time[middle])[:, None],
         np.diff(middle).astype(float),
+        links.unseen,
+        _white_noise(field),
     )
     for rest in window.rests:
         beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
@@ -157,6 +168,12 @@ def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArra
     return np.asarray(np.sqrt(square).max(axis=1))
 
 
+def _white_noise(field: FloatArray) -> float:
+    """Return the noise of samples by their second differences, to which a turn adds little."""
+    bends = np.diff(field, 2, axis=0)
+    return float(np.median(np.abs(bends)) / 0.6745 / np.sqrt(6.0)) if len(bends) else 0.0
+
+
 def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
     return np.asarray(spread < 1.6 * np.quantile(spread, 0.1) + least)
 
@@ -168,6 +185,7 @@ class _Links:
     angle: FloatArray
     force: FloatArray
     along: FloatArray
+    unseen: FloatArray
 
     @classmethod
     def of(cls, window: Window, attitude: FloatArray, middle: IntArray) -> _Links:
@@ -186,10 +204,15 @@ class _Links:
             return np.asarray(np.add.reduceat(inside, begin, axis=0) / seconds.reshape(shape))
 
         force = window.specific_force
+        # Between two samples with others missing the rate may have changed at any moment.
+        is_gap = step > LONG * np.median(np.diff(window.time))
+        change = np.diff(rate, axis=0)[rows] * step[:, None]
+        doubt = np.where(is_gap[:, None], change**2 / 12.0, 0.0)
         return cls(
             mean(rate[rows], rate[rows + 1]) * seconds[:, None],
             mean(force[rows], force[rows + 1]),
             mean(attitude[rows] @ back, attitude[rows + 1] @ back),
+            np.add.reduceat(doubt, begin, axis=0),
         )
 
 
@@ -233,4 +256,6 @@ def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: Flo
         put(nodes.along, np.tile(np.eye(3), (2, 1, 1)), lag),
         put(nodes.swing, np.zeros((2, 3)), lag),
         put(nodes.samples, np.array([link[3] for link in links]), lag),
+        put(nodes.unseen, np.zeros((2, 3)), lag),
+        nodes.noise,
     )

@@ -13,6 +13,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
 from magcal_ros.core.smoother.factors import (
     ELEMENT_MATRICES,
+    LEVEL,
     X,
     Y,
     Z,
@@ -27,7 +28,8 @@ from magcal_ros.core.smoother.unknowns import (
     MICROTESLA,
     ROLL_PITCH,
     SHARED,
-    SOFT_IRON,
+    SHIELDING,
+    SYMMETRIC,
     YAW,
 )
 
@@ -119,7 +121,8 @@ def _by_shared(
     out = np.zeros((12, SHARED))
     out[9:, AT["iron"]] = to_sensor / MICROTESLA
     turn, bend = installation(shared), soft_iron(shared)
-    changes = {SOFT_IRON.start + k: ELEMENT_MATRICES[k] @ turn for k in range(6)}
+    changes = {at.start + k: ELEMENT_MATRICES[k] @ turn for at in SYMMETRIC for k in range(6)}
+    changes[SHIELDING] = LEVEL @ turn
     roll = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
     axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y, YAW: turn @ Z}
     for k, axis in axes.items():

@@ -82,11 +82,22 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
     "axes": Unknown(
         (0.003,) * 3 + (0.002,) * 3 + (0.002,),
-        1.2,
-        20.0,
+        0.9,
+        6.0,
         "-",
-        "soft iron (xx, yy, zz, xy, xz, yz) and the yaw that crooked axes turn",
+        "gains and crooked axes: symmetric part (xx, yy, zz, xy, xz, yz), and the yaw they turn",
         "data sheets of MEMS magnetometers: axes .3 to 1.2% out of square",
+    ),
+    "soft_iron": Unknown(
+        (0.002,) * 6, 0.7, 20.0, "-", "the same of soft iron, which turns no yaw", "0 to 30%"
+    ),
+    "shielding": Unknown(
+        (0.02,),
+        1.5,
+        40.0,
+        "-",
+        "gain of the level field less one",
+        "the bodies of cars leave a third to all of it; no heading depends on it",
     ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
@@ -120,9 +131,13 @@ UNKNOWNS: dict[str, Unknown] = {
 }
 
 SIZES: dict[str, Size] = {
-    "field": Size(0.3, 1.5, 6.0, "µT", "noise of a node's field", "MEMS: .1 to 1 µT a sample"),
-    "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's force", "vibration: .01 to .5"),
-    "gyro": Size(0.001, 0.6, 3.0, "rad/√s", "angle random walk", "MEMS: .0002 to .003"),
+    "field": Size(
+        0.07, 0.7, 6.0, "µT", "noise of a node's field beside white noise", "steps of resolution"
+    ),
+    "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's level force", "vibration: .01 to .5"),
+    "force_up": Size(0.03, 1.5, 4.0, "m/s²", "the same along z", "bumps of the road: to 1"),
+    "gyro": Size(0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003"),
+    "gyro_up": Size(0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003"),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
     # It begins wide: else the local disturbance takes what motors do.
@@ -184,11 +199,10 @@ def _slices() -> tuple[dict[str, slice], int]:
 
 AT, SHARED = _slices()
 """Where each group of shared unknowns stands, and how many numbers there are."""
-ROLL_PITCH, SOFT_IRON, YAW = (
-    AT["installation"],
-    slice(AT["axes"].start, AT["axes"].stop - 1),
-    AT["axes"].stop - 1,
-)
+ROLL_PITCH, YAW = AT["installation"], AT["axes"].stop - 1
+SYMMETRIC = (slice(AT["axes"].start, AT["axes"].stop - 1), AT["soft_iron"])
+"""Where the two parts of the symmetric distortion stand."""
+SHIELDING = AT["shielding"].start
 EARTH = AT["earth"]
 
 
@@ -256,7 +270,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             scale[AT[name]] = 0.0
         scale[YAW] = 0.0
     if knowledge.soft_iron.sigma_diagonal == 0.0:
-        scale[AT["axes"]] = 0.0
+        for name in ("axes", "soft_iron", "shielding"):
+            scale[AT[name]] = 0.0
     return Priors(mean, scale, earth, spread)
 
 
