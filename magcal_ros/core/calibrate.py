@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from magcal_ros.core.assessment.verdict import TUNING as VERDICT
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate
@@ -35,8 +36,6 @@ METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "elli
 
 DRIVES = METHODS[1]
 """The method that takes a drive without a turn."""
-SMOOTHER = METHODS[2]
-"""The method that tells the motors' field from hard iron by rests."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -107,8 +106,9 @@ def calibrate(
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`. By the first a window that a turn's model refuses or answers only roughly
-        is fitted as a drive, too (`drive_instead`); the others answer alone.
+        One of `METHODS`. By the first a turn on the spot with a gyro is the smoother's
+        (`turn_by_smoother`), and what a turn's model refuses or answers only roughly is fitted as
+        a drive, too (`drive_instead`); the others answer alone.
     log : DriveLog, optional
         What was driven meanwhile, where more is known of it than the window says, as of speed.
 
@@ -117,9 +117,12 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    turn = calibrate_by(window, knowledge, method)
     if method != METHODS[0]:
-        return turn
+        return calibrate_by(window, knowledge, method)
+    by_smoother = turn_by_smoother(window, knowledge)
+    if by_smoother is not None:
+        return by_smoother
+    turn = calibrate_by(window, knowledge, method)
     if log is None and window.angular_rate is not None and len(window):
         from magcal_ros.core.smoothing.log import log_of
 
@@ -191,9 +194,6 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
 
     if turn.verdict.is_good:
         return turn
-    rested = _by_rests(turn, knowledge)
-    if rested is not None:
-        return rested
     if not may_be_a_drive(turn, log, knowledge):
         return turn
     drive = calibrate_drive(log, knowledge)
@@ -210,22 +210,27 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     return judged(in_doubt(drive.estimate, doubt), knowledge, log.window) if doubt else drive
 
 
-def _by_rests(turn: Outcome, knowledge: Knowledge) -> Outcome | None:
-    """Return what the smoother makes of a turn whose rests differ from it.
+def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
+    """Return what the smoother makes of a turn on the spot; None where it has no good answer.
 
-    A robot that turned on the spot between rests has not driven: the step of the field is its
-    motors' then, whose field the smoother estimates. None where nothing steps, or where the robot
-    went elsewhere.
+    That is so without a gyro, for a drive, where the body weakens the level field, where the
+    answer is rough, and where the sensors are taken to be free of systematic errors, for which
+    the turn's model is exact.
     """
-    from magcal_ros.core.turn_or_drive import rests_differ
+    from magcal_ros.core.methods.smoother_one import fit_turn
 
-    if turn.window is None or not rests_differ(turn.verdict):
+    if knowledge.systematics.are_none or window.angular_rate is None:
         return None
-    outcome = calibrate_by(turn.window, knowledge, SMOOTHER)
-    figures = {} if outcome.estimate is None else outcome.estimate.figures
-    if figures.get(Figure.ON_THE_SPOT, 0.0) < 0.5:
+    try:
+        estimate = fit_turn(window, knowledge)
+    except Refusal:
         return None
-    return outcome if outcome.verdict.accepted else turn
+    if estimate is None or Figure.LEVEL_SHARE in estimate.figures:
+        return None
+    if predicted_heading_sigma(estimate, 0.0) > VERDICT.rough:
+        return None
+    outcome = _judged_by_axes_too(estimate, knowledge, window)
+    return outcome if outcome.verdict.accepted else None
 
 
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:

@@ -178,7 +178,7 @@ def test_a_turn_gives_way_only_to_a_drive_that_is_surer_by_a_fifth(surer):
     window = Window(drawn.time, drawn.field, drawn.force, drawn.rate)
     turn, drive = calibrate_by(window, BOSTON, TURN), calibrate_drive(log_of(window), BOSTON)
     assert turn.verdict.accepted
-    answer = calibrate(window, BOSTON).estimate
+    answer = drive_instead(turn, log_of(window), BOSTON).estimate
     sigmas = [predicted_heading_sigma(each.estimate, 0.0) for each in (drive, turn)]
     assert sigmas[1] > math.radians(2.0)
     assert (sigmas[0] < 0.8 * sigmas[1]) == surer

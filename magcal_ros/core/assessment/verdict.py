@@ -253,11 +253,10 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.HEADING_SIGMA:
         pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
         if pull**2 > TUNING.mostly_pull * figure**2:
-            has_gyro = Figure.GYRO_GAP in figures
-            bound = replace(bound, remedy=STAND_BESIDE if has_gyro else ON_THE_SPOT)
+            bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
-    if bound.figure is Figure.SIDEWAYS_PULL and Figure.GYRO_GAP in figures:
+    if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
         # By chance halves differ by some sigmas of the whole, and these are graded by themselves;
@@ -277,6 +276,11 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.RIVAL_GAP and found.grade is Grade.EXCELLENT:
         return replace(found, words=NO_RIVAL)
     return found
+
+
+def _by_gyro(figures: Mapping[Figure, float]) -> bool:
+    """Return whether the fit had a gyro: it has weighed what accelerates the robot then."""
+    return Figure.GYRO_GAP in figures or Figure.ON_THE_SPOT in figures
 
 
 def _radius_sigma(knowledge: Knowledge) -> float:

@@ -11,21 +11,32 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import body_from_enu, unit
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.factors import distortion
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, smooth
-from magcal_ros.core.smoother.unknowns import AT, MICROTESLA, ON_THE_SPOT, ROLL_PITCH, SIZES, YAW
+from magcal_ros.core.smoother.factors import QUARTER, distortion
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth, smooth_turn
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    MICROTESLA,
+    ON_THE_SPOT,
+    ROLL_PITCH,
+    SHIELDING,
+    VELOCITY,
+    YAW,
+)
 
 METHOD = "smoother_one"
 FEWEST_SAMPLES = 20
 BELIEVED = 0.3
 """Student weight above which a node counts as an inlier."""
 SIGMAS = 3.0
-"""From so many sigmas the motors' field is reported, and a gyro is too noisy to be believed."""
+"""From so many sigmas the motors' field and a weakened level field are reported."""
+WEAKENED = 0.1
+"""Share of the level field that no gain of a sensor takes away."""
 
 
 def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
@@ -51,6 +62,16 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
         words = "this method needs a gyro; connect one, or use the method maximum_likelihood"
         raise Refusal(Reason.NO_SOLUTION, words)
     return _estimate(smooth(window, knowledge), window, knowledge)
+
+
+def fit_turn(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate | None:
+    """Find the twelve numbers of a turn on the spot or in a small circle; None if it was none.
+
+    Parameters and errors as of `fit`.
+    """
+    refuse_empty(window, FEWEST_SAMPLES)
+    found = None if window.angular_rate is None else smooth_turn(window, knowledge)
+    return None if found is None else _estimate(found, window, knowledge)
 
 
 def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
@@ -104,6 +125,15 @@ def _arc(attitude: FloatArray) -> float:
     return math.tau * len(np.unique((steps % math.tau) // math.radians(5.0))) / 72.0
 
 
+def _pull(best: Fit) -> float:
+    """Return the mean level acceleration of a robot that moves, in its own axes, m/s²."""
+    state, course = best.state, best.point.course
+    rate = course.nodes.rate @ course.axes[:, 2]
+    level = (rate * course.moving)[:, None] * state.local[:, VELOCITY] @ QUARTER.T
+    pull = level.sum(axis=0) / max(float(course.moving.sum()), 1.0)
+    return float(np.linalg.norm(pull + course.axes[:, :2].T @ state.shared[AT["force_moving"]]))
+
+
 def _figures(found: Smoothed) -> dict[Figure, float]:
     best = found.fit
     shared, sigma = best.state.shared, np.sqrt(np.diag(best.covariance))
@@ -111,10 +141,13 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     motors = shared[AT["motors_moving"]] + shared[AT["motors_rate"]] * turning
     doubt = float(np.linalg.norm(sigma[AT["motors_moving"]]))
     size = float(np.linalg.norm(motors))
-    usual = SIZES["gyro"]
-    noisiest = usual.usual * math.exp(SIGMAS * usual.spread)
+    share = 1.0 + shared[SHIELDING]
+    weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
     return {
-        Figure.GYRO_CARRIED: float(best.point.sizes["gyro"] < noisiest),
+        **({Figure.LEVEL_SHARE: float(share)} if weakened else {}),
+        Figure.STEADY_PULL: _pull(best) / STANDARD_GRAVITY,
+        Figure.POSSIBLE_PULL: found.by_pull,
+        Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
         Figure.NOT_CONVERGED: float(not best.converged),
         Figure.ITERATIONS: float(best.rounds),
         Figure.SOFT_IRON: 1.0,

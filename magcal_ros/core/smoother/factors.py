@@ -48,16 +48,6 @@ def _element_matrices() -> FloatArray:
 
 
 ELEMENT_MATRICES = _element_matrices()
-def _element_matrices() -> FloatArray:
-    out = np.zeros((6, 3, 3))
-    for k, (row, column) in enumerate(ELEMENTS):
-        out[k, row, column] = out[k, column, row] = 1.0
-    return out
-
-
-ELEMENT_MATRICES = _element_matrices()
-LEANS = np.array([[[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, 0, 0], [0, 0, 1], [0, -1, 0]]], float)
-"""What the numbers of the accelerometer's lean add to the gyro's misalignment."""
 LEVEL = np.diag([1.0, 1.0, 0.0])
 """What shielding adds to the soft iron."""
 X, Y, Z = np.eye(3)

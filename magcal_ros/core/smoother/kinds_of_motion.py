@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
@@ -17,12 +18,15 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import KINDS, Priors, priors_of
+from magcal_ros.core.smoother.unknowns import DRIVE, KINDS, ON_THE_SPOT, SIZES, Priors, priors_of
 
 BELIEVED = 0.25
 """Of the evidence, which is minus twice a logarithm; exact evidence would count by a half.
 
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
+
+SPREADS = 3.0
+"""Of the size of a gyro's noise, within which it is one that gyros have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +43,10 @@ class Smoothed:
     weights : dict of str to float
         Their probabilities.
     posterior : Posterior
-        Of the most likely kind; the others are in its covariance.
+        Of all kinds together.
+    by_pull : float
+        Standard deviation of the level heading, radians, that is left as nothing shows whether
+        the robot or its accelerometer makes up lean: between and within the kinds of motion.
     """
 
     nodes: Nodes
@@ -47,6 +54,7 @@ class Smoothed:
     fits: dict[str, Fit]
     weights: dict[str, float]
     posterior: Posterior
+    by_pull: float
 
     @property
     def fit(self) -> Fit:
@@ -68,10 +76,50 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     Refusal
         If no fit could be had.
     """
-    nodes = nodes_of(window, knowledge.mounting.to_body)
-    state, priors = start(nodes, priors_of(knowledge, window.bias_sigma))
+    nodes, state, priors = _started(window, knowledge)
     fits: dict[str, Fit] = {}
-    for name in KINDS:
+    _try(fits, ON_THE_SPOT, nodes, priors, state)
+    return _weighed(fits, nodes, state, priors, knowledge)
+
+
+def smooth_turn(window: Window, knowledge: Knowledge) -> Smoothed | None:
+    """Fit a window like `smooth`, if it is a turn on the spot or in a small circle; else None.
+
+    On the spot the gyro and gravity belong together. A vehicle's acceleration would have to be a
+    noise of the gyro that no gyro has, which the first fit shows.
+
+    Raises
+    ------
+    Refusal
+        If no fit could be had.
+    """
+    nodes, state, priors = _started(window, knowledge)
+    fits: dict[str, Fit] = {}
+    _try(fits, ON_THE_SPOT, nodes, priors, state)
+    if ON_THE_SPOT not in fits or not gyro_is_usual(fits[ON_THE_SPOT]):
+        return None
+    found = _weighed(fits, nodes, state, priors, knowledge)
+    return found if gyro_is_usual(found.fit) and found.mode != DRIVE else None
+
+
+def gyro_is_usual(fit: Fit) -> bool:
+    """Return whether the gyro's noise is one that gyros have."""
+    return all(
+        fit.point.sizes[name] < SIZES[name].usual * math.exp(SPREADS * SIZES[name].spread)
+        for name in ("gyro", "gyro_up")
+    )
+
+
+def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
+    nodes = nodes_of(window, knowledge.mounting.to_body)
+    return nodes, *start(nodes, priors_of(knowledge, window.bias_sigma))
+
+
+def _weighed(
+    fits: dict[str, Fit], nodes: Nodes, state: State, priors: Priors, knowledge: Knowledge
+) -> Smoothed:
+    """Fit the kinds of motion that are not fitted yet, and weigh all."""
+    for name in KINDS.keys() - fits.keys():
         _try(fits, name, nodes, priors, state)
     if not fits:
         words = "the samples do not determine a calibration; turn the robot through a full circle"
@@ -85,9 +133,14 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     odds = {n: math.exp(-BELIEVED * min(f.evidence - least, 700.0)) for n, f in fits.items()}
     weights = {name: value / sum(odds.values()) for name, value in odds.items()}
     best = max(weights, key=lambda name: weights[name])
-    to_sensor = knowledge.mounting.matrix
-    found = {name: posterior(each, to_sensor) for name, each in fits.items()}
-    return Smoothed(nodes, best, fits, weights, mixture(found, weights, best))
+    found = {name: posterior(each, knowledge.mounting.matrix) for name, each in fits.items()}
+    mean = mixture(found, weights, best)
+    square = sum(
+        weights[name]
+        * (each.apart(mean) ** 2 + rms_sigma(each.heading_jacobian, each.by_offset) ** 2)
+        for name, each in found.items()
+    )
+    return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))
 
 
 def _try(

@@ -42,12 +42,15 @@ class Posterior:
     ----------
     correction : Correction
     covariance : ndarray, shape (12, 12)
+    by_offset : ndarray, shape (12, 12)
+        The part of it that knowing the accelerometer's offset would take away.
     strength, inclination : float
         Of the Earth's field after the fit: tesla, radians.
     """
 
     correction: Correction
     covariance: FloatArray
+    by_offset: FloatArray
     strength: float
     inclination: float
 
@@ -82,10 +85,13 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     correction = correction_of(shared, to_sensor, up)
     jacobian = _by_shared(shared, correction, to_sensor, up)
     covariance = jacobian @ fit.covariance @ jacobian.T
+    offset = fit.covariance[AT["force_offset"]] @ jacobian.T
+    own = np.linalg.pinv(fit.covariance[AT["force_offset"], AT["force_offset"]])
     level, down = shared[EARTH] / MICROTESLA
     return Posterior(
         correction,
         0.5 * (covariance + covariance.T),
+        offset.T @ own @ offset,
         float(np.hypot(level, down)),
         float(np.arctan2(down, level)),
     )

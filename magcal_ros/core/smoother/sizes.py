@@ -14,6 +14,8 @@ from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
 
 GRID = 60
 """Factors of an effect's sigma that are tried."""
+SMALLEST = 4.0
+"""Spreads below the median to which a size may fall; what is smaller makes no difference."""
 
 
 def noise_sizes(
@@ -94,7 +96,8 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
         change += max(-0.5, min(0.5, step))
         if abs(step) < 1e-4:
             break
-    return size * math.exp(max(-0.7, min(0.7, change)))
+    least = belief.usual * math.exp(-SMALLEST * belief.spread)
+    return max(least, size * math.exp(max(-0.7, min(0.7, change))))
 
 
 def expected_square(size: float, shown: float, belief: Size) -> float:

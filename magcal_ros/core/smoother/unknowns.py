@@ -155,11 +155,11 @@ class KindOfMotion(NamedTuple):
     lever_arm: float
 
 
-ON_THE_SPOT = "on the spot"
+ON_THE_SPOT, DRIVE = "on the spot", "drive"
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 0.08),
     "small circle": KindOfMotion(0.8, 0.15),
-    "drive": KindOfMotion(6.0, 1.0),
+    DRIVE: KindOfMotion(6.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 
