@@ -87,3 +87,13 @@ def _is_shown(estimate: Estimate, figures: Mapping[Figure, float]) -> bool:
 
 def _microtesla(value: float) -> str:
     return f"{shown(value * 1e6)} µT"
+
+
+def level_field_sigma(knowledge: Knowledge) -> float:
+    """Return the relative standard deviation of the reference's level field; 0 if unknown."""
+    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
+    if strength.is_unknown or dip.is_unknown:
+        return 0.0
+    return math.hypot(
+        strength.sigma / (abs(strength.value) or 1.0), math.tan(dip.value) * dip.sigma
+    )

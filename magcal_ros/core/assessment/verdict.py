@@ -14,7 +14,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
-from magcal_ros.core.assessment.reference_doubt import check_reference
+from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
 from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOUNDS
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
@@ -269,7 +269,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         note = f", of which chance may be {shown(chance * DEGREES)}°"
         return bound.check(figure, excess=excess, note=note)
     if bound.figure is Figure.RADIUS_MISFIT:
-        allowed = TUNING.allowed_sigmas * _radius_sigma(knowledge)
+        allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
     found = bound.check(figure)
@@ -281,16 +281,6 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
 def _by_gyro(figures: Mapping[Figure, float]) -> bool:
     """Return whether the fit had a gyro: it has weighed what accelerates the robot then."""
     return Figure.GYRO_GAP in figures or Figure.ON_THE_SPOT in figures
-
-
-def _radius_sigma(knowledge: Knowledge) -> float:
-    """Return how uncertain the reference's level field is, relative."""
-    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
-    if strength.is_unknown or dip.is_unknown:
-        return 0.0
-    return math.hypot(
-        strength.sigma / (abs(strength.value) or 1.0), math.tan(dip.value) * dip.sigma
-    )
 
 
 def refuse(refusal: Refusal) -> Verdict:

@@ -119,10 +119,9 @@ def _swing(found: Smoothed) -> GyroSwing:
 
 
 def _arc(attitude: FloatArray) -> float:
-    """Return the radians of heading that were seen, by sectors of five degrees."""
-    yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
-    steps = np.linspace(yaw[:-1], yaw[:-1] + np.angle(np.exp(1j * np.diff(yaw))), 8)
-    return math.tau * len(np.unique((steps % math.tau) // math.radians(5.0))) / 72.0
+    """Return the radians of heading that were seen."""
+    yaw = np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
+    return min(float(np.ptp(yaw)), math.tau)
 
 
 def _pull(best: Fit) -> float:
