@@ -41,10 +41,14 @@ unit: $(VENV)/.test
 # this ended, by the node's own words, is run again; a test that failed otherwise is not.
 STALLED := --reruns 3 --only-rerun 'keeps? the machine busy'
 
+# What failed beside the other jobs is run once more alone: a fault of ours fails again.
+ROS_TESTS := $(BIN)/python -m pytest -q -o cache_dir=.pytest_cache/ros test/ros
+ALONE := --last-failed --last-failed-no-failures none
+
 # Each process has a DDS domain of its own.
 ros: $(VENV)/.test
 	$(BIN)/python -c "import rclpy"
-	$(BIN)/python -m pytest -q $(BY_TWO) $(STALLED) test/ros
+	$(ROS_TESTS) $(BY_TWO) $(STALLED) || $(ROS_TESTS) $(ALONE)
 
 # Everything once more, with statistics over many seeds and ten times as many random cases.
 nightly: $(VENV)/.test

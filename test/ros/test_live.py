@@ -116,7 +116,7 @@ def test_a_sensor_that_does_not_arrive_is_explained(stage):
 def test_stamps_in_bursts_are_said_before_the_turn(stage):
     actor = stage()
     actor.mangle = lambda sample: [sample._replace(stamp=math.ceil(sample.stamp / 0.4) * 0.4)]
-    found = looked_at(actor, 1.0)
+    found = looked_at(actor, 2.0)
     assert sum("the stamps come in bursts, 0.40 s apart" in line for line in found.lines) == 2
 
 
