@@ -120,13 +120,16 @@ def calibrate(
     if method != METHODS[0]:
         return calibrate_by(window, knowledge, method)
     by_smoother = turn_by_smoother(window, knowledge)
-    if by_smoother is not None:
+    if by_smoother is not None and by_smoother.verdict.accepted:
         return by_smoother
     turn = calibrate_by(window, knowledge, method)
     if log is None and window.angular_rate is not None and len(window):
         from magcal_ros.core.smoothing.log import log_of
 
         log = log_of(window)
+    if by_smoother is not None and log is not None:
+        # The robot turned on the spot: a drive would take its motors for places that were left.
+        return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or by_smoother
     return drive_instead(turn, log, knowledge) if log else turn
 
 
@@ -211,7 +214,7 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
 
 
 def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
-    """Return what the smoother makes of a turn on the spot; None where it has no good answer.
+    """Return what the smoother makes of a turn on the spot; None where it has no answer.
 
     That is so without a gyro, for a drive, where the body weakens the level field, where the
     answer is rough, and where the sensors are taken to be free of systematic errors, for which
@@ -229,8 +232,7 @@ def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
         return None
     if predicted_heading_sigma(estimate, 0.0) > VERDICT.rough:
         return None
-    outcome = _judged_by_axes_too(estimate, knowledge, window)
-    return outcome if outcome.verdict.accepted else None
+    return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from side_by_side import with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
@@ -26,3 +27,11 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(size, by_rate):
     assert math.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
     assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
     assert "between rest and turn the field changes" in outcome.verdict.summary
+
+
+def test_a_drive_does_not_answer_for_a_turn_on_the_spot_whose_motors_switch():
+    """The turn is refused; the drive was 17 degrees wrong, said 1.9 and was accepted."""
+    scene, knowledge = with_motors("switching", 10e-6)(3000)
+    outcome = calibrate(collected(scene.window), knowledge)
+    assert not outcome.verdict.accepted
+    assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures

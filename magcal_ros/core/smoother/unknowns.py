@@ -82,8 +82,8 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
     "axes": Unknown(
         (0.003,) * 3 + (0.002,) * 3 + (0.002,),
-        0.9,
-        6.0,
+        1.1,
+        12.0,
         "-",
         "gains and crooked axes: symmetric part (xx, yy, zz, xy, xz, yz), and the yaw they turn",
         "data sheets of MEMS magnetometers: axes .3 to 1.2% out of square",
