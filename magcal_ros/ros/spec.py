@@ -31,7 +31,8 @@ class Later(Enum):
 
     ANYTHING = "anything"
     NOTHING = "nothing"
-    PLACE = "a place below the package's own folder or what was given at start"
+    FILE = "a file below the package's own folder, or the one that was given at start"
+    FOLDER = "a folder below the package's own or the one that was given at start"
     SWITCH_OFF = "switched off, and on only where that was allowed at start"
 
 
