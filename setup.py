@@ -117,8 +117,8 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
-            "calibrator = magcal_ros.ros.main:main",
-            "magcal = magcal_ros.cli.main:main",
+            "calibrator = magcal_ros.processes:calibrator",
+            "magcal = magcal_ros.processes:magcal",
         ]
     },
 )

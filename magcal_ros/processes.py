@@ -3,18 +3,19 @@
 Python looks for modules in the current folder where a program is started by `-m` or `-c`, and
 where PYTHONPATH has an empty entry. A robot's node may be started anywhere, also in a folder in
 which somebody keeps a `select.py` of their own, so the processes of this package do without.
-"""
 
-from __future__ import annotations
+The package's commands begin here, so this module imports only what Python itself has loaded
+before it: anything else could still come from the current folder.
+"""
 
 import os
 import sys
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     import subprocess
+    from collections.abc import Mapping
+    from typing import Any
 
 POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -40,9 +41,29 @@ def use_one_thread() -> None:
         os.environ.setdefault(pool, "1")
 
 
+def calibrator() -> int:
+    """Run the executable `calibrator`; returns the exit status."""
+    return _run("magcal_ros.ros.main")
+
+
+def magcal() -> int:
+    """Run the command `magcal`; returns the exit status."""
+    return _run("magcal_ros.cli.main")
+
+
+def _run(module: str) -> int:
+    leave_out_current_folder()
+    from importlib import import_module
+
+    return int(import_module(module).main())
+
+
 def start(
-    module: str, *arguments: str, extra: Mapping[str, str] | None = None, **options: Any
-) -> subprocess.Popen[bytes]:
+    module: str,
+    *arguments: str,
+    extra: "Mapping[str, str] | None" = None,
+    **options: "Any",
+) -> "subprocess.Popen[bytes]":
     """Start `main` of a module in a process of its own.
 
     Parameters
@@ -63,7 +84,7 @@ def start(
     """
     import subprocess
 
-    root = str(Path(__file__).resolve().parent.parent)
+    root = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
     environment = {**os.environ, **(extra or {})}
     given = environment.pop("PYTHONPATH", "").split(os.pathsep)
     if absolute := [entry for entry in given if os.path.isabs(entry)]:

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -58,6 +59,43 @@ def test_nothing_in_the_current_folder_is_run_by_a_process_of_ours(trap, monkeyp
     assert trap() == ""
     assert process.returncode == 0
     assert said.startswith(b"magcal_ros ")
+
+
+FIRST_WORDS = {"magcal": ["--version"], "calibrator": ["--ros-args", "--unknown-option"]}
+"""What a command is given so that it ends at once, with all that it imports imported."""
+
+LAUNCH = """
+import sys
+sys.path += {paths!r}
+from magcal_ros.processes import {command}
+sys.exit({command}())
+"""
+
+
+@pytest.mark.parametrize("command", FIRST_WORDS)
+def test_nothing_in_the_current_folder_is_run_by_the_commands(trap, tmp_path, command):
+    (tmp_path / "magcal_ros.py").unlink()
+    for name in ("__future__", "collections", "pathlib", "typing", "threading"):
+        (tmp_path / f"{name}.py").write_text((tmp_path / "select.py").read_text())
+    root = os.path.dirname(os.path.dirname(processes.__file__))
+    launcher = tmp_path / "elsewhere" / command
+    launcher.parent.mkdir()
+    # As a script of pip does; what an editable installation imports at Python's start is left out.
+    launcher.write_text(LAUNCH.format(paths=[root, *sys.path[1:]], command=command))
+    done = subprocess.run(
+        [sys.executable, "-S", str(launcher), *FIRST_WORDS[command]],
+        env={**os.environ, "PYTHONPATH": os.pathsep},
+        capture_output=True,
+        text=True,
+    )
+    assert trap() == ""
+    assert done.returncode == {"magcal": 0, "calibrator": 2}[command], done.stderr
+
+
+def test_the_commands_begin_where_the_current_folder_is_left_out():
+    setup = Path(__file__).parent.with_name("setup.py").read_text()
+    for command in FIRST_WORDS:
+        assert f'"{command} = magcal_ros.processes:{command}"' in setup
 
 
 LATER = """

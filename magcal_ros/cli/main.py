@@ -9,6 +9,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, metadata
+from typing import NoReturn
 
 from magcal_ros import __version__
 from magcal_ros.cli import calibrate, check, demo, doctor, drive, export, fit, replay
@@ -21,11 +22,19 @@ from magcal_ros.processes import leave_out_current_folder
 COMMANDS = (calibrate, fit, check, drive, doctor, export, replay, demo)
 
 
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong with arguments without what could steer a terminal."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the program; argparse quotes some arguments as they are."""
+        super().error(plain_lines(message))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit status, and puts known errors into one line."""
     if arguments is None:
         leave_out_current_folder()
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="magcal", description="Calibrate a ground robot's magnetometer from one turn."
     )
     parser.add_argument("--version", action="version", version=f"magcal_ros {__version__}")

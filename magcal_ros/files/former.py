@@ -20,8 +20,9 @@ def keep_former(path: Path, successor: Calibration) -> None:
     """Copy what a file holds to the newest of its former files; older ones move on.
 
     Nothing is done where the file holds no calibration that can be loaded, the successor's
-    numbers, or what was kept last. Former files that do not say that they are ours stay where
-    they are, and are not counted.
+    numbers, or what was kept last. What was kept earlier comes to the front and is not kept
+    twice: two calibrations that take turns do not push out a third. Former files that do not say
+    that they are ours stay where they are, and are not counted.
 
     Parameters
     ----------
@@ -43,16 +44,24 @@ def keep_former(path: Path, successor: Calibration) -> None:
     files = [file for file in former_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
         raise FileTrouble("all names for it belong to files that are not ours")
-    newest = files[0]
-    is_kept = newest.exists() and read_small(newest, LARGEST_FILE) == content
-    if is_kept or held.correction.is_same(successor.correction):
+    kept = next((k for k, file in enumerate(files) if _holds(file, held)), None)
+    if kept == 0 or held.correction.is_same(successor.correction):
         return
+    missing = (k for k, file in enumerate(files) if not file.exists())
+    free = next(missing, len(files) - 1) if kept is None else kept
     text = content.decode("utf-8")
-    write_atomically(newest, text, when_written=lambda: _move_on(files))
+    write_atomically(files[0], text, when_written=lambda: _move_on(files, free))
 
 
-def _move_on(files: list[Path]) -> None:
-    """Move each file to the next name, as far as it takes to free the first."""
-    free = next((k for k, file in enumerate(files) if not file.exists()), len(files) - 1)
+def _holds(file: Path, calibration: Calibration) -> bool:
+    """Whether a file can be loaded and has the same numbers."""
+    try:
+        return read_calibration(file)[0].correction.is_same(calibration.correction)
+    except (OSError, ValueError, FileTrouble):
+        return False
+
+
+def _move_on(files: list[Path], free: int) -> None:
+    """Move each file before a free name, or one that may go, to the next name."""
     for k in range(free, 0, -1):
         os.replace(files[k - 1], files[k])

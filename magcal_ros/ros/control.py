@@ -40,6 +40,10 @@ def in_words(error: Exception) -> str:
     return str(error) if isinstance(error, MagcalError) else repr(error)
 
 
+def _broken_off(error: Exception) -> str:
+    return f"the turn was broken off by an error ({error}); the node's log says where"
+
+
 class Runner(Protocol):
     """Does work elsewhere; `magcal_ros.ros.errands.Errands` is one."""
 
@@ -238,8 +242,15 @@ class Control:
 
     def _tell(self, event: ev.Event) -> ev.Conclusion | None:
         """Tell the turn what happened and do what it says; returns its answer, if it has one."""
-        answer = None
-        for command in self.turn.handle(event, time.monotonic()):
+        answer, before = None, self.state
+        try:
+            commands = self.turn.handle(event, time.monotonic())
+        except Exception as error:  # short of files even a median fails: its code must be read
+            if not isinstance(event, ev.Broken):
+                was_under_way = {before, self.state} != {TurnState.IDLE}
+                self._tell(ev.Broken(_broken_off(error), was_under_way))
+            raise
+        for command in commands:
             if isinstance(command, ev.Answer):
                 answer = command.conclusion
                 continue
@@ -247,8 +258,7 @@ class Control:
                 self._do(command)
             except Exception as error:  # whatever has failed, those who wait are told
                 self._house.note_error(error)
-                words = f"the turn was broken off by an error ({error}); the node's log says where"
-                self._tell(ev.Broken(words))
+                self._tell(ev.Broken(_broken_off(error)))
         return answer
 
     def _do(self, command: ev.Command) -> None:

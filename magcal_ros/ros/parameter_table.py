@@ -23,7 +23,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "Where the calibration is stored and loaded from. Empty: "
         "$ROS_HOME/magcal/<namespace>/<node>.<frame of the magnetometer>.yaml. While the node runs "
         "only what lies below $ROS_HOME/magcal, or what it was at start",
-        later=Later.PLACE,
+        later=Later.FILE,
     ),
     Spec(
         "report_folder",
@@ -31,7 +31,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "Where each turn leaves a dated folder with report.html and samples.csv. Empty: "
         "$ROS_HOME/magcal/reports; none: no reports. While the node runs only what lies below "
         "$ROS_HOME/magcal, or below what it was at start",
-        later=Later.PLACE,
+        later=Later.FOLDER,
         words=("", "none"),
     ),
     Spec(

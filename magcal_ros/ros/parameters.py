@@ -95,7 +95,7 @@ class Parameters:
                 f"{spec.name} can be switched on when the node starts; later only if it was "
                 f"started with {MAY_BE_ENABLED}:=true"
             )
-        if spec.later is Later.PLACE and value not in spec.words:
+        if spec.later in (Later.FILE, Later.FOLDER) and value not in spec.words:
             self._require_place(spec, str(value))
 
     def _require_place(self, spec: Spec, value: str) -> None:
@@ -103,7 +103,9 @@ class Parameters:
         places = [own_folder()]
         if given not in spec.words:
             places.append(chosen_path(given))
-        if value != given and not lies_within(chosen_path(value), places):
+        # Below the file that was given there can only be a folder, which would be in its way.
+        within = places if spec.later is Later.FOLDER else places[:1]
+        if value != given and not lies_within(chosen_path(value), within):
             named = " or ".join(str(place) for place in places)
             raise ValueError(
                 f"{spec.name} may name only what lies within {named} while the node runs: start "

@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, TypeAlias
 
+from magcal_ros.files.plain import plain
+
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
+
+LONGEST_TEXT = 4096
+"""Characters of a text, as many as a path may have: it is shown, published and handed on."""
+
+MOST_SHOWN = 20
+"""Items of a list that are shown where it is refused."""
 
 UNSET = math.nan
 """Stands for a number that is not known; in YAML it is written .nan or left out."""
@@ -23,7 +31,8 @@ class Later(Enum):
 
     ANYTHING = "anything"
     NOTHING = "nothing"
-    PLACE = "a place below the package's own folder or what was given at start"
+    FILE = "a file below the package's own folder, or the one that was given at start"
+    FOLDER = "a folder below the package's own or the one that was given at start"
     SWITCH_OFF = "switched off, and on only where that was allowed at start"
 
 
@@ -96,6 +105,8 @@ class Spec:
         if self.choices and value not in self.choices:
             allowed = ", ".join(self.choices)
             raise ValueError(f"{self.name} must be one of {allowed}, not {_shown(value)}")
+        if len(value) > LONGEST_TEXT:
+            raise ValueError(f"{self.name} must be no longer than {LONGEST_TEXT} characters")
         return value
 
     def _parse_list(self, value: Any) -> tuple[float, ...]:
@@ -199,10 +210,11 @@ def _items(value: Any) -> list[Any] | None:
 
 
 def _shown(value: Any) -> str:
-    """Write a value as a person would have typed it."""
+    """Write a value as a person would have typed it, or how it begins: it may be of any size."""
     items = None if isinstance(value, str) else _items(value)
     if items is not None:
-        return "[" + ", ".join(map(_shown, items)) + "]"
+        more = ", …]" if len(items) > MOST_SHOWN else "]"
+        return "[" + ", ".join(map(_shown, items[:MOST_SHOWN])) + more
     if value is None:
         return "nothing"
-    return str(value).lower() if isinstance(value, bool) else repr(value)
+    return plain(str(value).lower() if isinstance(value, bool) else repr(value))

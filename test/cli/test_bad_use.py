@@ -202,6 +202,13 @@ def test_no_name_of_a_file_steers_a_terminal(call, folder, tmp_path):
         assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
 
 
+def test_no_argument_steers_a_terminal(call, folder):
+    # As `magcal doctor *` gives them, where a folder holds such names.
+    for arguments in (("doctor", folder, EVIL), (EVIL,), ("fit", f"--output={EVIL}", f"--{EVIL}")):
+        said = call(*arguments).stderr.decode()
+        assert all(letter.isprintable() or letter == "\n" for letter in said), arguments
+
+
 def test_a_missing_recording_is_said_in_one_line(call, tmp_path):
     done = call("replay", str(tmp_path / "nowhere"))
     assert done.returncode == Exit.FILE_TROUBLE

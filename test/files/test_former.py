@@ -62,6 +62,14 @@ def test_what_is_in_force_already_is_never_kept(path, irons):
     assert kept(path) == [2, 1, None]
 
 
+def test_two_that_take_turns_do_not_push_out_a_third(path, irons):
+    for number in (0, 1, 2, 1, 2, 1, 2):
+        irons(number)
+    assert iron_of(path) == 2
+    assert sorted(kept(path)) == [0, 1, 2]
+    assert kept(path)[0] == 1
+
+
 def test_what_is_kept_last_is_not_kept_twice(path, irons, monkeypatch):
     irons(1)
     replace_file = os.replace

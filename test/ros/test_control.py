@@ -1,15 +1,16 @@
 """Whatever fails around a turn, everyone who waits for it is answered."""
 
-import dataclasses
 import errno
 import os
 import time
 
 import numpy as np
+import pytest
 from support import REFERENCE, ROBOT
 
 from magcal_ros.core.samples.streams import ImuSample, Streams
 from magcal_ros.core.session.self_turn import SelfTurn
+from magcal_ros.core.session.session import Session
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.ros import aside
@@ -59,12 +60,15 @@ def no_room(*_, **__):
     raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
 
+def settings_of_a_turn():
+    return Settings.of({**{s.name: s.default for s in PARAMETERS}, **REFERENCE})
+
+
 def begun_in(house):
     """Return the control of a turn that nobody has ended yet."""
     streams = Streams(0.2)
     control = Control(streams, house, SelfTurn(), AtOnce(), AtOnce())
-    settings = Settings.of({**{s.name: s.default for s in PARAMETERS}, **REFERENCE})
-    assert control.start(dataclasses.replace(settings)).success
+    assert control.start(settings_of_a_turn()).success
     ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=50.0, steps_per_field=2)
     for _ in range(800):
         for sample in ride.step(0.5):
@@ -121,6 +125,35 @@ def test_no_room_for_what_the_end_needs():
     house.turn_ended = no_room
     assert turn_in(house).success
     assert len(house.errors) == 1
+
+
+@pytest.mark.parametrize("what", ["progress", "window"])
+def test_no_room_for_looking_at_the_turn(monkeypatch, what):
+    """Python opens a file where numpy first computes a median."""
+    house = House()
+    control, told = begun_in(house), []
+    control.when_done(told.append)
+    monkeypatch.setattr(Session, what, no_room)
+    with pytest.raises(OSError, match="Too many open files"):
+        control.finish()
+    assert control.state is TurnState.IDLE
+    (answer,) = told
+    assert not answer.success
+    assert "broken off by an error ([Errno 24] Too many open files)" in answer.message
+    monkeypatch.undo()
+    assert control.start(settings_of_a_turn()).success
+    control.shut_down()
+
+
+def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
+    control = Control(Streams(0.2), House(), SelfTurn(), AtOnce(), AtOnce())
+    monkeypatch.setattr(Session, "progress", no_room)
+    with pytest.raises(OSError, match="Too many open files"):
+        control.start(settings_of_a_turn())
+    assert control.state is TurnState.IDLE
+    monkeypatch.undo()
+    assert control.start(settings_of_a_turn()).success
+    control.shut_down()
 
 
 def test_a_verdict_that_nobody_waited_for_is_told_to_the_next_finish_and_once():

@@ -53,6 +53,15 @@ def test_a_switch_is_true_or_false_and_nothing_that_looks_like_it():
             spec.parse(wrong)
 
 
+@rows(PARAMETERS)
+@pytest.mark.parametrize("huge", ["x" * 10**6, [1.0] * 10**5, ["\x1b[2J" * 10**5] * 9])
+def test_a_huge_value_is_refused_in_few_words(spec, huge):
+    with pytest.raises(ValueError, match=spec.name) as refused:
+        spec.parse(huge)
+    assert len(str(refused.value)) < 5000
+    assert str(refused.value).isprintable()
+
+
 @rows(NUMBERS)
 class TestNumbers:
     def test_integers_are_numbers(self, spec):

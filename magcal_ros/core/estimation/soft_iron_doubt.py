@@ -102,6 +102,11 @@ class Look:
     step: FloatArray
     covariance: FloatArray
 
+    @property
+    def mean_square(self) -> FloatArray:
+        """Of the error of the globals where there is soft iron and it is left out, (18, 18)."""
+        return np.asarray(self.covariance + np.outer(self.step, self.step))
+
     def needed(self, most: float) -> float:
         """Return by how much chi-square must fall, per independent sample, for it to be fitted."""
         return min(max(self.occam + RULE.prior_odds, RULE.least_fall), most)

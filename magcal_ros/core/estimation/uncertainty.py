@@ -20,7 +20,7 @@ from magcal_ros.core.calibration.heading_sigma import heading_jacobian
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.parameters import Globals
-from magcal_ros.core.estimation.soft_iron_doubt import Doubt
+from magcal_ros.core.estimation.soft_iron_doubt import Doubt, Look
 from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu
@@ -32,7 +32,9 @@ SMALLEST_VOLUME = 1e-3
 """Share of the field's three directions that is left of a solid angle; less is no soft iron."""
 
 
-def twelve_covariance(fit: Fit, scale: float, doubt: Doubt | None = None) -> FloatArray:
+def twelve_covariance(
+    fit: Fit, scale: float, doubt: Doubt | None = None, axes: Look | None = None
+) -> FloatArray:
     """Return the covariance of the twelve numbers in SI units, shape (12, 12).
 
     Parameters
@@ -43,9 +45,11 @@ def twelve_covariance(fit: Fit, scale: float, doubt: Doubt | None = None) -> Flo
         Tesla of one field scale.
     doubt : Doubt, optional
         Of soft iron that was not fitted.
+    axes : Look, optional
+        What gains and axes of the magnetometer would bring that are a little off.
     """
     jacobian = correction_jacobian(fit.shared, fit.mounting, scale)
-    of_globals = fit.covariance
+    of_globals = fit.covariance if axes is None else axes.mean_square
     covariance = jacobian @ of_globals @ jacobian.T
     if len(fit.blocks) == 1:
         # Arcs on different tilts have middles apart, about which nothing can swing.

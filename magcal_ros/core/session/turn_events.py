@@ -153,9 +153,18 @@ class Faulted(Event):
 
 @dataclass(frozen=True)
 class Broken(Event):
-    """Something that a turn needs has failed, and it cannot go on; the words say what."""
+    """Something that a turn needs has failed, and it cannot go on.
+
+    Parameters
+    ----------
+    words : str
+        What has failed.
+    was_under_way : bool
+        Whether the turn has to be concluded even if it has been left already.
+    """
 
     words: str
+    was_under_way: bool = False
 
 
 @dataclass(frozen=True)

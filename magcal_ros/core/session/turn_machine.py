@@ -357,7 +357,7 @@ class TurnMachine:
             )
 
     def _on_broken(self, event: ev.Broken, _: float) -> None:
-        if self._stand is not None:
+        if self._stand is not None or event.was_under_way:
             self._leave_collecting()
             self._conclude(False, event.words)
 

@@ -36,13 +36,16 @@ from magcal_ros.core.estimation.selection import (
     Choice,
     explains_as_well,
     free_attitudes,
+    look_at,
     propagated_attitudes,
 )
+from magcal_ros.core.estimation.soft_iron_doubt import Look
+from magcal_ros.core.estimation.solver import Fit
 from magcal_ros.core.estimation.systematic_errors import Lasting, Turning, systematic_covariance
 from magcal_ros.core.estimation.uncertainty import twelve_covariance
 from magcal_ros.core.estimation.weighting import Weights
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.knowledge import Knowledge, Systematics
+from magcal_ros.core.knowledge import Knowledge, SoftIron, Systematics
 from magcal_ros.core.methods.maximum_likelihood.diagnostics import measure_figures
 from magcal_ros.core.methods.maximum_likelihood.report import EstimateParts, build_estimate
 from magcal_ros.core.methods.maximum_likelihood.screening import (
@@ -240,7 +243,8 @@ def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
     if swing is not None:
         check_gyro(swing.rms)
     check_solution(fit.block, knowledge, arc, solved.rival_gap, gyro=swing is not None)
-    covariance = twelve_covariance(fit, scale, solved.choice.doubt)
+    axes = _axes_a_little_off(fit, knowledge, scale)
+    covariance = twelve_covariance(fit, scale, solved.choice.doubt, axes)
     covariance += systematic_covariance(
         fit.shared,
         fit.mounting,
@@ -254,6 +258,15 @@ def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
     return build_estimate(
         fit, EstimateParts([solved.prepared], covariance, axis, arc, figures, swing)
     )
+
+
+def _axes_a_little_off(fit: Fit, knowledge: Knowledge, scale: float) -> Look | None:
+    """Return what small faults of the magnetometer's axes would bring; None if they were fitted."""
+    iron, most = knowledge.soft_iron, knowledge.systematics.gains
+    small = SoftIron(min(iron.sigma_diagonal, most), min(iron.sigma_cross, most))
+    if fit.prior.has_soft_iron or small == SoftIron.none():
+        return None
+    return look_at(fit, prior_from(replace(knowledge, soft_iron=small), scale, soft_iron=True))
 
 
 def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
