@@ -224,6 +224,10 @@ class GyroCheckTuning:
         nothing, and a mirrored one gets them right with the wrong sign.
     clear : float
         Sigmas.
+    dead : int
+        Messages with noise on another axis after which one that never changed is dead.
+    bend : float
+        Share of a rate by which noise bends it from message to message.
     """
 
     span: float = 0.4
@@ -233,6 +237,8 @@ class GyroCheckTuning:
     clear_noise: float = 10.0
     mirrored: float = -0.3
     clear: float = 3.0
+    dead: int = 100
+    bend: float = 1e-4
 
 
 @dataclass(frozen=True)
