@@ -336,3 +336,20 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
     ]
     assert line.is_wrong
     assert line.remedy.startswith("look once more: stand still, turn a full")
+
+
+@pytest.mark.parametrize("size", [7e-6, 15e-6])
+def test_motors_that_follow_the_rate_are_not_called_ok(size):
+    """A field that is early by .8 s explains the same turn: neither is said for certain."""
+    rng = np.random.default_rng(4)
+    time = np.arange(-6.0, 31.0, 1.0 / 30.0)
+    rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
+    turned = exp_rotations(-np.outer(np.cumsum(rate) / 30.0, [0.0, 0.0, 1.0]))
+    field = turned @ np.array([0.0, 25e-6, -43e-6]) + np.array([30e-6, -20e-6, 25e-6])
+    field += np.outer(size * rate / 0.26, [0.6, -0.8, 0.0])
+    field += 0.3e-6 * rng.normal(size=field.shape)
+    force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.normal(size=field.shape)
+    rates = np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape)
+    lines = {f.key: f for f in examine(SensorLog(time, force, rates, time, field)).findings}
+    assert lines["motors"].grade is not Grade.EXCELLENT
+    assert not lines["latency"].is_wrong
