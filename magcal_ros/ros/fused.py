@@ -136,6 +136,10 @@ class FusedOutput:
                 f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
                 "its axes or its sign are wrong in the driver"
             )
+        if not self._follower.gyro_is_whole:
+            return (
+                f"nothing on {TOPIC}: axes of the gyro never change; the driver does not read them"
+            )
         if not self._follower.is_propagated:
             return f"nothing on {TOPIC}: the IMU has no gyro"
         if self._fused.heading() is None:

@@ -35,6 +35,8 @@ class PlaceTuning:
         Tesla by which the field steps when the robot sets off.
     still, moves : float
         rad/s below which it stands, and above which it turns.
+    late : float
+        Seconds of a latency that is not shown, up to which it does not matter.
     before, after : tuple of float
         Seconds from and to, around the moment in which it sets off or stops.
     """
@@ -46,11 +48,15 @@ class PlaceTuning:
     motors: float = 1.5e-6
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
+    late: float = 0.05
     before: tuple[float, float] = (-0.6, -0.1)
     after: tuple[float, float] = (0.3, 0.8)
 
 
 TUNING = PlaceTuning()
+MOTORS = "field: motors"
+BETWEEN_RESTS = "stand still, turn, and stand still again"
+OR_LATE = "start and stop several times while you turn: motors and a late field look alike here"
 
 
 def reference_findings(
@@ -98,8 +104,13 @@ def reference_findings(
     return [looked_at("reference", name, evidence, remedy)]
 
 
-def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Finding:
+def motors_finding(
+    log: SensorLog, explanations: Explanations, k: int, lag_is_shown: bool = True
+) -> Finding:
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
+
+    A field that is late looks like motors, and motors like one that is late: where the latency is
+    not shown, only what both of them tell is said.
 
     Parameters
     ----------
@@ -109,12 +120,23 @@ def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Findin
         What explains the axes, the bias and the hard iron.
     k : int
         Which explanation.
+    lag_is_shown : bool
+        Whether the movement shows the field's latency.
     """
-    name = "field: motors"
+    lag = float(explanations.parameters[k, LAG])
+    found = _motors_with(log, explanations, k, lag)
+    if lag_is_shown or abs(lag) < TUNING.late:
+        return found
+    in_time = _motors_with(log, explanations, k, 0.0)
+    return found if found.grade is in_time.grade else not_shown("motors", MOTORS, OR_LATE)
+
+
+def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
+    """Look for the motors' step where the field is late by so many seconds."""
     state = explanations.parameters[k]
     rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
     field = log.field @ explanations.field[k]
-    time = log.field_time - state[LAG]
+    time = log.field_time - lag
     iron = state[IRON] * explanations.part.stretch.size
     steps, spread = [], []
     for moment, sign in _starts_and_stops(log, rate):
@@ -131,7 +153,7 @@ def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Findin
         noise = float(np.median(np.abs(np.diff(field, axis=0)))) / 0.95
         spread.append(math.hypot(noise / math.sqrt(min(low.sum(), high.sum())), 0.06 * way))
     if len(steps) < 2:
-        return not_shown("motors", name, "stand still, turn, and stand still again")
+        return not_shown("motors", MOTORS, BETWEEN_RESTS)
     step = np.mean(steps, axis=0)
     scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
     size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
@@ -142,7 +164,7 @@ def motors_finding(log: SensorLog, explanations: Explanations, k: int) -> Findin
         "from motors, drivers and battery wires, and twist each pair of wires"
     )
     return looked_at(
-        "motors", name, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
+        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import AxesFound
+from magcal_ros.core.assessment.axes import AxesFound, most_turned
 from magcal_ros.core.doctor.blame import blame
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain
@@ -129,11 +129,13 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
-        return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+        return _nothing_shown(log, None, told)
+    rest = longest_rest(body)
     factors = rate_factors(part.stretch)
-    given, factor = _explained(body, factors, knowledge)
+    stands_still = rest is not None and rest.is_certain and not _turns_beside(part.stretch, rest)
+    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
-        return MotionFound((*_nothing_shown(FULL_GUIDE), *upright(log, None, None, told).findings))
+        return _nothing_shown(log, rest if stands_still else None, told)
     body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     other = given.with_inclination(_opposite(knowledge.reference.inclination))
@@ -142,9 +144,8 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
     blamed = blame(explanations, knowledge, told if not stands.sign_wrong else told.opposite)
     findings = [_unit(factor, factors is None), *stands.findings, *blamed.findings]
     if blamed.explained:
-        findings += _gyro_errors(
-            explanations, blamed.chosen, factor, longest_rest(body), prepared.restamped
-        )
+        rest = None if rest is None else replace(rest, rate=factor * rest.rate)
+        findings += _gyro_errors(explanations, blamed.chosen, factor, rest, prepared.restamped)
         if prepared.restamped:
             findings.append(not_shown("latency", "field: latency", NO_BURSTS))
         else:
@@ -191,13 +192,24 @@ def _opposite(belief: Belief) -> Belief:
     return Belief(-belief.value, belief.sigma)
 
 
-def _nothing_shown(why: str) -> tuple[Finding, ...]:
-    return (
-        not_shown("axes", "axes", why),
-        not_shown("gyro_bias", "gyro: bias", why),
-        not_shown("rate_scale", "gyro: scale", why),
-        not_shown("latency", "field: latency", why),
+def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
+    """Return whether the gyro tells a turn beside what it reads at rest."""
+    alone = replace(stretch, turn=stretch.turn - stretch.seconds[:, None] * rest.rate)
+    return most_turned(alone) >= WEIGHED.least_turn
+
+
+def _nothing_shown(log: SensorLog, rest: Rest | None, told: Told) -> MotionFound:
+    """Return that the sensors were not compared; a rest still shows the gyro's bias."""
+    bias = not_shown("gyro_bias", "gyro: bias", FULL_GUIDE)
+    if rest is not None:
+        bias = _bias(rest.rate, TUNING.at_rest, 1.0)
+    findings = (
+        not_shown("axes", "axes", FULL_GUIDE),
+        bias,
+        not_shown("rate_scale", "gyro: scale", FULL_GUIDE),
+        not_shown("latency", "field: latency", FULL_GUIDE),
     )
+    return MotionFound((*findings, *upright(log, None, None, told).findings))
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:
@@ -228,7 +240,32 @@ def _gyro_errors(
     off = math.sqrt(float(spread.max()))
     if rest is not None and rest.is_certain and off > TUNING.vague[0]:
         bias, off = rest.rate, TUNING.at_rest
-    size = float(np.linalg.norm(bias))
+    line = _bias(bias, off, factor)
+    # A vehicle's accelerations look like a bias while it turns: a rest must bear it out.
+    if off > TUNING.vague[0] or (line.is_wrong and not _borne_out(rest, bias)):
+        line = not_shown("gyro_bias", "gyro: bias", FULL_TURN)
+    found = [line]
+    scale, off = float(state[SCALE]), float(sigma[SCALE])
+    if restamped:
+        return [*found, not_shown("rate_scale", "gyro: scale", NO_BURSTS)]
+    if off > TUNING.vague[1]:
+        return [*found, not_shown("rate_scale", "gyro: scale", f"within {off:.1%}; {FULL_TURN}")]
+    evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
+    # Motors and iron that move the field during one turn look like it.
+    remedy = (
+        "look once more: stand still, turn a full circle on the spot, away from iron, stand still; "
+        "if the field again turns so much "
+        f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
+        f"{factor * (1.0 + scale):.4g} in the driver"
+    )
+    too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
+    if too_large and not _gravity_agrees(explanations, chosen):
+        why = f"gravity and field tell two scales; {FULL_TURN}"
+        return [*found, not_shown("rate_scale", "gyro: scale", why)]
+    return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
+
+
+def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
     words = ", ".join(f"{math.degrees(value):.2f}" for value in bias)
     evidence = f"({words}) ± {math.degrees(off):.2f} °/s"
     as_published = ", ".join(f"{value / factor:.4g}" for value in bias)
@@ -236,25 +273,8 @@ def _gyro_errors(
         "let the driver measure the gyro's bias while the robot stands, or subtract "
         f"({as_published}) from its rates"
     )
-    found = []
-    too_large = size > max(TUNING.bias, TUNING.sigmas * off)
-    # A vehicle's accelerations look like a bias while it turns: a rest must bear it out.
-    if off > TUNING.vague[0] or (too_large and not _borne_out(rest, bias)):
-        found.append(not_shown("gyro_bias", "gyro: bias", FULL_TURN))
-    else:
-        found.append(looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large))
-    scale, off = float(state[SCALE]), float(sigma[SCALE])
-    if restamped:
-        return [*found, not_shown("rate_scale", "gyro: scale", NO_BURSTS)]
-    if off > TUNING.vague[1]:
-        return [*found, not_shown("rate_scale", "gyro: scale", f"within {off:.1%}; {FULL_TURN}")]
-    evidence = f"{-scale / (1.0 + scale):+.1%} ± {off:.1%}"
-    remedy = f"multiply the gyro's rates by {factor * (1.0 + scale):.4g} in the driver"
-    too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
-    if too_large and not _gravity_agrees(explanations, chosen):
-        why = f"gravity and field tell two scales; {FULL_TURN}"
-        return [*found, not_shown("rate_scale", "gyro: scale", why)]
-    return [*found, looked_at("rate_scale", "gyro: scale", evidence, remedy * too_large)]
+    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, TUNING.sigmas * off)
+    return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
 def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:

@@ -124,5 +124,6 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
     )
     lines = reference_findings(found.explanations, found.chosen, knowledge, found.up_is_down)
     if not prepared.restamped and np.isfinite(log.rate).all():
-        lines.append(motors_finding(body, found.explanations, found.chosen))
+        shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
+        lines.append(motors_finding(body, found.explanations, found.chosen, shown))
     return lines

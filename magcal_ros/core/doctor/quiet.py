@@ -27,6 +27,8 @@ class QuietTuning:
         Share of gravity by which its means may differ.
     field : float
         Share of its size by which the field's may, on top of their noise.
+    wanders : float
+        Share of what a turn would move the field by that it may wander by at rest.
     """
 
     block: float = 0.5
@@ -34,6 +36,7 @@ class QuietTuning:
     rate: float = math.radians(0.6)
     lean: float = 0.015
     field: float = 0.008
+    wanders: float = 0.1
 
 
 TUNING = QuietTuning()
@@ -91,7 +94,8 @@ def longest_rest(log: SensorLog) -> Rest | None:
     would = 0.3 * size * min(turned, 1.0)
     if moved > limit + would:
         return None
-    return Rest(rate[first : last + 1].mean(axis=0), moved < limit and would > 3.0 * limit)
+    still = max(limit, TUNING.wanders * would)
+    return Rest(rate[first : last + 1].mean(axis=0), moved < still and would > 3.0 * limit)
 
 
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:

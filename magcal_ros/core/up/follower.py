@@ -10,6 +10,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, between, length, propagated, unit_triple
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
+from magcal_ros.core.up.gyro_check import LivingAxes
 from magcal_ros.core.up.levelling import Levelling
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.steady import ZERO
@@ -32,8 +33,8 @@ class UpFollower:
     """Follows up through whatever the robot does.
 
     With a gyro up is propagated by it and corrected by the accelerometer as far as the motion
-    allows; without one, or with one that turns otherwise than the accelerometer, the latter is
-    smoothed.
+    allows; without one, or with one that has dead axes or turns otherwise than the accelerometer,
+    the latter is smoothed.
 
     Parameters
     ----------
@@ -44,6 +45,7 @@ class UpFollower:
     def __init__(self, tuning: UpTuning | None = None) -> None:
         self._tuning = tuning or UpTuning()
         self._propagation = GyroPropagation(self._tuning)
+        self._axes = LivingAxes(self._tuning.check)
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
@@ -57,6 +59,11 @@ class UpFollower:
     def gyro_is_believed(self) -> bool:
         """Whether the gyro, where there is one, turns as the accelerometer does."""
         return self._propagation.check.is_believed
+
+    @property
+    def gyro_is_whole(self) -> bool:
+        """Whether all axes of the gyro, where there is one, are alive."""
+        return self._axes.are_all
 
     @property
     def rate(self) -> Triple:
@@ -125,11 +132,12 @@ class UpFollower:
         follows = last is not None and 0.0 < seconds <= STREAMS.longest_gyro_step
         stamp, rate, propagation = sample.stamp, sample.rate, self._propagation
         if has_gyro(sample):
+            self._axes.add(rate)
             if follows and last is not None and has_gyro(last):
                 propagation.add(stamp, force, rate, seconds, is_given)
             else:
                 propagation.begin(stamp, force, rate, is_given)
-        if has_gyro(sample) and propagation.check.is_believed:
+        if has_gyro(sample) and propagation.check.is_believed and self._axes.are_all:
             if self._levelling is not None:
                 self._levelling = None
                 propagation.begin(stamp, force, rate, is_given)

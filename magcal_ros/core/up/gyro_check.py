@@ -97,3 +97,37 @@ class GyroCheck:
             self.is_believed = False
         elif explained - self._tuning.clear * sigma > self._tuning.mirrored:
             self.is_believed = True
+
+
+class LivingAxes:
+    """Tells a gyro of which some axes are dead: it does not see the robot lean.
+
+    A simulated gyro without noise may rest on two axes and be right.
+
+    Parameters
+    ----------
+    tuning : GyroCheckTuning, optional
+        What is taken for granted.
+    """
+
+    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
+        self._tuning = tuning or GyroCheckTuning()
+        self._last: list[Triple] = []
+        self._alive = [False, False, False]
+        self._noisy = 0
+
+    @property
+    def are_all(self) -> bool:
+        """Whether every axis has changed; true until noise of another has shown itself."""
+        return self._noisy < self._tuning.dead or all(self._alive)
+
+    def add(self, rate: Triple) -> None:
+        """Take the next rate, rad/s."""
+        if all(self._alive):
+            return
+        if len(self._last) == 2:
+            before, last = self._last
+            bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
+            self._alive = [a or rate[k] != last[k] for k, a in enumerate(self._alive)]
+            self._noisy += max(bends) > self._tuning.bend * max(map(abs, rate))
+        self._last = [*self._last[-1:], rate]

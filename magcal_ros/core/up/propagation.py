@@ -211,7 +211,10 @@ class GyroPropagation:
         """Learn the bias and the accelerometer's length from a robot at rest."""
         spell = self._spell
         axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
-        self._filter.observe_bias(np.array(means.rate), self._rate_noise / means.messages, axis)
+        white = self._rate_noise / means.messages
+        # A robot that rolls evenly sways, slowly beside a block: blocks do not average that away.
+        sway = max(0.0, spell.sway - white) * self.tuning.rest.sways / means.seconds
+        self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._rest = length(spell.force)
         floor = self.tuning.rest.length_floor
         self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))

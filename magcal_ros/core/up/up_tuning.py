@@ -116,6 +116,8 @@ class RestTuning:
         g. How well the accelerometer's length is known at best.
     known : float
         Seconds of a settled spell from which bias and length at rest are learnt.
+    sways : float
+        Seconds after which a robot that rolls sways to the other side.
     level_share : float
         Share of the raw field that turns with the robot, at the least: a turn by an angle changes
         the field by more than this share of the angle.
@@ -137,6 +139,7 @@ class RestTuning:
     clear: float = 3.0
     length_floor: float = 3e-4
     known: float = 1.0
+    sways: float = 2.0
     level_share: float = 0.1
     field_mean: float = 0.25
     field_lasts: float = 1.0
@@ -221,6 +224,10 @@ class GyroCheckTuning:
         nothing, and a mirrored one gets them right with the wrong sign.
     clear : float
         Sigmas.
+    dead : int
+        Messages with noise on another axis after which one that never changed is dead.
+    bend : float
+        Share of a rate by which noise bends it from message to message.
     """
 
     span: float = 0.4
@@ -230,6 +237,8 @@ class GyroCheckTuning:
     clear_noise: float = 10.0
     mirrored: float = -0.3
     clear: float = 3.0
+    dead: int = 100
+    bend: float = 1e-4
 
 
 @dataclass(frozen=True)

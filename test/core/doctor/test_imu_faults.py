@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.geometry.signed_axes import signed_permutations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 
 MOST_SEEN = "half minute"
 
@@ -310,3 +310,46 @@ def test_a_lever_arm_is_no_turned_accelerometer(seed):
     part = stretch_of_log(SensorLog(time, force, noisy, time, field))
     misfit, _ = gravity_misfit(part.stretch, signed_permutations())
     assert misfit[0] < 5.0
+
+
+def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_axes():
+    """The field at rest wanders by half a microtesla; the gyro alone tells a turn of 140°."""
+    rng, time = np.random.default_rng(8), np.arange(0.0, 30.0, 0.025)
+    bias = np.array([3.5, 2.0, 2.0]) * DEGREE
+    rate = bias + 0.1 * DEGREE * rng.normal(size=(len(time), 3))
+    force = np.array([0.3, -0.1, 9.8]) + 0.03 * rng.normal(size=rate.shape)
+    wander = np.linspace(0.0, 0.5e-6, len(time))[:, None] * np.array([1.0, 1.0, -1.0])
+    field = np.array([15e-6, 5e-6, -35e-6]) + wander + 0.02e-6 * rng.normal(size=rate.shape)
+    lines = {f.key: f for f in examine(SensorLog(time, force, rate, time, field)).findings}
+    assert "nothing_fits" not in lines
+    assert lines["axes"].evidence.startswith("not shown")
+    assert lines["gyro_bias"].evidence.startswith("(3.5")
+
+
+def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
+    """Currents that rise during one turn move the field as another scale would."""
+    case = good_case(np.random.default_rng([5, 1]), MOST_SEEN)
+    (line,) = [
+        f
+        for f in page_of(case, replace(case.log, rate=1.08 * case.log.rate)).findings
+        if f.key == "rate_scale"
+    ]
+    assert line.is_wrong
+    assert line.remedy.startswith("look once more: stand still, turn a full")
+
+
+@pytest.mark.parametrize("size", [7e-6, 15e-6])
+def test_motors_that_follow_the_rate_are_not_called_ok(size):
+    """A field that is early by .8 s explains the same turn: neither is said for certain."""
+    rng = np.random.default_rng(4)
+    time = np.arange(-6.0, 31.0, 1.0 / 30.0)
+    rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
+    turned = exp_rotations(-np.outer(np.cumsum(rate) / 30.0, [0.0, 0.0, 1.0]))
+    field = turned @ np.array([0.0, 25e-6, -43e-6]) + np.array([30e-6, -20e-6, 25e-6])
+    field += np.outer(size * rate / 0.26, [0.6, -0.8, 0.0])
+    field += 0.3e-6 * rng.normal(size=field.shape)
+    force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.normal(size=field.shape)
+    rates = np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape)
+    lines = {f.key: f for f in examine(SensorLog(time, force, rates, time, field)).findings}
+    assert lines["motors"].grade is not Grade.EXCELLENT
+    assert not lines["latency"].is_wrong

@@ -5,9 +5,15 @@ import pytest
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.estimate import GyroSwing
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.monitoring.recheck import check
-from magcal_ros.core.monitoring.recheck_chance import check_beside_chance, scatter_of_means
+from magcal_ros.core.monitoring.recheck_chance import (
+    chances,
+    check_beside_chance,
+    scatter_of_means,
+    sectors,
+)
 from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
@@ -71,3 +77,16 @@ def test_a_good_calibration_is_not_stale_in_streets_and_a_changed_one_is_noticed
     assert check(through_streets(seed, np.zeros(3)), made.calibration).state != "stale"
     changed = check(through_streets(seed, np.array([10e-6, 0.0, 0.0])), made.calibration)
     assert changed.state in ("doubtful", "stale")
+
+
+@pytest.mark.parametrize(("strays", "explained"), [((2,), True), ((1, 3), False)])
+def test_what_one_place_alone_adds_is_not_the_calibrations(strays, explained):
+    """Beside iron the compass goes round once; two visits to other places do as a change would."""
+    visit = np.repeat(np.arange(6), 60)
+    heading = np.radians(30.0 * visit + np.tile(np.linspace(0.1, 29.9, 60), 6))
+    deviation = np.where(np.isin(visit, strays), 1.2, 0.05) * np.cos(7.0 * heading)
+    figure = Figure.GYRO_COMPASS_DIFFERENCE
+    swing = GyroSwing(heading, deviation, math.sqrt(np.mean(deviation**2)))
+    around, nothing = sectors(heading, 36), {figure: 0.0}
+    found = chances({}, visit, around, (swing, np.arange(360)), nothing, nothing, 36)[figure]
+    assert (math.sqrt(max(swing.rms**2 - found**2, 0.0)) < 0.05) is explained

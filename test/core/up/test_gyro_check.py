@@ -68,3 +68,32 @@ def test_under_shaking_a_nod_still_tells(sense, believed):
         turn = (sense * (rate + shaking) + 0.04 * rng.standard_normal()) * STEP
         check.add(force, (turn, 0.0, 0.0), STEP, (0.05 * STEP) ** 2)
     assert check.is_believed is believed
+
+
+@pytest.mark.parametrize(("noise", "propagates"), [(0.002, False), (0.0, True)])
+def test_a_gyro_with_one_living_axis_does_not_turn_a_leaning_up_about_it(noise, propagates):
+    """In a robot without noise, as simulated, two axes may rest and be right."""
+    rng, follower = np.random.default_rng(3), UpFollower()
+    lean = 0.0 if propagates else 0.22
+    up = np.array([0.0, math.sin(lean), math.cos(lean)])
+    for k in range(1500):
+        rate = 0.3 * min(1.0, k * STEP / 2.0)
+        rate = 0.0 if k * STEP < 1.0 else rate + noise * rng.standard_normal()
+        force = 9.81 * up + 0.05 * rng.standard_normal(3)
+        follower.add(ImuSample(k * STEP, tuple(force), (0.0, 0.0, rate * math.cos(lean))))
+    assert follower.is_propagated is propagates
+    assert math.degrees(math.acos(min(1.0, float(up @ follower.newest)))) < 1.0
+
+
+def test_the_sway_of_a_car_that_rolls_straight_on_is_hardly_taken_for_a_bias():
+    """Half a second of it is; the sway of one block is not that of the next all over again."""
+    worst = np.zeros(4)
+    for seed in range(4):
+        rng, follower, sway = np.random.default_rng(seed), UpFollower(), np.zeros(3)
+        for k in range(1200):
+            sway = 0.93 * sway + 0.37 * math.radians(1.0) * rng.standard_normal(3)
+            force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.standard_normal(3)
+            follower.add(ImuSample(0.025 * k, tuple(force), tuple(sway)))
+            follower.add_field(0.025 * k, (2e-5, 0.0, -4e-5))
+            worst[seed] = max(worst[seed], np.linalg.norm(follower.gyro_bias.rate))
+    assert worst.mean() < math.radians(1.2)

@@ -180,8 +180,8 @@ def check_gyro(stray: float) -> None:
     if stray > SCREENING.worst_stray:
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"gyro and compass differ by {math.degrees(stray):.0f} degrees over the turn; check"
-            " that the axes of both sensors belong together, and turn away from iron",
+            f"gyro and compass differ by {math.degrees(stray):.0f} degrees over the turn; turn on"
+            " the spot and away from iron; if they differ there, `magcal doctor` says which errs",
         )
 
 
