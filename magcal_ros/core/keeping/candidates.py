@@ -174,6 +174,26 @@ def is_another(
     return apart > tuning.differs * math.hypot(candidate.sigma, predicted_heading_sigma(in_force))
 
 
+def narrows(
+    candidate: DriveCandidate, in_force: Calibration, known: float, tuning: KeepingTuning = KEEPING
+) -> bool:
+    """Whether a candidate says what a rough calibration says, and knows it much better.
+
+    On the road since, both are about as likely: their sigmas are the proof.
+
+    Parameters
+    ----------
+    candidate : DriveCandidate
+    in_force : Calibration
+    known : float
+        Radians of heading to which it is known.
+    tuning : KeepingTuning
+    """
+    if known <= tuning.largest_sigma or candidate.sigma > tuning.much_better * known:
+        return False
+    return not is_another(candidate, in_force, tuning)
+
+
 def difference(old: Calibration, new: Calibration) -> float:
     """Return the RMS over headings by which two calibrations differ, radians."""
     return math.sqrt(float(np.mean(swing(old, new) ** 2)))
