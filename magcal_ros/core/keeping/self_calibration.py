@@ -22,6 +22,8 @@ from magcal_ros.core.keeping.candidates import (
     course_gain,
     difference,
     is_another,
+    is_finer,
+    known_sigma,
     narrows,
 )
 from magcal_ros.core.keeping.decisions import Decision, Verb
@@ -305,20 +307,13 @@ class SelfCalibration:
             found = [findings.finer]
         else:
             found = [each for each in findings.candidates if each.kind is Kind.ALL]
-        known = in_force.evidence.figures.get(Figure.HEADING_SIGMA.value, self._promised)
         for each in found:
             if each is None or not self._is_believable(each):
                 continue
-            # Two that are both good differ by chance: more of the same road has to tell much more.
-            is_rough = known > self.tuning.largest_sigma
-            share = self.tuning.finer if is_rough else self.tuning.much_better
-            if (
-                each.sigma < share * known
-                and each.seconds > self._road
-                and not is_another(each, in_force)
-            ):
+            if is_finer(each, in_force, self.tuning) and each.seconds > self._road:
                 self._road = self.tuning.more_road * each.seconds
-                words = f"{each.in_words}, where ±{math.degrees(known):.1f}° were known"
+                known = math.degrees(known_sigma(in_force))
+                words = f"{each.in_words}, where ±{known:.1f}° were known"
                 self._on_probation.clear()
                 return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
         return []
@@ -336,9 +331,9 @@ class SelfCalibration:
         if not good:
             return []
         best = min(good, key=lambda each: each.sigma)
-        known = in_force.evidence.figures.get(Figure.HEADING_SIGMA.value, self._promised)
-        if narrows(best, in_force, known, self.tuning):
-            words = f"{best.in_words}, agrees with what was known to ±{math.degrees(known):.1f}°"
+        if narrows(best, in_force, self.tuning):
+            known = math.degrees(known_sigma(in_force))
+            words = f"{best.in_words}, agrees with what was known to ±{known:.1f}°"
             return [self._change(findings.clock, best.calibration, words)]
         if Kind.ALL in self._on_probation:
             return []
