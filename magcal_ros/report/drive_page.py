@@ -33,7 +33,8 @@ TALLEST = "75vh"
 RULES = (
     "A calibration that is found while driving is on probation first: only road that is driven "
     "after it was found can prove it better than the one in force. Where nothing is in force, a "
-    "second one that agrees is enough. What is put in force stays on trial against the one before. "
+    "second one that agrees is enough; where that is known to no better than 3°, one that agrees "
+    "and is known much better. What is put in force stays on trial against the one before. "
     "Headings are counted in twelve sectors of 30°; ± is one standard deviation of the heading."
 )
 VERBS = {

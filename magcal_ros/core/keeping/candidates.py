@@ -174,6 +174,37 @@ def is_another(
     return apart > tuning.differs * math.hypot(candidate.sigma, predicted_heading_sigma(in_force))
 
 
+def known_sigma(calibration: Calibration) -> float:
+    """Return the radians of heading to which a calibration says that it is known."""
+    said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
+    return predicted_heading_sigma(calibration) if said is None else said
+
+
+def is_finer(
+    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
+) -> bool:
+    """Whether more of the same driving says the same, and knows it better.
+
+    Two that are both good differ by chance, and then more road has to tell much more.
+    """
+    known = known_sigma(in_force)
+    share = tuning.finer if known > tuning.largest_sigma else tuning.much_better
+    return candidate.sigma < share * known and not is_another(candidate, in_force, tuning)
+
+
+def narrows(
+    candidate: DriveCandidate, in_force: Calibration, tuning: KeepingTuning = KEEPING
+) -> bool:
+    """Whether a candidate says what a rough calibration says, and knows it much better.
+
+    On the road since, both are about as likely: their sigmas are the proof.
+    """
+    known = known_sigma(in_force)
+    if known <= tuning.largest_sigma or candidate.sigma > tuning.much_better * known:
+        return False
+    return not is_another(candidate, in_force, tuning)
+
+
 def difference(old: Calibration, new: Calibration) -> float:
     """Return the RMS over headings by which two calibrations differ, radians."""
     return math.sqrt(float(np.mean(swing(old, new) ** 2)))

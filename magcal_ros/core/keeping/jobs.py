@@ -49,12 +49,10 @@ class DriveJob:
         The last minutes.
     knowledge : Knowledge
     in_force : Calibration or None
-    windows, iron_windows : tuple of float
-        Seconds of the newest road to be fitted.
+    windows : tuple of float
+        Seconds of the newest road to which all twelve numbers are fitted.
     not_before : float
         Clock before which no window begins, seconds: something changed there.
-    suspect : Correction or None
-        What is thought to hold since a change; when it came is looked for.
     changed : float
         Clock of the change after which what is in force was fitted; minus infinity without one.
     contests : tuple of Contest
@@ -64,9 +62,7 @@ class DriveJob:
     knowledge: Knowledge
     in_force: Calibration | None
     windows: tuple[float, ...]
-    iron_windows: tuple[float, ...]
     not_before: float
-    suspect: Correction | None
     changed: float
     contests: tuple[Contest, ...]
 

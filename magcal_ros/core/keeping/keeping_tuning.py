@@ -14,19 +14,20 @@ class KeepingTuning:
     ----------
     look_every, look_again : float
         Seconds between two looks, and while a changed hard iron is on probation.
-    windows, iron_windows : tuple of float
-        Seconds of road to which all twelve numbers are fitted, and the hard iron alone.
+    windows : tuple of float
+        Seconds of road to which all twelve numbers are fitted.
     look_back, shortest_since, longest_since : float
         Seconds of road in which a change is looked for; least and most of the road since it to
         which the hard iron is fitted.
     finer : float
         Share of its sigma below which what came of driving is replaced by what more of the same
-        driving shows.
+        driving shows, where it is known more roughly than `largest_sigma`.
     more_road : float
         Times the road it came of that this must be fitted to.
-    notice_sigma, notice_differs : float
-        Radians of heading to which a change of the hard iron must be known to be told, and how many
-        sigmas it must differ from what is in force.
+    notice_sigma, notice_differs, notice_proof : float
+        Radians of heading to which a change of the hard iron must be known to be told, how many
+        sigmas it must differ from what is in force, and by how many units of log likelihood the
+        road before and since must be likelier with it.
     plainly : float
         Share of the difference from what is in force that a changed hard iron may be uncertain by.
     largest_sigma : float
@@ -36,7 +37,8 @@ class KeepingTuning:
     differs : float
         Sigmas by which a candidate differs from what is in force, or else nothing is to be mended.
     much_better : float
-        Share of the other's sigma below which it is taken up all the same.
+        Share of the other's sigma below which it is taken up all the same. Where that is beyond
+        `largest_sigma` and both agree, this is enough.
     longest_probation, longest_trial : float
         Seconds of road after which a candidate that has not proved itself is dropped, and one in
         force is no longer compared with the one before.
@@ -74,7 +76,6 @@ class KeepingTuning:
     look_every: float = 20.0
     look_again: float = 10.0
     windows: tuple[float, ...] = (120.0, 200.0, 300.0, 420.0)
-    iron_windows: tuple[float, ...] = (60.0, 120.0)
     look_back: float = 240.0
     shortest_since: float = 25.0
     longest_since: float = 300.0
@@ -82,6 +83,7 @@ class KeepingTuning:
     more_road: float = 1.15
     notice_sigma: float = math.radians(5.0)
     notice_differs: float = 4.0
+    notice_proof: float = 5.0
     plainly: float = 0.2
     largest_sigma: float = math.radians(3.0)
     fewest_sectors: int = 6

@@ -22,6 +22,9 @@ from magcal_ros.core.keeping.candidates import (
     course_gain,
     difference,
     is_another,
+    is_finer,
+    known_sigma,
+    narrows,
 )
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Step
@@ -153,7 +156,7 @@ class SelfCalibration:
         """Take a sample as `DriveRecorder.add` does; returns whether a look is due."""
         if self.mode is Mode.OFF or not self._recorder.add(stamp, field, force, rate, speed):
             return False
-        if self._pending or self._recorder.seconds < min(self.tuning.iron_windows):
+        if self._pending or self._recorder.seconds < self.tuning.look_every:
             return False
         tuning = self.tuning
         wait = tuning.look_again if Kind.IRON in self._on_probation else tuning.look_every
@@ -169,7 +172,7 @@ class SelfCalibration:
         if in_force is not None:
             # One window a look is enough where something is in force already.
             windows = windows[self._round % len(windows) :][:1]
-        contests, suspect = [], self._on_probation.get(Kind.IRON)
+        contests = []
         if in_force is not None:
             for kind, probation in self._on_probation.items():
                 contests.append(Contest(kind.value, in_force.correction, probation.steps))
@@ -181,9 +184,7 @@ class SelfCalibration:
             knowledge,
             in_force,
             windows,
-            tuning.iron_windows if in_force is not None and suspect is None else (),
             self._not_before,
-            None if suspect is None else suspect.candidate.calibration.correction,
             self._changed,
             tuple(contests),
         )
@@ -306,14 +307,13 @@ class SelfCalibration:
             found = [findings.finer]
         else:
             found = [each for each in findings.candidates if each.kind is Kind.ALL]
-        known = in_force.evidence.figures.get(Figure.HEADING_SIGMA.value, self._promised)
         for each in found:
             if each is None or not self._is_believable(each):
                 continue
-            is_finer = each.sigma < self.tuning.finer * known
-            if is_finer and each.seconds > self._road and not is_another(each, in_force):
+            if is_finer(each, in_force, self.tuning) and each.seconds > self._road:
                 self._road = self.tuning.more_road * each.seconds
-                words = f"{each.in_words}, where ±{math.degrees(known):.1f}° were known"
+                known = math.degrees(known_sigma(in_force))
+                words = f"{each.in_words}, where ±{known:.1f}° were known"
                 self._on_probation.clear()
                 return [Decision(findings.clock, Verb.REFINED, words, each.calibration)]
         return []
@@ -328,9 +328,15 @@ class SelfCalibration:
             and self._is_worth_it(each, in_force)
             and not self._is_offered(each)
         ]
-        if Kind.ALL in self._on_probation or not good:
+        if not good:
             return []
         best = min(good, key=lambda each: each.sigma)
+        if narrows(best, in_force, self.tuning):
+            known = math.degrees(known_sigma(in_force))
+            words = f"{best.in_words}, agrees with what was known to ±{known:.1f}°"
+            return [self._change(findings.clock, best.calibration, words)]
+        if Kind.ALL in self._on_probation:
+            return []
         self._on_probation[Kind.ALL] = Probation.of(best)
         apart = math.degrees(difference(in_force, best.calibration))
         words = f"{best.in_words} differs by {apart:.1f}° from what is in force"

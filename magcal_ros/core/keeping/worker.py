@@ -7,11 +7,12 @@ import math
 import numpy as np
 
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.keeping.candidates import DriveCandidate, Kind, candidate_of, is_another
+from magcal_ros.core.keeping.candidates import DriveCandidate, Kind, candidate_of
 from magcal_ros.core.keeping.jobs import DriveJob, Findings
 from magcal_ros.core.keeping.keeping_tuning import KEEPING
 from magcal_ros.core.keeping.proving import prove
-from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, onset
+from magcal_ros.core.smoothing.change import find_change
+from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes
 from magcal_ros.core.smoothing.nodes import Nodes
 
 
@@ -20,12 +21,7 @@ def answer(job: DriveJob) -> Findings:
     nodes = job.log.nodes(job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     found: list[DriveCandidate | None] = []
-    for seconds in job.iron_windows:
-        part = _newest(nodes, clock, seconds, job.not_before)
-        if part is not None:
-            found.append(_iron(part, job, clock - seconds, clock))
-    irons = [each for each in found if each is not None]
-    since_change = _since_change(nodes, job, irons, clock)
+    since_change = _since_change(nodes, job, clock)
     finer = None
     if math.isfinite(job.changed):
         finer = _iron_since(nodes, job, job.changed, clock)
@@ -41,28 +37,18 @@ def answer(job: DriveJob) -> Findings:
     return Findings(clock, whole, since_change, finer, proofs)
 
 
-def _since_change(
-    nodes: Nodes, job: DriveJob, irons: list[DriveCandidate], clock: float
-) -> DriveCandidate | None:
-    """Return the hard iron of all road since a change, where one is suspected."""
+def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate | None:
+    """Return the hard iron of all road since a change, where the road is likelier with one."""
     if job.in_force is None:
         return None
-    suspect, old, tuning = job.suspect, job.in_force, KEEPING
-    if suspect is None:
-        others = [each for each in irons if is_another(each, old)]
-        if not others:
-            return None
-        suspect = min(others, key=lambda each: each.sigma).calibration.correction
-    first = max(clock - tuning.look_back, job.not_before)
-    recent = nodes.take(np.flatnonzero(nodes.time >= first))
-    found = None
-    for _ in range(2):
-        start = onset(recent, old.correction, suspect, job.knowledge)
-        found = _iron_since(recent, job, start, clock)
-        if found is None:
-            return None
-        suspect = found.calibration.correction
-    return found
+    first = max(clock - KEEPING.look_back, job.not_before)
+    rows = np.flatnonzero(nodes.time >= first)
+    if not len(rows):
+        return None
+    change = find_change(nodes.take(rows), job.in_force, job.knowledge)
+    if change is None or change.gain < KEEPING.notice_proof:
+        return None
+    return candidate_of(change.fit, Kind.IRON, job.in_force, change.since, clock)
 
 
 def _iron_since(nodes: Nodes, job: DriveJob, start: float, clock: float) -> DriveCandidate | None:

@@ -97,7 +97,8 @@ def field_of(nodes: Nodes, unknowns: Unknowns) -> FloatArray:
     """Return the field that the nodes should read, shape (n, 3)."""
     inside = np.einsum("nij,nj->ni", turned_into(unknowns.yaw), unknowns.earth + unknowns.street)
     body = np.einsum("nij,nj->ni", nodes.axes, inside)
-    return np.asarray(body @ unknowns.distortion.T + unknowns.shared[IRON])
+    iron = np.outer(nodes.has_iron, unknowns.shared[IRON])
+    return np.asarray(body @ unknowns.distortion.T + iron)
 
 
 def field_jacobians(nodes: Nodes, unknowns: Unknowns) -> tuple[FloatArray, FloatArray]:
@@ -117,7 +118,7 @@ def field_jacobians(nodes: Nodes, unknowns: Unknowns) -> tuple[FloatArray, Float
     local[:, :, 0] = np.einsum("nij,nj->ni", by_level, swung)
     local[:, :, 1:] = by_world
     every = np.zeros((n, 3, SHARED))
-    every[:, :, IRON] = np.eye(3)
+    every[:, :, IRON] = nodes.has_iron[:, None, None] * np.eye(3)
     pitched = rotation_from_rpy(0.0, shared[PITCH]).T
     rolled = rotation_from_rpy(shared[ROLL], 0.0).T
     every[:, :, ROLL] = body @ (soft @ -skew(ALONG_X) @ turned).T

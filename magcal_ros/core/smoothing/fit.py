@@ -46,8 +46,8 @@ class DriveFit:
 
     @property
     def sectors(self) -> int:
-        """How many of twelve sectors of 30 degrees were driven."""
-        return sectors_of(self.smoothed.unknowns.yaw)
+        """How many of twelve sectors of 30° were driven with the iron that is sought."""
+        return sectors_of(self.smoothed.unknowns.yaw[self.nodes.has_iron > 0.0])
 
     @property
     def metres(self) -> float:
@@ -56,8 +56,8 @@ class DriveFit:
 
     @property
     def seconds(self) -> float:
-        """How long the drive took, standing included."""
-        return float(self.nodes.time[-1] - self.nodes.time[0])
+        """How long the drive took, standing included, with the hard iron that is sought."""
+        return float(self.nodes.time[-1] - max(self.nodes.time[0], self.nodes.iron_from))
 
 
 def sectors_of(yaw: FloatArray) -> int:
@@ -179,15 +179,18 @@ def fit_iron(
     smoothed = smooth(Problem(inside, prior, declination, Sizes(), tuning), start, reviews=2)
     if smoothed is None:
         return None
+    return DriveFit(smoothed, added_to(correction, smoothed), 0.0)
+
+
+def added_to(correction: Correction, smoothed: Smoothed) -> Twelve:
+    """Return the twelve numbers of the raw field, from a fit to a field corrected before."""
     change = twelve_of(smoothed, np.eye(3))
-    whole = change.correction.after(correction)
     # A = A1 A0 and h = h0 + A0^-1 h1: how the twelve numbers follow those of the change.
     by_change = np.zeros((12, 12))
     by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
     by_change[9:, 9:] = np.linalg.inv(correction.matrix)
     covariance = by_change @ change.covariance @ by_change.T
-    twelve = replace(change, correction=whole, covariance=covariance)
-    return DriveFit(smoothed, twelve, 0.0)
+    return replace(change, correction=change.correction.after(correction), covariance=covariance)
 
 
 def held_fit(
@@ -223,7 +226,7 @@ def _held(
     start = Unknowns(prior.mean, inside.heading, np.zeros((len(inside), 3)))
     declination = knowledge.reference.declination or 0.0
     problem = Problem(inside, prior, declination, sizes, tuning)
-    return descend(problem, _followed(start, inside))
+    return descend(problem, aligned(start, inside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,28 +295,8 @@ def favour_of(
     return Favour(gain / tuning.counts, by_sector / tuning.counts)
 
 
-def onset(
-    nodes: Nodes,
-    old: Correction,
-    new: Correction,
-    knowledge: Knowledge,
-    tuning: SmootherTuning = TUNING,
-) -> float:
-    """Return the clock from which the nodes follow a new calibration rather than an old one.
-
-    Parameters are those of `favour`; the nodes' last time if none of them does.
-    """
-    fits = [held_fit(nodes, each, knowledge, Sizes(), tuning) for each in (old, new)]
-    if fits[0] is None or fits[1] is None:
-        return float(nodes.time[-1])
-    gain = fits[0].here.node_costs - fits[1].here.node_costs
-    behind = np.append(np.cumsum(gain[::-1])[::-1], 0.0)
-    first = int(np.argmax(behind))
-    return float(nodes.time[min(first, len(nodes) - 1)])
-
-
-def _followed(start: Unknowns, inside: Nodes) -> Unknowns:
-    """Turn the gyro's path to where the corrected field points, as most nodes have it."""
+def aligned(start: Unknowns, inside: Nodes) -> Unknowns:
+    """Return the start with its yaw turned to where most nodes' corrected field points."""
     level = np.einsum("nji,nj->ni", inside.axes, inside.field)
     seen = np.arctan2(level[:, 0], level[:, 1])
     gap = np.exp(1j * (seen - start.yaw))

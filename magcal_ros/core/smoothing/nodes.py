@@ -66,6 +66,8 @@ class Nodes:
         there is none.
     lean : LeanDoubt
         Of up.
+    iron_from : float
+        Clock from which the hard iron that is sought is there, seconds.
     """
 
     time: FloatArray
@@ -78,6 +80,7 @@ class Nodes:
     course: FloatArray
     course_sigma: FloatArray
     lean: LeanDoubt = LeanDoubt()
+    iron_from: float = -math.inf
 
     def __len__(self) -> int:
         return len(self.time)
@@ -86,6 +89,11 @@ class Nodes:
     def heading(self) -> FloatArray:
         """Yaw by the gyro since the first node, radians, shape (n,)."""
         return np.cumsum(self.turned)
+
+    @property
+    def has_iron(self) -> FloatArray:
+        """One where the hard iron that is sought is there, zero before, shape (n,)."""
+        return (self.time >= self.iron_from).astype(np.float64)
 
     @property
     def tied_share(self) -> float:
@@ -118,6 +126,7 @@ class Nodes:
             self.course[rows],
             self.course_sigma[rows],
             self.lean,
+            self.iron_from,
         )
 
     def between(self, start: float, end: float) -> Nodes:

@@ -35,7 +35,8 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     `exp(i psi) h + d(p)`. With the covariance of d between places, `exp(-distance / reach)` and
     small iron beside it, generalised least squares leave of h the variance `1 / (x^H K^-1 x)`,
     x = exp(i psi), here by its real and imaginary parts. Circles in one place leave little of the
-    street, whose mean is no hard iron, and laps repeat what the first one told.
+    street, whose mean is no hard iron, and laps repeat what the first one told. Where the iron
+    is not there yet, x is zero: such places only tell what their streets are.
 
     In a small place the calibration takes the bend for its own, so what was found of the street's
     size counts by its witnesses, two reaches of new road each, beside the usual size.
@@ -50,7 +51,8 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     count = len(smoothed.unknowns.yaw)
     joined = math.ceil(count / tuning.most_places)
     means = Means(np.arange(0, count, joined), count)
-    way, ahead = means.of(_way(smoothed)), means.of(_ahead(smoothed))
+    has_iron = smoothed.problem.nodes.has_iron[:, None]
+    way, ahead = means.of(_way(smoothed)), means.of(has_iron * _ahead(smoothed))
     apart = np.linalg.norm(way[:, None] - way, axis=2)
     covariance = street * np.exp(-apart / tuning.reach)
     covariance += small * np.exp(-apart / tuning.small_reach)

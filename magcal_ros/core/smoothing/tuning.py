@@ -101,6 +101,9 @@ class SmootherTuning:
         Prior sigmas of tilt (rad) and soft iron where only the hard iron is sought anew.
     fewest_nodes, fewest_for_iron : int
         Below which nothing is fitted, and no iron is sought that was added.
+    steps_tried, moments_apart, fewest_since : int
+        Of a change of the hard iron: how many of the largest steps of the field are tried, and how
+        many nodes apart moments besides; nodes before and since that it takes.
     least_tied : float
         Share of the nodes that the gyro must have been heard on the way to.
     believed : float
@@ -193,6 +196,9 @@ class SmootherTuning:
     kept_soft_iron: float = 0.01
     fewest_nodes: int = 24
     fewest_for_iron: int = 40
+    steps_tried: int = 8
+    moments_apart: int = 40
+    fewest_since: int = 10
     least_tied: float = 0.5
     believed: float = 0.3
     pseudo: float = 18.0

@@ -167,6 +167,40 @@ def test_what_waits_for_a_word_is_offered_once():
     assert keeper.note(findings(160.0, since=came)) == []
 
 
+def sized(iron, end, sigma_deg, seconds=120.0):
+    """A candidate that says its sigma in its report as well, as fits do."""
+    found = candidate(iron, end, sigma=math.radians(sigma_deg))
+    found.calibration.evidence.figures["heading_sigma"] = found.sigma
+    return dataclasses.replace(found, start=end - seconds)
+
+
+def test_what_is_known_much_better_replaces_what_is_known_roughly_and_agrees():
+    keeper = Keeper(calibration(sigma=math.radians(10.7)))
+    assert keeper.note(findings(120.0, sized(FAR, 120.0, 2.9))) == [Verb.APPLIED]
+    longer = sized((4e-6, 0.0, 0.0), 420.0, 1.3, 420.0)
+    assert keeper.note(findings(420.0, longer)) == [Verb.REFINED]
+
+
+def test_a_calibration_on_probation_keeps_no_rough_one_in_force():
+    keeper = Keeper(calibration((20e-6, 0.0, 0.0), sigma=math.radians(4.0)))
+    assert keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 2.9))) == [Verb.PROBATION]
+    near = sized((17e-6, 0.0, 0.0), 140.0, 2.0)
+    assert keeper.note(findings(140.0, near)) == [Verb.APPLIED]
+
+
+def test_what_is_known_roughly_and_contradicted_is_proved_first():
+    keeper = Keeper(calibration(sigma=math.radians(5.0)))
+    assert keeper.note(findings(120.0, sized((12e-6, 0.0, 0.0), 120.0, 2.0))) == [Verb.PROBATION]
+
+
+@pytest.mark.parametrize(("sigma", "made"), [(1.3, []), (0.8, [Verb.REFINED])])
+def test_a_good_calibration_is_refined_by_what_is_known_much_better_alone(sigma, made):
+    keeper = Keeper()
+    keeper.note(findings(120.0, sized((0.0, 0.0, 0.0), 120.0, 1.5)))
+    keeper.note(findings(140.0, sized((0.0, 0.0, 0.0), 140.0, 1.5)))
+    assert keeper.note(findings(420.0, sized((0.3e-6, 0.0, 0.0), 420.0, sigma, 400.0))) == made
+
+
 def test_what_agrees_mends_nothing():
     keeper = Keeper(calibration())
     assert keeper.note(findings(120.0, candidate((0.3e-6, 0.0, 0.0), 120.0))) == []
@@ -335,6 +369,15 @@ def test_stamps_that_jump_cost_self_calibration_no_more_than_a_minute(jump):
     )
     assert first < usual + 75.0
     assert machines[1].seconds == pytest.approx(machines[0].seconds, abs=15.0)
+
+
+def test_a_magnet_that_stays_less_than_a_minute_is_told():
+    magnet = Iron((0.0, 27e-6, 0.0), 80.0, 130.0)
+    drive = driven(2, city(np.random.default_rng(4), 140.0), irons=(magnet,))
+    machine = SelfCalibration(Mode.APPLY)
+    machine.put_in_force(calibration())
+    told = [at for at, made in follow(drive, machine) if made.verb is Verb.NOTICED]
+    assert 80.0 < told[0] < 120.0
 
 
 @pytest.mark.nightly

@@ -1,0 +1,44 @@
+"""Iron added on a drive through a city that was recorded is told; skipped without recordings."""
+
+import math
+
+import numpy as np
+import pytest
+from recorded_drives import in_force
+from recorded_truth import read_drive
+
+from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.story import DriveTeller
+from magcal_ros.core.samples.streams import FieldSample
+
+CAME, TOLD_WITHIN = 120.0, 60.0
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("size", "way", "lasts"),
+    [
+        *((10e-6, 0.5 * math.pi * quarter, math.inf) for quarter in range(4)),
+        (27e-6, 0.0, 50.0),
+        (0.0, 0.0, 0.0),
+    ],
+)
+def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, lasts):
+    drive = read_drive(recording("car_drive_neu2022_rahul"), None)
+    begun, _ = next(in_force(drive))
+    iron = size * np.array([math.cos(way), math.sin(way), 0.0])
+    first = drive.everything.time[0]
+    teller = DriveTeller(drive.knowledge, begun)
+    teller.take(
+        (
+            each._replace(field=tuple(np.add(each.field, iron).tolist()))
+            if isinstance(each, FieldSample) and CAME < each.stamp - first < CAME + lasts
+            else each
+            for each in drive.recording.samples()
+            if each.stamp - first < CAME + TOLD_WITHIN
+        ),
+        (),
+    )
+    told = [at for at, made in teller.story().decisions if made.verb is Verb.NOTICED]
+    assert bool(told) == bool(size)
+    assert all(at > CAME for at in told)

@@ -1,0 +1,59 @@
+"""Iron that is added on the way is told from streets, and when it came is found."""
+
+import math
+
+import numpy as np
+import pytest
+from streets import BOSTON, driven, heading_error, log_from
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.keeping.keeping_tuning import KEEPING
+from magcal_ros.core.simulation.drive import Iron
+from magcal_ros.core.smoothing.change import find_change
+
+NOBODY = np.eye(3)
+LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
+CAME = 110.0
+
+
+def in_force(drive, sigma=math.radians(0.8), iron=(0.0, 0.0, 0.0)):
+    """What a turn left: right but for some iron, tesla, known to sigma, radians of heading."""
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = np.eye(3) * (sigma * LEVEL) ** 2
+    robot = drive.vehicle.with_iron(np.array(iron)).robot
+    evidence = Evidence("maximum_likelihood", "good", "good", "")
+    return Calibration(
+        robot.true_correction, covariance, 5e-7, 0.01, 51.3e-6, math.radians(66.3), evidence
+    )
+
+
+def changed(drive, **promise):
+    nodes = log_from(drive).nodes(NOBODY)
+    return find_change(nodes, in_force(drive, **promise), BOSTON)
+
+
+@pytest.mark.parametrize("seed", [4, 7])
+def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
+    iron = (8e-6, -6e-6, 0.0)
+    drive = driven(seed, CAME + 30.0, irons=(Iron(iron, CAME),))
+    found = changed(drive)
+    since = found.since - drive.time[0]
+    assert found.gain > KEEPING.notice_proof
+    assert since == pytest.approx(CAME, abs=1.0)
+    with_iron = drive.vehicle.with_iron(np.array(iron)).robot
+    assert heading_error(in_force(drive).correction, with_iron) > 10.0
+    left = heading_error(found.fit.twelve.correction, with_iron)
+    assert left < min(6.0, 3.0 * math.degrees(found.fit.twelve.heading_sigma))
+
+
+@pytest.mark.parametrize("seed", [4, 7])
+def test_streets_are_no_change(seed):
+    found = changed(driven(seed, 150.0))
+    assert found is None or found.gain < KEEPING.notice_proof
+
+
+def test_what_the_calibration_itself_is_uncertain_by_is_no_change():
+    drive = driven(4, 150.0)
+    off = {"iron": (6e-6, 0.0, 0.0)}
+    rough, sure = (changed(drive, sigma=math.radians(sigma), **off).gain for sigma in (10.0, 0.3))
+    assert rough < KEEPING.notice_proof < sure
