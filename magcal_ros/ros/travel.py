@@ -117,6 +117,19 @@ class Travel:
         return math.nan if track is None else track.last
 
     @property
+    def speed_from(self) -> str | None:
+        """The topic whose speed is used; None where nobody tells one."""
+        source = self._travelling.source
+        return None if source is None else self._topics[source]
+
+    def speed_near(self, stamp: float) -> float:
+        """Return the newest speed, m/s; NaN where none was told near a stamp, seconds."""
+        track = self._travelling.speedometer.track
+        if track is None or abs(stamp + track.delay - track.newest) > track.gap:
+            return math.nan
+        return track.last
+
+    @property
     def swing(self) -> CourseSwing | None:
         """How the compass in force swings against course, where enough was driven."""
         course = self._travelling.course
@@ -196,9 +209,9 @@ class Travel:
         travelling, yaw = self._travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None
-        course, source = travelling.course, travelling.source
+        course = travelling.course
         return {
-            "speed_from": None if source is None else self._topics[source],
+            "speed_from": self.speed_from,
             "own_acceleration_taken_off": travelling.takes_off,
             "metres": round(travelling.metres, -1),
             "drifts": travelling.drift.is_drifting,

@@ -19,6 +19,7 @@ from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.seat import Seat
@@ -47,6 +48,8 @@ class Walk:
 
     Attributes
     ----------
+    motors : Motors
+        Follows what the motors do.
     several : SeveralCompasses
         Joins the magnetometers.
     are_several : bool
@@ -66,6 +69,7 @@ class Walk:
     ) -> None:
         self._node, self._up, self._inputs = node, up, inputs
         self._seat, self._whereabouts, self._travel = seat, whereabouts, travel
+        self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, seat)
         self.fused = FusedOutput(node, up, seat)
         self.several = SeveralCompasses()
@@ -101,7 +105,8 @@ class Walk:
         """Return what a field sample comes to by a compass."""
         streams = self._inputs.streams
         up = self._up.at(sample.stamp, streams.max_gap)
-        return Moment.of(compass, sample, up, streams.newest_rate)
+        running = self.motors.as_used(compass, sample.stamp)
+        return Moment.of(compass, sample, up, streams.newest_rate, running)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""

@@ -26,3 +26,32 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(size, by_rate):
     assert math.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
     assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
     assert "between rest and turn the field changes" in outcome.verdict.summary
+
+
+@pytest.mark.parametrize("by_rate", [False, True])
+def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
+    """A turn at one rate does not tell a step from what goes with the rate: the sum is known."""
+    size = 6e-6
+    motion, window = driven(evenly, ROBOT, 6.0)
+    rate = motion.angular_rate[:, 2]
+    full = float(np.abs(rate).max())
+    shape = rate / full if by_rate else (np.abs(rate) > 0.02).astype(float)
+    field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
+    for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 1.0e-6, 6e-6)):
+        u = np.kron([1.0, turn_rate], np.eye(3))
+        found = u @ motors.gain.ravel()
+        sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))
+        true = size * np.array([0.6, -0.8, 0.0]) * (turn_rate / full if by_rate else 1.0)
+        assert (sigma > least).all()
+        assert (sigma < most).all()
+        assert (np.abs(found - true) < 3.0 * sigma).all()
+
+
+def test_a_robot_without_motors_has_none():
+    _, window = driven(evenly, ROBOT, 6.0)
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    motors = calibrate(collected(window), knowledge).calibration.motors
+    assert np.abs(motors.gain).max() < 0.15e-6
+    assert motors.sigma(0) < 0.3e-6

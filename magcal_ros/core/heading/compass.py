@@ -13,6 +13,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.motor_field import AT_REST, INPUTS, MotorField, Running
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -89,8 +90,26 @@ class Compass:
         self._a: tuple[float, ...] = tuple(float(value) for value in a.ravel())
         self._h: tuple[float, ...] = tuple(float(value) for value in h)
         self._certainty = _body_covariance(calibration)
+        self._motors: MotorField | None = None
+        self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
+        self.use_motors(calibration.motors)
+
+    @property
+    def motors(self) -> MotorField | None:
+        """What is known of the motors."""
+        return self._motors
+
+    def use_motors(self, motors: MotorField | None) -> None:
+        """Take what is known of the motors from now on."""
+        self._motors, self._gains = motors, ()
+        if motors is not None:
+            self._gains = tuple(
+                (INPUTS.index(each), float(gain[0]), float(gain[1]), float(gain[2]))
+                for each, gain in zip(motors.inputs, motors.gain, strict=True)
+            )
+            self._with_motors = _body_covariance(self.calibration, motors)
 
     @classmethod
     def without_calibration(cls) -> Compass:
@@ -102,8 +121,17 @@ class Compass:
         )
         return cls(nothing)
 
+    def without_motors(self, raw: Triple, running: Running) -> Triple:
+        """Return a raw field, tesla, as it would be if the robot stood there."""
+        x, y, z = raw
+        for place, by_x, by_y, by_z in self._gains:
+            value = running[place]
+            if value and not math.isnan(value):
+                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
+        return (x, y, z)
+
     def correct(self, raw: Triple) -> Triple:
-        """Return the field in body axes, tesla."""
+        """Return the field of a robot at rest in body axes, tesla."""
         a, h = self._a, self._h
         x, y, z = raw[0] - h[0], raw[1] - h[1], raw[2] - h[2]
         return (
@@ -113,7 +141,11 @@ class Compass:
         )
 
     def heading(
-        self, field: Triple, force: Triple, tilt_variance: float | None = None
+        self,
+        field: Triple,
+        force: Triple,
+        tilt_variance: float | None = None,
+        running: Running = AT_REST,
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
@@ -127,6 +159,8 @@ class Compass:
             Specific force, m/s², or up as a unit vector.
         tilt_variance : float, optional
             Of up in either direction, rad²; that of a single accelerometer reading unless given.
+        running : Running
+            What the motors did, whose field was taken off.
 
         Notes
         -----
@@ -157,7 +191,11 @@ class Compass:
         by_north = rise / level - nx * ux / forward
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
-        lasting, noise = self._field_variances((ex / level, ey / level, ez / level), field)
+        gradient = (ex / level, ey / level, ez / level)
+        lasting, noise = self._field_variances(gradient, field)
+        if self._motors is not None and running.moving:
+            lasting, ripple = self._while_running(self._motors, gradient, field, running)
+            variance += ripple
         variance += lasting + noise
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
@@ -171,6 +209,21 @@ class Compass:
         v = (g[:, None] * q).ravel()
         return float(v @ self._certainty @ v), float(g @ self._noise @ g)
 
+    def _while_running(
+        self, motors: MotorField, gradient: Triple, field: Triple, running: Running
+    ) -> tuple[float, float]:
+        """Return the yaw variances while motors run, rad².
+
+        From calibration and motors together, which lasts, and from what no input tells.
+        """
+        values, unknown = motors.known(running)
+        g = np.array(gradient)
+        v = np.outer(g, np.concatenate([field, (-1.0,), -values])).ravel()
+        raw = g @ self.calibration.correction.matrix
+        stray = running.moving * motors.ripple**2 * float(raw @ raw)
+        stray += float(unknown @ (motors.gain @ raw) ** 2)
+        return float(v @ self._with_motors @ v), stray
+
 
 def field_variance(calibration: Calibration) -> float:
     """Return the variance of the corrected field per axis by the calibration's own, tesla².
@@ -182,16 +235,25 @@ def field_variance(calibration: Calibration) -> float:
     return float(calibration.strength**2 * matrix + offset) / 3.0
 
 
-def _body_covariance(calibration: Calibration) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Carry the covariance from (A, h) to (G, b) with an error dm = G m_body - b, row by row.
+def _body_covariance(
+    calibration: Calibration, motors: MotorField | None = None
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Carry the covariance from (A, h, K) to (G, b, c) with an error dm = G m_body - b - c u.
 
-    A change of A by dA and of h by dh moves the corrected field by dA A^-1 m - A dh, so
-    G = dA A^-1 and b = A dh. The order is (G00, G01, G02, b0, G10, ...).
+    A change of A by dA, of h by dh and of the motors' gains K by dK moves the corrected field by
+    dA A^-1 m - A (dh + dK u), so G = dA A^-1, b = A dh and c = A dK. The order is row by row,
+    (G00, G01, G02, b0, c00, ..., G10, ...).
     """
     a = calibration.correction.matrix
     inverse = np.linalg.inv(a)
-    carry = np.zeros((PARAMETERS, PARAMETERS))
+    count = 0 if motors is None else len(motors.inputs)
+    width = 4 + count
+    carry = np.zeros((3 * width, PARAMETERS + 3 * count))
     for row in range(3):
-        carry[4 * row : 4 * row + 3, 3 * row : 3 * row + 3] = inverse.T
-        carry[4 * row + 3, 9:] = a[row]
-    return np.asarray(carry @ calibration.covariance @ carry.T)
+        carry[width * row : width * row + 3, 3 * row : 3 * row + 3] = inverse.T
+        for k in range(1 + count):
+            carry[width * row + 3 + k, 9 + 3 * k : 12 + 3 * k] = a[row]
+    covariance = calibration.covariance
+    return np.asarray(
+        carry @ (covariance if motors is None else motors.joint(covariance)) @ carry.T
+    )
