@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState
 
-from magcal_ros.core.calibration.motor_field import AT_REST, MotorInput, Running
+from magcal_ros.core.calibration.motors import AT_REST, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.messages import seconds

@@ -8,7 +8,7 @@ import pytest
 from sensor_msgs.msg import BatteryState, Imu
 from support import PATIENCE
 
-from magcal_ros.core.calibration.motor_field import MotorField, MotorInput
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.files.calibration_file import read_calibration, write_calibration

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.motor_field import MotorField
+from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
 

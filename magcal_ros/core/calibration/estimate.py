@@ -10,7 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.motor_field import MotorField
+from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy

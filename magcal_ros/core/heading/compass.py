@@ -13,7 +13,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.calibration.motor_field import AT_REST, INPUTS, MotorField, Running
+from magcal_ros.core.calibration.motors import AT_REST, INPUTS, MotorField, Running
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -192,37 +192,31 @@ class Compass:
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         gradient = (ex / level, ey / level, ez / level)
-        lasting, noise = self._field_variances(gradient, field)
-        if self._motors is not None and running.moving:
-            lasting, ripple = self._while_running(self._motors, gradient, field, running)
-            variance += ripple
-        variance += lasting + noise
+        lasting, noise, stray = self._field_variances(gradient, field, running)
+        variance += lasting + noise + stray
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
         return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw, noise, lasting)
 
-    def _field_variances(self, gradient: Triple, field: Triple) -> tuple[float, float]:
-        """Return the yaw variances from calibration and field noise, rad²."""
-        g = np.array(gradient)
-        q = np.array((field[0], field[1], field[2], -1.0))
-        v = (g[:, None] * q).ravel()
-        return float(v @ self._certainty @ v), float(g @ self._noise @ g)
+    def _field_variances(
+        self, gradient: Triple, field: Triple, running: Running
+    ) -> tuple[float, float, float]:
+        """Return the yaw variances, rad².
 
-    def _while_running(
-        self, motors: MotorField, gradient: Triple, field: Triple, running: Running
-    ) -> tuple[float, float]:
-        """Return the yaw variances while motors run, rad².
-
-        From calibration and motors together, which lasts, and from what no input tells.
+        From calibration and motors, which lasts; from field noise; and from what no input tells
+        while motors run.
         """
-        values, unknown = motors.known(running)
-        g = np.array(gradient)
-        v = np.outer(g, np.concatenate([field, (-1.0,), -values])).ravel()
-        raw = g @ self.calibration.correction.matrix
-        stray = running.moving * motors.ripple**2 * float(raw @ raw)
-        stray += float(unknown @ (motors.gain @ raw) ** 2)
-        return float(v @ self._with_motors @ v), stray
+        g, motors, stray = np.array(gradient), self._motors, 0.0
+        certainty, q = self._certainty, np.array((field[0], field[1], field[2], -1.0))
+        if motors is not None and running.moving:
+            values, unknown = motors.known(running)
+            certainty, q = self._with_motors, np.concatenate([q, -values])
+            raw = g @ self.calibration.correction.matrix
+            stray = running.moving * motors.ripple**2 * float(raw @ raw)
+            stray += float(unknown @ (motors.gain @ raw) ** 2)
+        v = (g[:, None] * q).ravel()
+        return float(v @ certainty @ v), float(g @ self._noise @ g), stray
 
 
 def field_variance(calibration: Calibration) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from magcal_ros.core.calibration.motor_field import AT_REST, Running
+from magcal_ros.core.calibration.motors import AT_REST, Running
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Heading
 from magcal_ros.core.samples.streams import FieldSample

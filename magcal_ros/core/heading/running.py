@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from magcal_ros.core.calibration.motor_field import Running
+from magcal_ros.core.calibration.motors import Running
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 

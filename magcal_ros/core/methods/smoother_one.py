@@ -19,7 +19,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import QUARTER, distortion
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth, smooth_turn
-from magcal_ros.core.smoother.posterior import motor_field
+from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.unknowns import (
     AT,
     MICROTESLA,
@@ -102,7 +102,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         figures={**_figures(found), Figure.GYRO_COMPASS_SWING: swing.rms},
         message=best.message,
         swing=swing,
-        motors=motor_field(posterior, best),
+        motors=motors_of(posterior, best),
     )
 
 

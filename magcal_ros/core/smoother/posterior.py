@@ -8,7 +8,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
-from magcal_ros.core.calibration.motor_field import MotorField, MotorInput
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
@@ -117,7 +117,7 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     )
 
 
-def motor_field(found: Posterior, fit: Fit) -> MotorField | None:
+def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
     """Return the motors' field of a fit; None where no motors were thought of."""
     if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
         return None

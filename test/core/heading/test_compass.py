@@ -9,7 +9,7 @@ from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.motor_field import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
