@@ -8,21 +8,29 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import BatteryState
 
-from magcal_ros.core.calibration.motors import AT_REST, MotorInput, Running
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
+from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.straight import SENSOR_DATA
 from magcal_ros.ros.travel import Travel
 
+BETTER = 0.7
+"""Share of a sigma that is kept, below which what was learnt is kept instead."""
+PAUSE = 60
+"""Seconds of learning between two writings of the file."""
 SILENT = 1.5
 """Seconds without a message after which nobody knows the current any more."""
 
 
 class Motors:
-    """Follows what the motors do, by gyro, wheels and battery.
+    """Follows what the motors do, by gyro, wheels and battery, and learns what they add.
+
+    It learns where wheels or a battery tell, unless self-calibration is off.
 
     Parameters
     ----------
@@ -38,6 +46,10 @@ class Motors:
         self._up, self._travel = up, travel
         self._sense = MotionSense()
         self._current, self._told = math.nan, -math.inf
+        self._compass: Compass | None = None
+        self._learning: MotorLearning | None = None
+        self._kept: MotorField | None = None
+        self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
@@ -53,12 +65,53 @@ class Motors:
         """Return the same as far as a compass knows motors."""
         return AT_REST if compass.motors is None else self.running(stamp)
 
-    def at_rest(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
-        """Return a sample without what the motors add to it, as a compass knows them."""
-        if compass is None or compass.motors is None:
+    def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
+        """Learn from a sample; returns it without what the motors add, as a compass knows them."""
+        if compass is not self._compass:
+            self._use(compass)
+        if compass is None:
+            return sample
+        if self._is_told and self._mode is not Mode.OFF and self._up.is_propagated:
+            if self._learning is None:
+                self._learning = MotorLearning(compass.calibration_with_motors)
+            running = self.running(sample.stamp)
+            is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
+            self._has_learnt = is_done or self._has_learnt
+        if compass.motors is None:
             return sample
         running = self.running(sample.stamp)
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
+
+    def follow(self, mode: Mode) -> MotorField | None:
+        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
+        if mode is Mode.OFF:
+            self._learning = None
+        self._mode = mode
+        if self._learning is None or self._compass is None or not self._has_learnt:
+            return None
+        self._has_learnt = False
+        motors = self._learning.motors
+        self._compass.use_motors(motors)
+        self._waited += 1
+        if mode is not Mode.APPLY or self._waited < PAUSE:
+            return None
+        if not motors.tells_more_than(self._kept, BETTER):
+            return None
+        self._kept, self._waited = motors, 0
+        return motors
+
+    def _use(self, compass: Compass | None) -> None:
+        """Another calibration is in force; the motors are the same, and so are their inputs."""
+        before = None if self._compass is None else self._compass.motors
+        self._compass, self._learning, self._has_learnt = compass, None, False
+        self._kept = None if compass is None else compass.motors
+        if compass is not None and compass.motors is not None and before is not None:
+            compass.use_motors(compass.motors.and_of(before))
+
+    @property
+    def _is_told(self) -> bool:
+        """Whether wheels or a battery tell what the motors do."""
+        return self._travel.speed_from is not None or math.isfinite(self._current)
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
         """Return what `~/status` tells of the motors; None where nothing is known of them."""
@@ -68,6 +121,7 @@ class Motors:
         now = self._sense.newest
         return {
             "moves": None if now.moving == 0.5 else now.moving > 0.5,
+            "learns": self._learning is not None,
             "ripple_ut": round(motors.ripple * 1e6, 2),
             "inputs": {
                 each.value: {
@@ -84,7 +138,7 @@ class Motors:
         """Return who tells an input, for people."""
         if which is MotorInput.CURRENT:
             return self._topic
-        if which is MotorInput.TURN_RATE:
+        if which in (MotorInput.TURN_RATE, MotorInput.SIDE):
             return "gyro"
         speed = self._odom if self._travel.speed_from is None else self._travel.speed_from
         if which is MotorInput.SPEED:

@@ -204,7 +204,7 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         self._up.add_field(sample.stamp, sample.field)
-        at_rest = self._walk.motors.at_rest(self._compass, sample)
+        at_rest = self._walk.motors.take(self._compass, sample)
         self._keeping.on_field(at_rest, streams.newest_imu, self._travel)
         if self._compass is not None:
             moment = self._walk.moment_of(self._compass, sample)
@@ -353,7 +353,7 @@ class Calibrator(Node):
         self._magnetometers.look(self.count_publishers, self._table.settings)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
-        self._walk.fused.patience = self._table.settings.patience
+        self._walk.follow(self._table.settings, self._keeper, self._shelf)
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
         settings, swing = self._table.settings, self._travel.swing

@@ -11,6 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
+from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower
@@ -24,6 +25,7 @@ from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.seat import Seat
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import FieldArrival
@@ -95,6 +97,13 @@ class Walk:
             self.fused.begin_anew(lead)
             self._whereabouts.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
+
+    def follow(self, settings: Settings, keeper: Keeper, shelf: Shelf) -> None:
+        """Take the parameters, use what was learnt of the motors and keep it, once a second."""
+        self.fused.patience = settings.patience
+        learnt = self.motors.follow(Mode(settings.self_calibration))
+        if learnt is not None and keeper.keep_motors(learnt):
+            shelf.save(lambda _: None)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""

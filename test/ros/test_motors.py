@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu
-from support import PATIENCE
+from support import PATIENCE, REFERENCE
 
 from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.geometry.attitude import wrap_angle
@@ -17,6 +19,7 @@ GAIN = np.array([[4e-6, -3e-6, 2e-6], [0.0, 5e-6, 0.0], [1e-6, 1e-6, 0.0]])
 """Tesla while it moves, per rad/s, and per ampere."""
 INPUTS = (MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT)
 SIGMA = 0.5e-6
+APPLY, OFF = {"self_calibration": "apply"}, {"self_calibration": "off"}
 
 
 @pytest.fixture
@@ -36,7 +39,7 @@ def yaw_of(message):
 
 
 def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tmp_path):
-    actor = graph.loaded(with_motors, tmp_path)
+    actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **OFF})
     heard, now = [], {"rate": 0.0, "current": 0.5}
     actor.node.create_subscription(
         Imu, "compass/mag/enu/imu", lambda m: heard.append((m, actor.ride.magnetic_yaw)), 10
@@ -78,3 +81,51 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
 
 def test_a_robot_without_known_motors_says_none(loaded):
     assert loaded().status["motors"] is None
+
+
+def odometry(stamp, speed):
+    message = Odometry()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(stamp * 1e9), 10**9)
+    message.header.frame_id, message.child_frame_id = "odom", "base_link"
+    message.twist.twist.linear.x = speed
+    return message
+
+
+def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, monkeypatch):
+    """The turn knew of nothing that goes with the speed; a few starts and stops show it."""
+    monkeypatch.setattr("magcal_ros.ros.motors.PAUSE", 2)
+    actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
+    out = actor.node.create_publisher(Odometry, "odom", qos_profile_sensor_data)
+    now = {"speed": 0.0}
+    by_speed = np.array([6e-6, -4e-6, 0.0])
+
+    def add(sample):
+        if isinstance(sample, FieldSample):
+            out.publish(odometry(sample.stamp, now["speed"]))
+            moves = now["speed"] > 0.0
+            added = moves * GAIN[0] + now["speed"] * by_speed
+            sample = sample._replace(field=tuple(np.add(sample.field, added)))
+        return [sample]
+
+    actor.mangle = add
+    for _ in range(5):
+        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
+            now["speed"] = speed
+            actor.run(0.6)
+
+    def told():
+        return (actor.status["motors"] or {}).get("inputs", {})
+
+    actor.run(PATIENCE, stop=lambda: "speed" in told())
+    found = told()["speed"]
+    assert found["from"] == "/odom"
+    gap = np.array(found["field_ut"]) * 1e-6 - by_speed
+    assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)
+    assert found["sigma_ut"] < 4.0
+    assert actor.status["motors"]["learns"]
+    actor.run(PATIENCE, stop=lambda: len(kept(tmp_path).inputs) > len(INPUTS))
+    assert MotorInput.SPEED in kept(tmp_path).inputs
+
+
+def kept(folder):
+    return read_calibration(folder / "calibration.yaml")[0].motors

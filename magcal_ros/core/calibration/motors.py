@@ -20,12 +20,14 @@ class MotorInput(str, Enum):
     TURN_RATE = "turn_rate"
     SPEED = "speed"
     CURRENT = "current"
+    SIDE = "side"
 
     @property
     def unit(self) -> str:
         """The unit that the field is told for."""
-        units = {"moving": "while it moves", "turn_rate": "rad/s", "speed": "m/s", "current": "A"}
-        return units[self.value]
+        units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
+        words = {"moving": "while it moves", "side": "while it turns left, less right"}
+        return {**units, **words}[self.value]
 
 
 INPUTS = tuple(MotorInput)
@@ -44,12 +46,15 @@ class Running(NamedTuple):
         m/s, negative backwards.
     current : float
         Amperes, by any sign that stays the same.
+    side : float
+        One while it turns left, minus one to the right, and between where it hardly turns.
     """
 
     moving: float = 0.0
     turn_rate: float = 0.0
     speed: float = 0.0
     current: float = 0.0
+    side: float = 0.0
 
 
 AT_REST = Running()
@@ -124,3 +129,30 @@ class MotorField:
     def with_another_calibration(self) -> MotorField:
         """Return the same motors beside twelve numbers that were found otherwise."""
         return replace(self, beside=np.zeros_like(self.beside))
+
+    def and_of(self, older: MotorField) -> MotorField:
+        """Return the same with the inputs that only an older field tells of."""
+        rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
+        numbers = [3 * k + axis for k in rows for axis in range(3)]
+        count = len(numbers)
+        apart = np.zeros((len(self.covariance), count))
+        added = older.covariance[np.ix_(numbers, numbers)]
+        return MotorField(
+            (*self.inputs, *(older.inputs[k] for k in rows)),
+            np.vstack([self.gain, older.gain[rows]]),
+            np.block([[self.covariance, apart], [apart.T, added]]),
+            np.hstack([self.beside, np.zeros((PARAMETERS, count))]),
+            self.ripple,
+            (*self.usual, *(older.usual[k] for k in rows)),
+        )
+
+    def tells_more_than(self, other: MotorField | None, share: float) -> bool:
+        """Whether an input is new, is known better by a share of its sigma, or has changed."""
+        if other is None or set(self.inputs) - set(other.inputs):
+            return True
+        for k, each in enumerate(self.inputs):
+            j = other.inputs.index(each)
+            change = float(np.linalg.norm(self.gain[k] - other.gain[j]))
+            if self.sigma(k) < share * other.sigma(j) or change > 3.0 * other.sigma(j):
+                return True
+        return False

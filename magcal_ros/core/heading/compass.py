@@ -7,6 +7,7 @@ several times faster than numpy arrays.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,11 @@ class Compass:
     def motors(self) -> MotorField | None:
         """What is known of the motors."""
         return self._motors
+
+    @property
+    def calibration_with_motors(self) -> Calibration:
+        """The calibration in force with what is known of the motors now."""
+        return replace(self.calibration, motors=self._motors)
 
     def use_motors(self, motors: MotorField | None) -> None:
         """Take what is known of the motors from now on."""

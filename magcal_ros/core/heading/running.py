@@ -18,14 +18,17 @@ class RunningTuning:
     rate : float
         rad/s from which it turns, as for the smoother (`Lengths.moving`).
     speed : float
-        m/s from which it drives: a step or two of a wheel's encoder.
+        m/s from which it drives: below a step of a wheel's encoder.
+    turning : float
+        rad/s at which it surely turns to one side.
     edge : float
         Seconds after a start or stop in which nobody knows whether the motors run: sensors,
         wheels and controller each are late by some tenths.
     """
 
     rate: float = 0.03
-    speed: float = 0.02
+    speed: float = 0.01
+    turning: float = 0.1
     edge: float = 0.3
 
 
@@ -47,7 +50,7 @@ class MotionSense:
         self._moves: bool | None = None
         self._since = -math.inf
         self._stamp = math.nan
-        self.newest = Running(0.5, math.nan, math.nan, math.nan)
+        self.newest = Running(0.5, math.nan, math.nan, math.nan, math.nan)
 
     def at(
         self, stamp: float, rate: Triple | None, is_at_rest: bool, speed: float, current: float
@@ -76,7 +79,8 @@ class MotionSense:
         share = 0.5 if moves is None or is_edge else float(moves)
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
-        self.newest = Running(share, turn_rate, driven, current)
+        side = max(-1.0, min(1.0, turn_rate / self.tuning.turning))
+        self.newest = Running(share, turn_rate, driven, current, side)
         return self.newest
 
     def _judged(self, rate: Triple | None, is_at_rest: bool, speed: float) -> bool | None:
