@@ -1,11 +1,12 @@
 """Robots whose motors add a field: `python benchmarks/motors.py [--runs N] [--first K]`.
 
-Each robot calibrates with one turn between rests, and then drives for five minutes: it stands,
-drives, bends and turns on the spot. Its motors add a field of so many microtesla in one of these
-shapes, at their largest: a step with motion, in proportion to speed, to turn rate, to a current
-with a ripple of a fifth, and a step that changes side with the direction of turn. The current
-comes at 10 Hz, a tenth of a second late. "turn" takes the motors as the turn showed them, "drive"
-goes on learning them; "none" takes off nothing.
+Each robot calibrates with one turn, in which it stops three times on the way (`--turn even`: only
+before and after it). Then it drives for five minutes: it stands, drives, bends and turns on the
+spot. Its motors add a field of so many microtesla, at their largest, in one of these shapes: a step
+with motion, in proportion to speed, to turn rate, to a current with a ripple of a fifth, and a step
+that changes side with the direction of turn. The current comes at 8 Hz, a tenth of a second late.
+"turn" takes the motors as the turn showed them, "drive" goes on learning them; "none" takes off
+nothing.
 
 For rest and motion each row shows the RMS of the heading error (degrees), NEES (its square over
 the published variance, capped at a hundred), and the share of messages whose error is silent: more
@@ -48,7 +49,10 @@ SIZES = (0.0, 2.0, 7.0, 20.0)
 WAYS = ("none", "turn", "drive")
 FASTEST, QUICKEST = 1.0, 0.8
 """m/s and rad/s."""
-TURN = [Leg(6.0), Leg(math.tau * 1.1 / 0.4, turn_rate=0.4), Leg(6.0)]
+TURNS = {
+    "even": [Leg(6.0), Leg(math.tau * 1.1 / 0.4, turn_rate=0.4), Leg(6.0)],
+    "stops": [Leg(3.0), *[Leg(math.tau * 1.1 / 1.6, turn_rate=0.4), Leg(3.0)] * 4],
+}
 
 
 def legs(rng: np.random.Generator, seconds: float) -> list[Leg]:
@@ -96,7 +100,7 @@ class Robotic:
     knowledge: Knowledge
 
 
-def robot_of(shape: str, size: float, seed: int, seconds: float = 300.0) -> Robotic:
+def robot_of(shape: str, size: float, seed: int, seconds: float, turn: list[Leg]) -> Robotic:
     """Return a fresh robot."""
     rng = np.random.default_rng([11, seed])
     robot = Robot(
@@ -109,7 +113,7 @@ def robot_of(shape: str, size: float, seed: int, seconds: float = 300.0) -> Robo
         noise_rate=2e-3,
         gyro_bias=rng.normal(0.0, 0.002, 3),
     )
-    truth = travel(TURN + legs(rng, seconds), rng, rate=25.0, heading=rng.uniform(-3.0, 3.0))
+    truth = travel(turn + legs(rng, seconds), rng, rate=25.0, heading=rng.uniform(-3.0, 3.0))
     vehicle = Vehicle(robot, shaking=0.1)
     drive = simulated_drive(truth, rng, vehicle, streets=Streets(size=0.3e-6), receiver=None)
     load, current = motors_of(shape, truth, rng)
@@ -121,7 +125,7 @@ def robot_of(shape: str, size: float, seed: int, seconds: float = 300.0) -> Robo
     dip = Belief(robot.inclination + math.radians(rng.normal(0.0, 1.0)), math.radians(1.0))
     return Robotic(
         replace(drive, field=drive.field + added),
-        float(truth.time[0]) + seconds_of(TURN),
+        float(truth.time[0]) + seconds_of(turn),
         battery,
         Knowledge(ReferenceField(strength, dip)),
     )
@@ -211,6 +215,7 @@ def main() -> None:
     parser.add_argument("--shape", choices=SHAPES, action="append", help="only these shapes")
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
     parser.add_argument("--seconds", type=float, default=300.0, help="of each drive")
+    parser.add_argument("--turn", choices=TURNS, default="stops", help="how it calibrates")
     options = parser.parse_args()
     print(f"{'':32}{'at rest':>19}{'moving':>20}{'moving, minute 1':>20}")
     print(f"{'':32}" + "   RMS°  NEES silent%" * 3)
@@ -218,7 +223,7 @@ def main() -> None:
         for size in options.size or SIZES:
             tallies, refused = {way: Tally() for way in WAYS}, 0
             for seed in range(options.first, options.first + options.runs):
-                robotic = robot_of(shape, size, seed, options.seconds)
+                robotic = robot_of(shape, size, seed, options.seconds, TURNS[options.turn])
                 calibration = calibrated(robotic)
                 refused += calibration is None
                 if calibration is not None:

@@ -22,14 +22,13 @@ class RunningTuning:
     turning : float
         rad/s at which it surely turns to one side.
     edge : float
-        Seconds after a start or stop in which nobody knows whether the motors run: sensors,
-        wheels and controller each are late by some tenths.
+        Seconds after a start or stop is seen in which nobody knows whether the motors run.
     """
 
     rate: float = 0.03
     speed: float = 0.01
     turning: float = 0.1
-    edge: float = 0.3
+    edge: float = 0.1
 
 
 class MotionSense:

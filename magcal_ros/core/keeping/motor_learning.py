@@ -46,6 +46,8 @@ class LearningTuning:
         rad per root second of the gyro's random walk.
     turn_error : float
         Share of an angle by which the gyro is off, as a random walk over radians.
+    latency : float
+        Seconds by which gyro and field may be apart.
     beside : float
         Metres of the magnetometer from the pivot.
     body, body_length : float
@@ -71,6 +73,7 @@ class LearningTuning:
     passing: float = 0.03
     walk: float = 0.002
     turn_error: float = 0.01
+    latency: float = 0.01
     beside: float = 0.15
     body: float = 0.05
     body_length: float = 4.0
@@ -100,6 +103,7 @@ class _Block:
 
     begin: float
     turned: FloatArray
+    mean_turned: FloatArray
     seconds: float = 0.0
     count: int = 0
     field: FloatArray | float = 0.0
@@ -143,6 +147,8 @@ class MotorLearning:
                 self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
         self._block: _Block | None = None
         self._before: _Block | None = None
+        self._was_clear = True
+        self._left = self._rate = np.zeros(3)
         self._stamp = -math.inf
         self._forget_place()
 
@@ -166,7 +172,7 @@ class MotorLearning:
             self._block = self._before = None
             return False
         if self._block is None:
-            self._block = _Block(stamp, np.zeros(3))
+            self._block = _Block(stamp, np.zeros(3), np.zeros(3))
         block, moves = self._block, running.moving > 0.0
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
@@ -175,15 +181,17 @@ class MotorLearning:
         block.way += seconds * moves * math.hypot(speed, self.tuning.beside * math.hypot(*rate))
         block.seconds += seconds
         block.count += 1
+        block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
         block.field = block.field + np.array(raw)
         block.inputs = block.inputs + np.array(running)
         block.clear = block.clear and running.moving in (0.0, 1.0)
         if stamp - block.begin < self.tuning.block:
             return False
-        # A start is seen some tenths of a second late: the block before it is not clear either.
-        if self._before is not None:
-            self._take(self._before, block.clear)
-        self._before, self._block = block, None
+        # Sensors and motors are late by some tenths: beside a start or stop no block is clear.
+        before, self._before, self._block = self._before, block, None
+        if before is not None:
+            self._take(before, self._was_clear and block.clear)
+            self._was_clear = before.clear
         return True
 
     @property
@@ -270,8 +278,8 @@ class MotorLearning:
         self._covariance[PLACE, PLACE] = self.tuning.field**2 * np.eye(3)
         self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
 
-    def _take(self, block: _Block, goes_on: bool) -> None:
-        """Go on by a block and take its means; not where it stops or starts right after it."""
+    def _take(self, block: _Block, is_even: bool) -> None:
+        """Go on by a block and take its means; not where the robot stops or starts beside it."""
         tuning, count = self.tuning, block.count
         u = np.asarray(block.inputs) / count
         told = ~np.isnan(u)
@@ -281,7 +289,7 @@ class MotorLearning:
         self._predict(block, moves)
         if not told[[self._is_used(each) for each in INPUTS]].all():
             return
-        if not (block.clear and goes_on):
+        if not (block.clear and is_even):
             return
         raw = np.asarray(block.field) / count
         y = self._calibration.correction.apply(raw) * MICROTESLA
@@ -304,7 +312,12 @@ class MotorLearning:
             self._ripple = min(max(self._ripple * math.exp(step), tuning.body), tuning.most)
 
     def _predict(self, block: _Block, moves: bool) -> None:
-        tuning, turned, way, seconds = self.tuning, block.turned, block.way, block.seconds
+        tuning, way, seconds = self.tuning, block.way, block.seconds
+        # From the middle of the block before to the middle of this one.
+        turned = self._left + block.mean_turned
+        rate = block.turned / seconds
+        faster, self._rate = rate - self._rate, rate
+        self._left = block.turned - block.mean_turned
         step = np.eye(len(self._mean))
         keeps = math.exp(-seconds / tuning.body_length)
         step[PLACE, PLACE] = exp_rotation(-turned)
@@ -314,6 +327,7 @@ class MotorLearning:
         place = self._mean[PLACE]
         angle = float(np.linalg.norm(turned))
         lost = tuning.walk**2 * seconds * moves + tuning.turn_error**2 * angle
+        lost += tuning.latency**2 * float(faster @ faster)
         across = float(place @ place) * np.eye(3) - np.outer(place, place)
         drift = 2.0 * tuning.street**2 * way / tuning.street_length
         drift += tuning.passing**2 * seconds

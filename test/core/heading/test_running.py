@@ -11,7 +11,7 @@ TURNS = (0.0, 0.0, 0.3)
 def shares(rates, speed=math.nan, is_at_rest=False):
     sense = MotionSense()
     return [
-        sense.at(0.1 * k, rate, is_at_rest, speed, math.nan).moving for k, rate in enumerate(rates)
+        sense.at(0.04 * k, rate, is_at_rest, speed, math.nan).moving for k, rate in enumerate(rates)
     ]
 
 
