@@ -29,6 +29,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
@@ -148,6 +149,7 @@ def headings(
     calibration = calibration if way != "none" else replace(calibration, motors=None)
     up, sense, compass = UpFollower(), MotionSense(), Compass(calibration)
     learning = MotorLearning(calibration) if way == "drive" else None
+    doubt = FieldDoubt(calibration)
     yaws = dict(zip(drive.time.tolist(), drive.imu_yaw.tolist(), strict=True))
     moves = dict(zip(drive.time.tolist(), _moves(drive.truth).tolist(), strict=True))
     speed = current = math.nan
@@ -171,7 +173,10 @@ def headings(
             seen = Moment.of(compass, sample, up.at(sample.stamp, 0.2), up.rate, now)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
-                yield sample.stamp, moves[sample.stamp], error, seen.heading.yaw_variance
+                assert seen.up is not None
+                variance = seen.heading.yaw_variance
+                variance += doubt.add(sample.stamp, seen.field, seen.up.direction, seen.up.variance)
+                yield sample.stamp, moves[sample.stamp], error, variance
 
 
 def _moves(truth: Travel) -> FloatArray:

@@ -9,6 +9,7 @@ from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
 
@@ -55,3 +56,25 @@ def test_a_robot_without_motors_has_none():
     motors = calibrate(collected(window), knowledge).calibration.motors
     assert np.abs(motors.gain).max() < 0.15e-6
     assert motors.sigma(0) < 0.3e-6
+
+
+def test_a_magnetometer_that_saturates_is_said():
+    _, window = driven(evenly, ROBOT, 6.0)
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    limit = float(np.quantile(np.abs(window.field[:, 0]), 0.7))
+    field = np.clip(window.field, -limit, limit)
+    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    assert not outcome.verdict.accepted
+    assert "saturates" in outcome.verdict.summary
+
+
+def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
+    motion, window = driven(evenly, ROBOT, 6.0)
+    runs = (np.abs(motion.angular_rate[:, 2]) > 0.02).astype(float)
+    field = window.field + 25e-6 * np.outer(runs, [0.6, -0.8, 0.0])
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    assert outcome.verdict.accepted
+    assert "taken off while the robot moves" in outcome.verdict.summary
+    gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
+    assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)

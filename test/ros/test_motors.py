@@ -19,6 +19,8 @@ GAIN = np.array([[4e-6, -3e-6, 2e-6], [0.0, 5e-6, 0.0], [1e-6, 1e-6, 0.0]])
 """Tesla while it moves, per rad/s, and per ampere."""
 INPUTS = (MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT)
 SIGMA = 0.5e-6
+IDLE = 0.5
+"""Amperes at rest."""
 APPLY, OFF = {"self_calibration": "apply"}, {"self_calibration": "off"}
 
 
@@ -38,19 +40,24 @@ def yaw_of(message):
     return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
 
 
+def stamp_of(message):
+    return round(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9, 6)
+
+
 def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tmp_path):
     actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **OFF})
-    heard, now = [], {"rate": 0.0, "current": 0.5}
-    actor.node.create_subscription(
-        Imu, "compass/mag/enu/imu", lambda m: heard.append((m, actor.ride.magnetic_yaw)), 10
-    )
+    heard, now = [], {"rate": 0.0, "current": IDLE}
+    yaws = {}
+    actor.node.create_subscription(Imu, "compass/mag/enu/imu", heard.append, 10)
     battery = actor.node.create_publisher(BatteryState, "battery", 1)
 
     def add(sample):
         if isinstance(sample, FieldSample):
             moves = float(now["rate"] != 0.0)
-            added = np.array([moves, now["rate"], now["current"]]) @ GAIN
+            # The calibration is that of the robot at rest, its current there included.
+            added = np.array([moves, now["rate"], now["current"] - IDLE]) @ GAIN
             sample = sample._replace(field=tuple(np.add(sample.field, added)))
+            yaws[round(sample.stamp, 6)] = actor.ride.magnetic_yaw
             battery.publish(BatteryState(current=now["current"]))
         return [sample]
 
@@ -62,10 +69,10 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
         actor.run(1.0, rate)
         heard.clear()
         actor.run(1.5, rate)
-        off = [float(wrap_angle(yaw_of(m) - yaw)) for m, yaw in heard]
-        return abs(np.median(off)), np.median([m.orientation_covariance[8] for m, _ in heard])
+        off = [float(wrap_angle(yaw_of(m) - yaws[stamp_of(m)])) for m in heard]
+        return abs(np.median(off)), np.median([m.orientation_covariance[8] for m in heard])
 
-    rest, at_rest = drive(0.0, 0.5)
+    rest, at_rest = drive(0.0, IDLE)
     turning, while_moving = drive(0.6, 3.0)
     assert max(rest, turning) < math.radians(3.0)
     level = 48e-6 * math.cos(math.radians(65.0))
