@@ -50,6 +50,7 @@ class Motors:
         self._learning: MotorLearning | None = None
         self._kept: MotorField | None = None
         self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
+        self._is_told = False
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
@@ -87,6 +88,8 @@ class Motors:
         if mode is Mode.OFF:
             self._learning = None
         self._mode = mode
+        # Asked once a second, as it holds for long, and not for each message.
+        self._is_told = self._travel.has_wheels or math.isfinite(self._current)
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
         self._has_learnt = False
@@ -107,11 +110,6 @@ class Motors:
         self._kept = None if compass is None else compass.motors
         if compass is not None and compass.motors is not None and before is not None:
             compass.use_motors(compass.motors.and_of(before))
-
-    @property
-    def _is_told(self) -> bool:
-        """Whether wheels or a battery tell what the motors do."""
-        return self._travel.speed_from is not None or math.isfinite(self._current)
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
         """Return what `~/status` tells of the motors; None where nothing is known of them."""
@@ -140,10 +138,9 @@ class Motors:
             return self._topic
         if which in (MotorInput.TURN_RATE, MotorInput.SIDE):
             return "gyro"
-        speed = self._odom if self._travel.speed_from is None else self._travel.speed_from
         if which is MotorInput.SPEED:
-            return speed
-        return "gyro" if self._travel.speed_from is None else f"gyro and {speed}"
+            return self._odom
+        return f"gyro and {self._odom}" if self._travel.has_wheels else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:
         # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.

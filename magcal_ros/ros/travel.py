@@ -122,10 +122,18 @@ class Travel:
         source = self._travelling.source
         return None if source is None else self._topics[source]
 
-    def speed_near(self, stamp: float) -> float:
-        """Return the newest speed, m/s; NaN where none was told near a stamp, seconds."""
+    @property
+    def has_wheels(self) -> bool:
+        """Whether wheels tell a speed often enough to time starts and stops by it."""
         track = self._travelling.speedometer.track
-        if track is None or abs(stamp + track.delay - track.newest) > track.gap:
+        if track is None or track.source is not SpeedSource.ODOMETRY:
+            return False
+        return math.isfinite(track.newest) and not track.is_slow
+
+    def speed_near(self, stamp: float) -> float:
+        """Return what wheels say, m/s; NaN where they tell nothing near a stamp, seconds."""
+        track = self._travelling.speedometer.tracks[SpeedSource.ODOMETRY]
+        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
         return track.last
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.motors import INPUTS, MotorField, MotorInput, Running
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -87,18 +87,12 @@ class LearningTuning:
 
 TUNING = LearningTuning()
 
-USUAL_SIZES = {
-    MotorInput.MOVING: 1.0,
-    MotorInput.SIDE: 1.0,
-    MotorInput.TURN_RATE: 0.5,
-    MotorInput.SPEED: 0.5,
-    MotorInput.CURRENT: 2.0,
-}
+USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0), strict=True))
 """Of an input while a robot moves, until its own is known: rad/s, m/s, A."""
 
 
 @dataclass
-class _Block:
+class _Interval:
     """Sums over the samples of a block, and how the robot has turned and gone in it."""
 
     begin: float
@@ -136,7 +130,8 @@ class MotorLearning:
         self._mean = np.zeros(size)
         self._prior_mean, self._prior, self._known = _beginning(calibration, tuning)
         self._covariance = np.zeros((size, size))
-        self._covariance[IRON.start :, IRON.start :] = _with_body(self._prior)
+        rows = np.r_[IRON, FIXED:size]
+        self._covariance[np.ix_(rows, rows)] = self._prior
         self._mean[FIXED:] = self._prior_mean[3:]
         motors = calibration.motors
         ripple = tuning.body if motors is None else motors.ripple * MICROTESLA
@@ -145,8 +140,8 @@ class MotorLearning:
         if motors is not None:
             for each, usual in zip(motors.inputs, motors.usual, strict=True):
                 self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
-        self._block: _Block | None = None
-        self._before: _Block | None = None
+        self._block: _Interval | None = None
+        self._before: _Interval | None = None
         self._was_clear = True
         self._left = self._rate = np.zeros(3)
         self._stamp = -math.inf
@@ -172,7 +167,7 @@ class MotorLearning:
             self._block = self._before = None
             return False
         if self._block is None:
-            self._block = _Block(stamp, np.zeros(3), np.zeros(3))
+            self._block = _Interval(stamp, np.zeros(3), np.zeros(3))
         block, moves = self._block, running.moving > 0.0
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
@@ -203,25 +198,15 @@ class MotorLearning:
         prior_mean = self._prior_mean[rows]
         prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
         now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
-        shown = _positive(np.asarray(now - prior))
         pull = now @ self._mean[here[rows]] - prior @ prior_mean
-        fixed = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
-        scales = self._scales(shown, pull, prior, prior_mean, fixed, which)
-        covariance, mean = _posterior(shown, pull, prior, prior_mean, fixed, scales)
-        return self._in_sensor_axes(covariance, mean, which)
+        known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
+        seen = _SeenGains(_positive(np.asarray(now - prior)), pull, prior, prior_mean, known)
+        return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
 
     def _is_used(self, which: MotorInput) -> bool:
         return which in self.heard or INPUTS.index(which) in self._known
 
-    def _scales(
-        self,
-        shown: FloatArray,
-        pull: FloatArray,
-        prior: FloatArray,
-        prior_mean: FloatArray,
-        fixed: FloatArray,
-        which: list[int],
-    ) -> FloatArray:
+    def _scales(self, seen: _SeenGains, which: list[int]) -> FloatArray:
         """Return the prior sigmas of the gains that nothing else tells, µT per unit, one a row.
 
         The root of the expected square under the posterior of the size (`Unknown`), one input
@@ -231,7 +216,7 @@ class MotorLearning:
         grid = tuning.usual * np.exp(tuning.spread * np.linspace(-2.0, 3.2, 14))
         grid = grid[grid < tuning.most]
         belief = -0.5 * (np.log(grid / tuning.usual) / tuning.spread) ** 2
-        scales = np.ones(len(pull))
+        scales = np.ones(len(seen.pull))
         per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
         free = [(j, k) for j, k in enumerate(which) if k not in self._known]
         for j, k in free:
@@ -241,7 +226,7 @@ class MotorLearning:
                 odds = np.empty(len(grid))
                 for i, size in enumerate(grid):
                     scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
-                    odds[i] = _evidence(shown, pull, prior, prior_mean, fixed, scales)
+                    odds[i] = seen.evidence(scales)
                 odds = np.exp(odds + belief - np.max(odds + belief))
                 size = math.sqrt(float(odds @ grid**2 / odds.sum()))
                 scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
@@ -278,7 +263,7 @@ class MotorLearning:
         self._covariance[PLACE, PLACE] = self.tuning.field**2 * np.eye(3)
         self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
 
-    def _take(self, block: _Block, is_even: bool) -> None:
+    def _take(self, block: _Interval, is_even: bool) -> None:
         """Go on by a block and take its means; not where the robot stops or starts beside it."""
         tuning, count = self.tuning, block.count
         u = np.asarray(block.inputs) / count
@@ -311,7 +296,7 @@ class MotorLearning:
             step = tuning.pace * (min(square / 3.0, 4.0) - 1.0)
             self._ripple = min(max(self._ripple * math.exp(step), tuning.body), tuning.most)
 
-    def _predict(self, block: _Block, moves: bool) -> None:
+    def _predict(self, block: _Interval, moves: bool) -> None:
         tuning, way, seconds = self.tuning, block.way, block.seconds
         # From the middle of the block before to the middle of this one.
         turned = self._left + block.mean_turned
@@ -364,52 +349,50 @@ def _beginning(
     return mean, covariance + 1e-6 * np.eye(size), known
 
 
-def _with_body(prior: FloatArray) -> FloatArray:
-    """Return the covariance of iron and gains with room for the body's coloured noise."""
-    out = np.zeros((len(prior) + 3, len(prior) + 3))
-    rows = np.r_[0:3, 6 : len(out)]
-    out[np.ix_(rows, rows)] = prior
-    return out
-
-
 def _positive(matrix: FloatArray) -> FloatArray:
     """Return the nearest matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _information(
-    prior: FloatArray, prior_mean: FloatArray, fixed: FloatArray, scales: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return information and its product with the mean: of what is fixed, and by scales else."""
-    both = np.where(np.outer(fixed, fixed), prior, 0.0) + np.diag(np.where(fixed, 0.0, scales**-2))
-    return both, both @ np.where(fixed, prior_mean, 0.0)
+@dataclass(frozen=True, eq=False)
+class _SeenGains:
+    """What samples show of the iron's error and the gains, apart from the priors.
 
+    Parameters
+    ----------
+    shown : ndarray, shape (m, m)
+        Information of the samples alone.
+    pull : ndarray, shape (m,)
+        The same times their mean.
+    prior, prior_mean : ndarray, shape (m, m) and (m,)
+        Information and mean of what is known.
+    known : ndarray of bool, shape (m,)
+        Of which numbers something is; the others have a sigma, about zero.
+    """
 
-def _posterior(
-    shown: FloatArray,
-    pull: FloatArray,
-    prior: FloatArray,
-    prior_mean: FloatArray,
-    fixed: FloatArray,
-    scales: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return covariance and mean under a prior."""
-    information, weighted = _information(prior, prior_mean, fixed, scales)
-    covariance = np.linalg.inv(shown + information)
-    return 0.5 * (covariance + covariance.T), covariance @ (pull + weighted)
+    shown: FloatArray
+    pull: FloatArray
+    prior: FloatArray
+    prior_mean: FloatArray
+    known: BoolArray
 
+    def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariance and mean under sigmas of what is not known."""
+        information, weighted = self._believed(scales)
+        covariance = np.linalg.inv(self.shown + information)
+        return 0.5 * (covariance + covariance.T), covariance @ (self.pull + weighted)
 
-def _evidence(
-    shown: FloatArray,
-    pull: FloatArray,
-    prior: FloatArray,
-    prior_mean: FloatArray,
-    fixed: FloatArray,
-    scales: FloatArray,
-) -> float:
-    """Return the logarithm of the evidence of scales, but for a constant."""
-    information, weighted = _information(prior, prior_mean, fixed, scales)
-    whole = pull + weighted
-    cost = np.linalg.slogdet(shown + information)[1] - np.linalg.slogdet(information)[1]
-    return 0.5 * float(whole @ np.linalg.solve(shown + information, whole) - cost)
+    def evidence(self, scales: FloatArray) -> float:
+        """Return the logarithm of the evidence of such sigmas, but for a constant."""
+        information, weighted = self._believed(scales)
+        both, whole = self.shown + information, self.pull + weighted
+        cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
+        return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
+
+    def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the information of all priors, and the same times their mean."""
+        known = self.known
+        free = np.diag(np.where(known, 0.0, scales**-2))
+        information = np.where(np.outer(known, known), self.prior, 0.0) + free
+        return information, information @ np.where(known, self.prior_mean, 0.0)
