@@ -41,7 +41,7 @@ def yaw_of(message):
 
 
 def stamp_of(message):
-    return round(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9, 6)
+    return round(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9, 3)
 
 
 def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tmp_path):
@@ -57,7 +57,7 @@ def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tm
             # The calibration is that of the robot at rest, its current there included.
             added = np.array([moves, now["rate"], now["current"] - IDLE]) @ GAIN
             sample = sample._replace(field=tuple(np.add(sample.field, added)))
-            yaws[round(sample.stamp, 6)] = actor.ride.magnetic_yaw
+            yaws[round(sample.stamp, 3)] = actor.ride.magnetic_yaw
             battery.publish(BatteryState(current=now["current"]))
         return [sample]
 
