@@ -145,10 +145,10 @@ def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that axes or stamps of the sensors are wrong."""
-    from magcal_ros.core.doctor.refusal import wrong_axes, wrong_stamps
+    """Judge an estimate unless the samples say that axes, range or stamps are wrong."""
+    from magcal_ros.core.doctor.refusal import saturated_field, wrong_axes, wrong_stamps
 
-    wrong = wrong_axes(window, knowledge)
+    wrong = saturated_field(window) or wrong_axes(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)

@@ -15,6 +15,7 @@ import yaml
 from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.claims import require_possible
@@ -255,6 +256,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
         "covariance": calibration.covariance.tolist(),
         "noise_field": float(calibration.noise_field),
         "noise_up": float(calibration.noise_up),
+        **_motors_entry(calibration.motors),
         "reference": {
             "strength": float(calibration.strength),
             "inclination": float(calibration.inclination),
@@ -307,6 +309,38 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
         _positive(reference["strength"], "strength"),
         _finite(reference["inclination"], "inclination"),
         _evidence(document),
+        _motors(document),
+    )
+
+
+def _motors_entry(motors: MotorField | None) -> dict[str, Any]:
+    if motors is None:
+        return {}
+    entry = {
+        "formula": "field_raw - hard_iron - sum of field * input, in tesla while the robot moves",
+        "inputs": [each.value for each in motors.inputs],
+        "units": [each.unit for each in motors.inputs],
+        "field": motors.gain.tolist(),
+        "usual": [float(each) for each in motors.usual],
+        "ripple": float(motors.ripple),
+        "covariance": motors.covariance.tolist(),
+        "covariance_with_calibration": motors.beside.tolist(),
+    }
+    return {"motors": entry}
+
+
+def _motors(document: Mapping[str, Any]) -> MotorField | None:
+    """Return what motors add; files from before have nothing of it."""
+    entry = document.get("motors")
+    if entry is None:
+        return None
+    return MotorField(
+        tuple(MotorInput(str(each)) for each in entry["inputs"]),
+        _numbers(entry["field"]),
+        _numbers(entry["covariance"]),
+        _numbers(entry["covariance_with_calibration"]),
+        _positive(entry["ripple"], "motors.ripple"),
+        tuple(_positive(each, "motors.usual") for each in entry["usual"]),
     )
 
 

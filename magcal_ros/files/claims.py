@@ -79,6 +79,7 @@ def require_possible(calibration: Calibration) -> None:
         raise ValueError("the reference inclination is more than a right angle")
     _require_covariance(calibration.covariance)
     _require_doubt(calibration)
+    _require_motors(calibration)
 
 
 def _require_sizes(calibration: Calibration, least_gain: float) -> None:
@@ -109,6 +110,16 @@ def _require_covariance(covariance: FloatArray) -> None:
         raise ValueError(
             "covariance is not that of any numbers: some direction would have a negative variance"
         )
+
+
+def _require_motors(calibration: Calibration) -> None:
+    motors = calibration.motors
+    if motors is None:
+        return
+    sizes = [motors.size(k) for k in range(len(motors.inputs))]
+    if not max([*sizes, motors.ripple], default=0.0) <= STREAMS.largest_field:
+        raise ValueError("motors adds a field that no magnetometer can measure")
+    _require_covariance(motors.joint(calibration.covariance))
 
 
 def _require_doubt(calibration: Calibration) -> None:

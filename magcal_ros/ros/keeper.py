@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
@@ -102,6 +103,16 @@ class Keeper:
         if self.calibration is None or self.origin is None:
             return False
         self.origin = replace(self.origin, vehicle_yaw=yaw)
+        return True
+
+    def keep_motors(self, motors: MotorField) -> bool:
+        """Lay what was learnt of the motors beside the calibration; returns whether there is one.
+
+        Nothing is applied anew: whoever learnt it uses it already.
+        """
+        if self.calibration is None:
+            return False
+        self.calibration = replace(self.calibration, motors=motors)
         return True
 
     def reset(self) -> None:

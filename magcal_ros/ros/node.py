@@ -204,7 +204,8 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         self._up.add_field(sample.stamp, sample.field)
-        self._keeping.on_field(sample, streams.newest_imu, self._travel)
+        at_rest = self._walk.motors.take(self._compass, sample)
+        self._keeping.on_field(at_rest, streams.newest_imu, self._travel)
         if self._compass is not None:
             moment = self._walk.moment_of(self._compass, sample)
             self._outputs.publish(moment.field, arrived, self._walk.body_frame())
@@ -352,12 +353,11 @@ class Calibrator(Node):
         self._magnetometers.look(self.count_publishers, self._table.settings)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
-        self._walk.fused.patience = self._table.settings.patience
+        self._walk.follow(self._table.settings, self._keeper, self._shelf)
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
-        settings = self._table.settings
-        wanted = settings.self_calibration, settings.report_folder
-        self._keeping.follow(*wanted, self._travel.swing)
+        settings, swing = self._table.settings, self._travel.swing
+        self._keeping.follow(settings.self_calibration, settings.report_folder, swing)
         news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
             self._shelf.save(lambda _: None)
@@ -393,7 +393,8 @@ class Calibrator(Node):
         self._announcer.follow_turn(self._magnetometers.state is not TurnState.IDLE, answer, words)
         reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
         told = self._control, self._keeper, self._inputs, reference, self._watch, turns
-        status = status_json(*told, self._travel, self._keeping, self._magnetometers)
+        motors = self._walk.motors.facts(self._compass)
+        status = status_json(*told, self._travel, self._keeping, self._magnetometers, motors)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

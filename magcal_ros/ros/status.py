@@ -38,6 +38,7 @@ def status_json(
     travel: Travel,
     keeping: SelfKeeping,
     magnetometers: Magnetometers,
+    motors: Mapping[str, Any] | None,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = magnetometers.state.value
@@ -66,6 +67,7 @@ def status_json(
             "drive": travel.facts(),
             "self_calibration": keeping.facts(),
             "magnetometers": magnetometers.facts(),
+            "motors": motors,
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},

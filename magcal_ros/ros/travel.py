@@ -117,6 +117,27 @@ class Travel:
         return math.nan if track is None else track.last
 
     @property
+    def speed_from(self) -> str | None:
+        """The topic whose speed is used; None where nobody tells one."""
+        source = self._travelling.source
+        return None if source is None else self._topics[source]
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether wheels tell a speed often enough to time starts and stops by it."""
+        track = self._travelling.speedometer.track
+        if track is None or track.source is not SpeedSource.ODOMETRY:
+            return False
+        return math.isfinite(track.newest) and not track.is_slow
+
+    def speed_near(self, stamp: float) -> float:
+        """Return what wheels say, m/s; NaN where they tell nothing near a stamp, seconds."""
+        track = self._travelling.speedometer.tracks[SpeedSource.ODOMETRY]
+        if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
+            return math.nan
+        return track.last
+
+    @property
     def swing(self) -> CourseSwing | None:
         """How the compass in force swings against course, where enough was driven."""
         course = self._travelling.course
@@ -196,9 +217,9 @@ class Travel:
         travelling, yaw = self._travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None
-        course, source = travelling.course, travelling.source
+        course = travelling.course
         return {
-            "speed_from": None if source is None else self._topics[source],
+            "speed_from": self.speed_from,
             "own_acceleration_taken_off": travelling.takes_off,
             "metres": round(travelling.metres, -1),
             "drifts": travelling.drift.is_drifting,

@@ -11,6 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
+from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower
@@ -19,10 +20,12 @@ from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.seat import Seat
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import FieldArrival
@@ -47,6 +50,8 @@ class Walk:
 
     Attributes
     ----------
+    motors : Motors
+        Follows what the motors do.
     several : SeveralCompasses
         Joins the magnetometers.
     are_several : bool
@@ -66,6 +71,7 @@ class Walk:
     ) -> None:
         self._node, self._up, self._inputs = node, up, inputs
         self._seat, self._whereabouts, self._travel = seat, whereabouts, travel
+        self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, seat)
         self.fused = FusedOutput(node, up, seat)
         self.several = SeveralCompasses()
@@ -92,6 +98,13 @@ class Walk:
             self._whereabouts.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
+    def follow(self, settings: Settings, keeper: Keeper, shelf: Shelf) -> None:
+        """Take the parameters, use what was learnt of the motors and keep it, once a second."""
+        self.fused.patience = settings.patience
+        learnt = self.motors.follow(Mode(settings.self_calibration))
+        if learnt is not None and keeper.keep_motors(learnt):
+            shelf.save(lambda _: None)
+
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
         reference = self._whereabouts.reference.field
@@ -101,7 +114,8 @@ class Walk:
         """Return what a field sample comes to by a compass."""
         streams = self._inputs.streams
         up = self._up.at(sample.stamp, streams.max_gap)
-        return Moment.of(compass, sample, up, streams.newest_rate)
+        running = self.motors.as_used(compass, sample.stamp)
+        return Moment.of(compass, sample, up, streams.newest_rate, running)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""

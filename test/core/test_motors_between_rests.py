@@ -10,6 +10,7 @@ from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
 
@@ -35,3 +36,54 @@ def test_a_drive_does_not_answer_for_a_turn_on_the_spot_whose_motors_switch():
     outcome = calibrate(collected(scene.window), knowledge)
     assert not outcome.verdict.accepted
     assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
+
+
+@pytest.mark.parametrize("by_rate", [False, True])
+def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
+    """A turn at one rate does not tell a step from what goes with the rate: the sum is known."""
+    size = 6e-6
+    motion, window = driven(evenly, ROBOT, 6.0)
+    rate = motion.angular_rate[:, 2]
+    full = float(np.abs(rate).max())
+    shape = rate / full if by_rate else (np.abs(rate) > 0.02).astype(float)
+    field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
+    for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 1.0e-6, 6e-6)):
+        u = np.kron([1.0, turn_rate], np.eye(3))
+        found = u @ motors.gain.ravel()
+        sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))
+        true = size * np.array([0.6, -0.8, 0.0]) * (turn_rate / full if by_rate else 1.0)
+        assert (sigma > least).all()
+        assert (sigma < most).all()
+        assert (np.abs(found - true) < 3.0 * sigma).all()
+
+
+def test_a_robot_without_motors_has_none():
+    _, window = driven(evenly, ROBOT, 6.0)
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    motors = calibrate(collected(window), knowledge).calibration.motors
+    assert np.abs(motors.gain).max() < 0.15e-6
+    assert motors.sigma(0) < 0.3e-6
+
+
+def test_a_magnetometer_that_saturates_is_said():
+    _, window = driven(evenly, ROBOT, 6.0)
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    limit = float(np.quantile(np.abs(window.field[:, 0]), 0.7))
+    field = np.clip(window.field, -limit, limit)
+    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    assert not outcome.verdict.accepted
+    assert "saturates" in outcome.verdict.summary
+
+
+def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
+    motion, window = driven(evenly, ROBOT, 6.0)
+    runs = (np.abs(motion.angular_rate[:, 2]) > 0.02).astype(float)
+    field = window.field + 25e-6 * np.outer(runs, [0.6, -0.8, 0.0])
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    outcome = calibrate(collected(replace(window, field=field)), knowledge)
+    assert outcome.verdict.accepted
+    assert "taken off while the robot moves" in outcome.verdict.summary
+    gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
+    assert math.sqrt(np.mean(gap**2)) < 3.0 * predicted_heading_sigma(outcome.estimate)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (
@@ -97,7 +98,30 @@ def everything(calibration):
         calibration.strength,
         calibration.inclination,
         calibration.evidence,
+        everything_of(calibration.motors),
     )
+
+
+def everything_of(motors):
+    if motors is None:
+        return None
+    arrays = motors.gain, motors.covariance, motors.beside
+    return (*(each.tobytes() for each in arrays), motors.inputs, motors.ripple, motors.usual)
+
+
+def with_motors():
+    mix = np.random.default_rng(2).standard_normal((18, 18))
+    joint = mix @ mix.T * 1e-14
+    gain = [[5e-6, -1e-6, 2e-7], [0.0, 3e-6, 0.0]]
+    motors = MotorField(
+        (MotorInput.MOVING, MotorInput.CURRENT),
+        gain,
+        joint[12:, 12:],
+        joint[:12, 12:],
+        2e-7,
+        (1.0, 0.4),
+    )
+    return replace(example(), covariance=joint[:12, :12], motors=motors)
 
 
 def with_change(path, change):
@@ -132,6 +156,29 @@ class TestRoundTrip:
         one.evidence.figures["y"] = math.nan
         write_calibration(tmp_path / "a", one, ORIGIN)
         assert math.isnan(read_calibration(tmp_path / "a")[0].evidence.figures["y"])
+
+    def test_the_motors_come_back(self, tmp_path):
+        write_calibration(tmp_path / "a", with_motors(), ORIGIN)
+        assert everything(read_calibration(tmp_path / "a")[0]) == everything(with_motors())
+
+    @pytest.mark.parametrize(
+        "change",
+        [
+            lambda motors: motors.pop("field"),
+            lambda motors: motors.update(inputs=["moving", "moving"]),
+            lambda motors: motors.update(inputs=["moving", "colour"]),
+            lambda motors: motors["field"].pop(),
+            lambda motors: motors.update(ripple=math.nan),
+            lambda motors: motors["field"][0].__setitem__(0, 1.0),
+            lambda motors: motors["covariance"][0].__setitem__(1, 1.0),
+            lambda motors: motors.update(usual=[1.0]),
+        ],
+    )
+    def test_impossible_motors_are_refused(self, tmp_path, change):
+        write_calibration(tmp_path / "a", with_motors(), ORIGIN)
+        with_change(tmp_path / "a", lambda document: change(document["motors"]))
+        with pytest.raises(FileTrouble, match="not a usable calibration"):
+            read_calibration(tmp_path / "a")
 
     def test_a_missing_folder_is_made(self, tmp_path):
         path = tmp_path / "a" / "b" / "mag.yaml"

@@ -224,3 +224,15 @@ TURN_BOUNDS: tuple[Bound, ...] = (
 
 HELPED_BY_REFERENCE = frozenset({Figure.HEADING_SIGMA, Figure.RIVAL_GAP})
 """Figures that a reference field would improve."""
+
+KNOWN_MOTORS = Bound(
+    Figure.MOTOR_FIELD,
+    1.0,
+    50.0,
+    "between rest and turn the field changes by",
+    "it is taken off while the robot moves; a magnetometer further away from motors and power "
+    "wires is the better cure",
+    excellent=0.3,
+    unit=" µT",
+)
+"""Of an estimate that knows the field of the motors."""

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
-from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, TURN_BOUNDS
+from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, KNOWN_MOTORS, TURN_BOUNDS
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -211,6 +211,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
     is_drive = Figure.HEADINGS_DRIVEN in figures
     bounds = DRIVE_BOUNDS if is_drive else TURN_BOUNDS
+    if estimate.motors is not None:
+        bounds = tuple(KNOWN_MOTORS if b.figure is Figure.MOTOR_FIELD else b for b in bounds)
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:

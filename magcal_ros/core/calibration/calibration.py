@@ -10,6 +10,7 @@ import numpy as np
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
 
@@ -66,6 +67,8 @@ class Calibration:
         The reference field as found, tesla and radians.
     evidence : Evidence
         Why it is believed.
+    motors : MotorField or None
+        What the motors add while they run; None where nothing has shown it.
     """
 
     correction: Correction
@@ -75,6 +78,7 @@ class Calibration:
     strength: float
     inclination: float
     evidence: Evidence
+    motors: MotorField | None = None
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)
@@ -94,6 +98,7 @@ class Calibration:
             estimate.strength,
             estimate.inclination,
             evidence,
+            estimate.motors,
         )
 
     def on_users_word(self) -> Calibration:

@@ -10,6 +10,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
@@ -90,6 +91,8 @@ class Estimate:
         Why it stopped.
     swing : GyroSwing or None
         What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared.
+    motors : MotorField or None
+        What the motors add while they run, where the method tells.
     """
 
     method: str
@@ -107,6 +110,7 @@ class Estimate:
     figures: Mapping[Figure, float] = field(default_factory=dict)
     message: str = ""
     swing: GyroSwing | None = None
+    motors: MotorField | None = None
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)

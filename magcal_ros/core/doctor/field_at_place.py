@@ -11,6 +11,7 @@ from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
+from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
@@ -33,6 +34,10 @@ class PlaceTuning:
         Relative standard deviation of the strength beyond which it is not shown.
     motors : float
         Tesla by which the field steps when the robot sets off.
+    turned_too_far, strays_too_far : float
+        Degrees of heading of that step, and by which it differs from one time to another, from
+        which moving the sensor is the better cure: half the level field, where a tenth of it in
+        the motors' current is three degrees, and the largest error that may stay unsaid.
     still, moves : float
         rad/s below which it stands, and above which it turns.
     late : float
@@ -46,6 +51,8 @@ class PlaceTuning:
     sigmas: float = 3.0
     vague: float = 0.1
     motors: float = 1.5e-6
+    turned_too_far: float = 25.0
+    strays_too_far: float = 5.0
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
     late: float = 0.05
@@ -138,7 +145,8 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     field = log.field @ explanations.field[k]
     time = log.field_time - lag
     iron = state[IRON] * explanations.part.stretch.size
-    steps, spread = [], []
+    up = unit(np.median(log.force, axis=0))
+    steps, spread, level = [], [], []
     for moment, sign in _starts_and_stops(log, rate):
         since = sign * (time - moment)
         low, high = ((since >= a) & (since <= b) for a, b in (TUNING.before, TUNING.after))
@@ -148,6 +156,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
         turn = _turned(log.imu_time, rate, float(time[low].mean()), float(time[high].mean()))
         expected = exp_rotation(-turn) @ (still.mean(axis=0) - iron) + iron
         steps.append(moving.mean(axis=0) - expected)
+        level.append(float(np.linalg.norm(np.cross(still.mean(axis=0) - iron, up))))
         # What turns of 5 ms and 3 % of the way would be, and the noise of the means.
         way = float(np.linalg.norm(expected - still.mean(axis=0)))
         noise = float(np.median(np.abs(np.diff(field, axis=0)))) / 0.95
@@ -158,14 +167,29 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
     size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
     words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
-    evidence = f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times"
-    remedy = (
-        "if motors turn it, their current makes a field of its own: move the magnetometer away "
-        "from motors, drivers and battery wires, and twist each pair of wires"
+    turned, stray = (_degrees(each, float(np.median(level))) for each in (size, scatter))
+    evidence = (
+        f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
+        f"{turned:.0f}° of heading, and {stray:.0f}° from one time to another"
     )
+    remedy = (
+        "if motors turn it, their current makes a field of its own. A calibration from a turn "
+        "that begins and ends at rest knows it, and the node takes it off while the robot moves"
+    )
+    if max(turned / TUNING.turned_too_far, stray / TUNING.strays_too_far) > 1.0:
+        remedy = (
+            "if motors turn it, their current makes a field of its own, too large or too uneven "
+            "to be taken off well. Moving the sensor is the better cure: away from motors, "
+            "drivers and battery wires, and each pair of wires twisted"
+        )
     return looked_at(
         "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
     )
+
+
+def _degrees(field: float, level: float) -> float:
+    """Return by how many degrees a field across the level one turns the heading."""
+    return math.degrees(math.atan2(field, max(level, 1e-9)))
 
 
 def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:

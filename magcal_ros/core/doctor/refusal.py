@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from magcal_ros.core.assessment.axes import GYRO_IS_WRONG, MISLED_BY_AXES, find_axes
-from magcal_ros.core.doctor.health import alive_finding, unchanging
+from magcal_ros.core.doctor.health import alive_finding, field_findings, unchanging
 from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.doctor.rate_unit import rate_factors
 from magcal_ros.core.errors import Reason, Refusal
@@ -74,6 +74,20 @@ def _has_noise(rate: FloatArray) -> bool:
     """Return whether rates (n, k) have noise; those of a simulator without any may stay zero."""
     bend = np.abs(np.diff(rate, 2, axis=0))
     return bool(np.median(bend) > SMOOTH * np.abs(rate).max())
+
+
+def saturated_field(window: Window) -> Refusal | None:
+    """Return the refusal of a turn whose field stops at the end of a range; None of others.
+
+    What is cut off there looks like a smaller hard iron.
+    """
+    if len(window) < 3:
+        return None
+    for found in field_findings(window.field):
+        if found.is_wrong and found.key == "saturation":
+            words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
+            return Refusal(Reason.NO_SOLUTION, words)
+    return None
 
 
 def wrong_stamps(window: Window) -> Refusal | None:

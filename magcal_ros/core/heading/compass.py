@@ -7,12 +7,14 @@ several times faster than numpy arrays.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.motors import AT_REST, INPUTS, MotorField, Running
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -89,8 +91,31 @@ class Compass:
         self._a: tuple[float, ...] = tuple(float(value) for value in a.ravel())
         self._h: tuple[float, ...] = tuple(float(value) for value in h)
         self._certainty = _body_covariance(calibration)
+        self._motors: MotorField | None = None
+        self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
+        self.use_motors(calibration.motors)
+
+    @property
+    def motors(self) -> MotorField | None:
+        """What is known of the motors."""
+        return self._motors
+
+    @property
+    def calibration_with_motors(self) -> Calibration:
+        """The calibration in force with what is known of the motors now."""
+        return replace(self.calibration, motors=self._motors)
+
+    def use_motors(self, motors: MotorField | None) -> None:
+        """Take what is known of the motors from now on."""
+        self._motors, self._gains = motors, ()
+        if motors is not None:
+            self._gains = tuple(
+                (INPUTS.index(each), float(gain[0]), float(gain[1]), float(gain[2]))
+                for each, gain in zip(motors.inputs, motors.gain, strict=True)
+            )
+            self._with_motors = _body_covariance(self.calibration, motors)
 
     @classmethod
     def without_calibration(cls) -> Compass:
@@ -102,8 +127,17 @@ class Compass:
         )
         return cls(nothing)
 
+    def without_motors(self, raw: Triple, running: Running) -> Triple:
+        """Return a raw field, tesla, as it would be if the robot stood there."""
+        x, y, z = raw
+        for place, by_x, by_y, by_z in self._gains:
+            value = running[place]
+            if value and not math.isnan(value):
+                x, y, z = x - value * by_x, y - value * by_y, z - value * by_z
+        return (x, y, z)
+
     def correct(self, raw: Triple) -> Triple:
-        """Return the field in body axes, tesla."""
+        """Return the field of a robot at rest in body axes, tesla."""
         a, h = self._a, self._h
         x, y, z = raw[0] - h[0], raw[1] - h[1], raw[2] - h[2]
         return (
@@ -113,7 +147,11 @@ class Compass:
         )
 
     def heading(
-        self, field: Triple, force: Triple, tilt_variance: float | None = None
+        self,
+        field: Triple,
+        force: Triple,
+        tilt_variance: float | None = None,
+        running: Running = AT_REST,
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
@@ -127,6 +165,8 @@ class Compass:
             Specific force, m/s², or up as a unit vector.
         tilt_variance : float, optional
             Of up in either direction, rad²; that of a single accelerometer reading unless given.
+        running : Running
+            What the motors did, whose field was taken off.
 
         Notes
         -----
@@ -157,19 +197,32 @@ class Compass:
         by_north = rise / level - nx * ux / forward
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
-        lasting, noise = self._field_variances((ex / level, ey / level, ez / level), field)
-        variance += lasting + noise
+        gradient = (ex / level, ey / level, ez / level)
+        lasting, noise, stray = self._field_variances(gradient, field, running)
+        variance += lasting + noise + stray
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
         return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw, noise, lasting)
 
-    def _field_variances(self, gradient: Triple, field: Triple) -> tuple[float, float]:
-        """Return the yaw variances from calibration and field noise, rad²."""
-        g = np.array(gradient)
-        q = np.array((field[0], field[1], field[2], -1.0))
+    def _field_variances(
+        self, gradient: Triple, field: Triple, running: Running
+    ) -> tuple[float, float, float]:
+        """Return the yaw variances, rad².
+
+        From calibration and motors, which lasts; from field noise; and from what no input tells
+        while motors run.
+        """
+        g, motors, stray = np.array(gradient), self._motors, 0.0
+        certainty, q = self._certainty, np.array((field[0], field[1], field[2], -1.0))
+        if motors is not None and running.moving:
+            values, unknown = motors.known(running)
+            certainty, q = self._with_motors, np.concatenate([q, -values])
+            raw = g @ self.calibration.correction.matrix
+            stray = running.moving * motors.ripple**2 * float(raw @ raw)
+            stray += float(unknown @ (motors.gain @ raw) ** 2)
         v = (g[:, None] * q).ravel()
-        return float(v @ self._certainty @ v), float(g @ self._noise @ g)
+        return float(v @ certainty @ v), float(g @ self._noise @ g), stray
 
 
 def field_variance(calibration: Calibration) -> float:
@@ -182,16 +235,25 @@ def field_variance(calibration: Calibration) -> float:
     return float(calibration.strength**2 * matrix + offset) / 3.0
 
 
-def _body_covariance(calibration: Calibration) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Carry the covariance from (A, h) to (G, b) with an error dm = G m_body - b, row by row.
+def _body_covariance(
+    calibration: Calibration, motors: MotorField | None = None
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Carry the covariance from (A, h, K) to (G, b, c) with an error dm = G m_body - b - c u.
 
-    A change of A by dA and of h by dh moves the corrected field by dA A^-1 m - A dh, so
-    G = dA A^-1 and b = A dh. The order is (G00, G01, G02, b0, G10, ...).
+    A change of A by dA, of h by dh and of the motors' gains K by dK moves the corrected field by
+    dA A^-1 m - A (dh + dK u), so G = dA A^-1, b = A dh and c = A dK. The order is row by row,
+    (G00, G01, G02, b0, c00, ..., G10, ...).
     """
     a = calibration.correction.matrix
     inverse = np.linalg.inv(a)
-    carry = np.zeros((PARAMETERS, PARAMETERS))
+    count = 0 if motors is None else len(motors.inputs)
+    width = 4 + count
+    carry = np.zeros((3 * width, PARAMETERS + 3 * count))
     for row in range(3):
-        carry[4 * row : 4 * row + 3, 3 * row : 3 * row + 3] = inverse.T
-        carry[4 * row + 3, 9:] = a[row]
-    return np.asarray(carry @ calibration.covariance @ carry.T)
+        carry[width * row : width * row + 3, 3 * row : 3 * row + 3] = inverse.T
+        for k in range(1 + count):
+            carry[width * row + 3 + k, 9 + 3 * k : 12 + 3 * k] = a[row]
+    covariance = calibration.covariance
+    return np.asarray(
+        carry @ (covariance if motors is None else motors.joint(covariance)) @ carry.T
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from magcal_ros.core.calibration.motors import AT_REST, Running
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Heading
 from magcal_ros.core.samples.streams import FieldSample
@@ -35,9 +36,15 @@ class Moment(NamedTuple):
 
     @classmethod
     def of(
-        cls, compass: Compass, sample: FieldSample, up: Up | None, rate: Triple | None
+        cls,
+        compass: Compass,
+        sample: FieldSample,
+        up: Up | None,
+        rate: Triple | None,
+        running: Running = AT_REST,
     ) -> Moment:
-        """Return what a field sample comes to by the compass in force."""
-        field = compass.correct(sample.field)
-        heading = None if up is None else compass.heading(field, up.direction, up.variance)
+        """Return what a field sample comes to by the compass in force, and what motors do."""
+        field, heading = compass.correct(compass.without_motors(sample.field, running)), None
+        if up is not None:
+            heading = compass.heading(field, up.direction, up.variance, running)
         return cls(sample.stamp, field, up, heading, rate)

@@ -138,6 +138,9 @@ def candidate_of(
         Figure.STREET.value: problem.sizes.street * problem.tuning.street / MICROTESLA,
     }
     noise = problem.sizes.noise * problem.tuning.noise / MICROTESLA
+    # The road was driven without the motors' field as it is known.
+    motors = None if before is None else before.motors
+    motors = None if motors is None else motors.with_another_calibration()
     return DriveCandidate(
         kind,
         Calibration(
@@ -148,6 +151,7 @@ def candidate_of(
             strength,
             math.asin(-float(twelve.field[2]) / strength),
             Evidence(METHOD, "good", "good", words, figures=figures),
+            motors,
         ),
         sigma,
         fitted.sectors,

@@ -19,6 +19,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import QUARTER, distortion
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth, smooth_turn
+from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.unknowns import (
     AT,
     MICROTESLA,
@@ -101,6 +102,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         figures={**_figures(found), Figure.GYRO_COMPASS_SWING: swing.rms},
         message=best.message,
         swing=swing,
+        motors=motors_of(posterior, best),
     )
 
 
@@ -137,9 +139,11 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     best = found.fit
     shared, sigma = best.state.shared, np.sqrt(np.diag(best.covariance))
     turning = float(np.median(found.nodes.rate[:, 2]))
-    motors = shared[AT["motors_moving"]] + shared[AT["motors_rate"]] * turning
-    doubt = float(np.linalg.norm(sigma[AT["motors_moving"]]))
-    size = float(np.linalg.norm(motors))
+    at_rate = np.zeros((3, len(shared)))
+    at_rate[:, AT["motors_moving"]] = np.eye(3)
+    at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
+    size = float(np.linalg.norm(at_rate @ shared))
+    doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
     share = 1.0 + shared[SHIELDING]
     weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
     return {

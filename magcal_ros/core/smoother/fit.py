@@ -18,7 +18,14 @@ from magcal_ros.core.smoother.sizes import (
 )
 from magcal_ros.core.smoother.solver import Solution, Weighted
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, SHARED, KindOfMotion, Priors
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    ATTITUDE,
+    SHARED,
+    UNKNOWNS,
+    KindOfMotion,
+    Priors,
+)
 
 
 @dataclass(frozen=True)
@@ -212,7 +219,8 @@ def _covariance(
     """Return the covariance of the shared unknowns, that of the sizes included.
 
     Nothing but the size of the soft iron tells of the yaw that crooked axes turn, so that it
-    counts by its mean square.
+    counts by its mean square. What motors add may be a step or go with the rate: an even turn does
+    not tell, so that each may be as large as both together.
     """
     beliefs = model.priors.sizes
     wide = {
@@ -221,7 +229,20 @@ def _covariance(
     }
     expected = effect_factors(model, point, solution, frozenset({"axes"}))
     groups = {**point.groups, "axes": max(expected["axes"], point.groups["axes"])}
+    groups |= _as_large_as_both(point)
     _, widened = solve_at(model, replace(point, sizes=wide, groups=groups))
     out, free = np.zeros((SHARED, SHARED)), model.free
     out[np.ix_(free, free)] = widened.covariance[: len(free), : len(free)]
     return out
+
+
+def _as_large_as_both(point: Point) -> dict[str, float]:
+    """Return the factors of the motors' priors (`Unknown`) that allow each to be all of it."""
+    shared, course = point.state.shared, point.course
+    rate = course.nodes.rate[course.moving > 0.0, 2]
+    usual = {"motors_moving": 1.0, "motors_rate": float(np.sqrt(np.mean(rate**2))) + 1e-3}
+    size = sum(float(np.linalg.norm(shared[AT[name]])) * by for name, by in usual.items())
+    return {
+        name: max(point.groups[name], size / (math.sqrt(3.0) * by * UNKNOWNS[name].sigma[0]))
+        for name, by in usual.items()
+    }

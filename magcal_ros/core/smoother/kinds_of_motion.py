@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
@@ -164,12 +163,10 @@ def _try(
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:
-    """Return the mean of the twelve numbers under all answers, with its covariance."""
-    numbers = {name: each.correction.parameters for name, each in found.items()}
-    mean = np.sum([weights[name] * each for name, each in numbers.items()], axis=0)
-    covariance = np.zeros((12, 12))
+    """Return the mean of the numbers under all answers, with its covariance."""
+    mean = np.sum([weights[name] * each.numbers for name, each in found.items()], axis=0)
+    joint = np.zeros((len(mean), len(mean)))
     for name, each in found.items():
-        off = numbers[name] - mean
-        covariance += weights[name] * (each.covariance + np.outer(off, off))
-    correction = Correction.from_parameters(mean)
-    return replace(found[mode], correction=correction, covariance=covariance)
+        off = each.numbers - mean
+        joint += weights[name] * (each.joint + np.outer(off, off))
+    return replace(found[mode], numbers=mean, joint=joint)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew
@@ -33,6 +34,9 @@ from magcal_ros.core.smoother.unknowns import (
     YAW,
 )
 
+MOTORS = {MotorInput.MOVING: "motors_moving", MotorInput.TURN_RATE: "motors_rate"}
+"""The unknowns of what the motors' field goes with."""
+
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
@@ -40,19 +44,31 @@ class Posterior:
 
     Parameters
     ----------
-    correction : Correction
-    covariance : ndarray, shape (12, 12)
+    numbers : ndarray, shape (18,)
+        The twelve, then the motors' field while moving and per turn rate (`MOTORS`).
+    joint : ndarray, shape (18, 18)
+        Their covariance.
     by_offset : ndarray, shape (12, 12)
         The part of it that knowing the accelerometer's offset would take away.
     strength, inclination : float
         Of the Earth's field after the fit: tesla, radians.
     """
 
-    correction: Correction
-    covariance: FloatArray
+    numbers: FloatArray
+    joint: FloatArray
     by_offset: FloatArray
     strength: float
     inclination: float
+
+    @property
+    def correction(self) -> Correction:
+        """The twelve numbers."""
+        return Correction.from_parameters(self.numbers[:PARAMETERS])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the twelve numbers, shape (12, 12)."""
+        return self.joint[:PARAMETERS, :PARAMETERS]
 
     @property
     def heading_sigma(self) -> float:
@@ -84,16 +100,36 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     up = unit(np.median(fit.state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
     jacobian = _by_shared(shared, correction, to_sensor, up)
-    covariance = jacobian @ fit.covariance @ jacobian.T
+    by_motors = np.zeros((6, SHARED))
+    for k, name in enumerate(MOTORS.values()):
+        by_motors[3 * k : 3 * k + 3, AT[name]] = to_sensor / MICROTESLA
+    both = np.vstack([jacobian, by_motors])
+    joint = both @ fit.covariance @ both.T
     offset = fit.covariance[AT["force_offset"]] @ jacobian.T
     own = np.linalg.pinv(fit.covariance[AT["force_offset"], AT["force_offset"]])
     level, down = shared[EARTH] / MICROTESLA
     return Posterior(
-        correction,
-        0.5 * (covariance + covariance.T),
+        np.concatenate([correction.parameters, by_motors @ shared]),
+        0.5 * (joint + joint.T),
         offset.T @ own @ offset,
         float(np.hypot(level, down)),
         float(np.arctan2(down, level)),
+    )
+
+
+def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
+    """Return the motors' field of a fit; None where no motors were thought of."""
+    if not (np.diag(found.joint)[PARAMETERS:] > 0.0).all():
+        return None
+    moves = fit.point.course.moving > 0.0
+    rate = fit.point.course.nodes.rate[moves, 2]
+    return MotorField(
+        tuple(MOTORS),
+        found.numbers[PARAMETERS:].reshape(-1, 3),
+        found.joint[PARAMETERS:, PARAMETERS:],
+        found.joint[:PARAMETERS, PARAMETERS:],
+        fit.point.sizes["motors_noise"] / MICROTESLA,
+        (1.0, float(np.sqrt(np.mean(rate**2))) if len(rate) else 0.0),
     )
 
 

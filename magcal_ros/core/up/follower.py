@@ -99,6 +99,11 @@ class UpFollower:
         """Up after the newest sample, unit, body axes; None before the first."""
         return self._ups[-1][1] if self._ups else None
 
+    @property
+    def newest_stamp(self) -> float:
+        """Of the newest sample, seconds; minus infinity before the first."""
+        return self._ups[-1][0] if self._ups else -math.inf
+
     def add_field(self, stamp: float, field: Triple) -> None:
         """Take a raw field sample: whether it turns tells a slow turn from a gyro's bias.
 

@@ -214,8 +214,13 @@ def test_a_field_that_steps_with_the_motors_is_named():
     log = case.log
     moving = np.linalg.norm(log.rate, axis=1) > 0.1
     on = np.interp(log.field_time, log.imu_time, moving.astype(float)) > 0.5
-    current = replace(log, field=log.field + np.outer(on, [3e-6, -2e-6, 4e-6]))
-    assert "motors" in wrong(page_of(case, current))
+    for size, words in ((1.0, "takes it off while"), (10.0, "better cure")):
+        added = size * np.outer(on, [3e-6, -2e-6, 4e-6])
+        page = page_of(case, replace(log, field=log.field + added))
+        (line,) = [each for each in page.findings if each.key == "motors"]
+        assert line.is_wrong
+        assert words in line.remedy
+        assert "° of heading" in line.evidence
 
 
 def test_without_a_gyro_the_rest_is_looked_at_and_the_movement_said():

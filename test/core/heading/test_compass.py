@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.attitude import (
     body_from_enu,
     field_in_enu,
@@ -213,3 +215,58 @@ def test_rpy_from_rotation_agrees_with_the_heading():
     heading = heading_at(Compass(calibration()), up, field)
     expected = rpy_from_rotation(body_from_enu(up, field).T)
     assert heading[:3] == pytest.approx(expected)
+
+
+class TestMotors:
+    RUNNING = Running(1.0, 0.4, 0.7, 3.0)
+
+    @staticmethod
+    def numbers(seed):
+        """A calibration with motors, and its joint covariance."""
+        rng = np.random.default_rng(seed)
+        mix = rng.standard_normal((18, 18)) * np.repeat([0.003, 0.3e-6, 0.3e-6], [9, 3, 6])[:, None]
+        joint = mix @ mix.T / 18.0
+        inputs = MotorInput.MOVING, MotorInput.SPEED
+        gain = rng.normal(0.0, 5e-6, (2, 3))
+        motors = MotorField(inputs, gain, joint[12:, 12:], joint[:12, 12:], 0.0, (1.0, 0.7))
+        return replace(calibration(), covariance=joint[:12, :12], motors=motors), joint
+
+    def test_what_they_add_is_taken_off(self):
+        found, _ = self.numbers(0)
+        field = np.array([1e-5, 2e-5, -4e-5])
+        added = found.motors.gain[0] + 0.7 * found.motors.gain[1]
+        back = Compass(found).without_motors(tuple(field + added), self.RUNNING)
+        assert back == pytest.approx(field, abs=1e-15)
+        assert Compass(found).without_motors(tuple(field), AT_REST) == tuple(field)
+
+    def test_the_variance_is_that_of_drawn_numbers(self):
+        found, joint = self.numbers(1)
+        up, field = seen(0.1, -0.2, 0.9, 1.0)
+        rng = np.random.default_rng(2)
+        raw = found.correction.undo(field)
+        u = np.array([1.0, 0.7])
+        drawn = rng.multivariate_normal(np.zeros(18), joint, 4000)
+        matrix = found.correction.matrix + drawn[:, :9].reshape(-1, 3, 3)
+        moved = drawn[:, 9:12] + np.einsum("k,nkj->nj", u, drawn[:, 12:].reshape(-1, 2, 3))
+        fields = np.einsum("nij,nj->ni", matrix, raw - found.correction.hard_iron - moved)
+        yaws = yaw_from_up_and_field(up, fields)
+        args = tuple(field.tolist()), tuple(up.tolist())
+        heading = Compass(found).heading(*args, 0.0, self.RUNNING)
+        assert heading.lasting_variance == pytest.approx(np.var(yaws), rel=0.1)
+        at_rest = Compass(replace(found, motors=None)).heading(*args, 0.0)
+        assert Compass(found).heading(*args, 0.0, AT_REST) == at_rest
+
+    @pytest.mark.parametrize("doubt", [Running(0.5, 0.0, 0.7), Running(1.0, 0.0, math.nan)])
+    def test_what_nobody_tells_is_in_the_variance(self, doubt):
+        found, _ = self.numbers(3)
+        up, field = seen(0.0, 0.0, 0.9, 1.0)
+        args = tuple(field.tolist()), tuple(up.tolist())
+        sure = Compass(found).heading(*args, 0.0, Running(doubt.moving, 0.0, 0.0))
+        which = int(math.isnan(doubt.speed))
+        gain = found.correction.matrix @ found.motors.gain[which] * (0.7 if which else 0.5)
+        east = np.cross(field, up)
+        turned = float(east @ gain / (east @ east))
+        found = Compass(found).heading(*args, 0.0, doubt)
+        apart = found.yaw_variance - found.lasting_variance
+        assert apart - found.noise_variance == pytest.approx(turned**2, rel=1e-6)
+        assert sure.yaw == found.yaw

@@ -1,0 +1,158 @@
+"""The field that a robot's motors add while they run, by what the robot tells of itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import PARAMETERS
+from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+
+
+class MotorInput(str, Enum):
+    """What the field of motors may be in proportion to, in the order of `Running`."""
+
+    MOVING = "moving"
+    TURN_RATE = "turn_rate"
+    SPEED = "speed"
+    CURRENT = "current"
+    SIDE = "side"
+
+    @property
+    def unit(self) -> str:
+        """The unit that the field is told for."""
+        units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
+        words = {"moving": "while it moves", "side": "while it turns left, less right"}
+        return {**units, **words}[self.value]
+
+
+INPUTS = tuple(MotorInput)
+
+
+class Running(NamedTuple):
+    """What a robot does at a moment, as far as its motors are concerned.
+
+    Parameters
+    ----------
+    moving : float
+        Probability that it moves.
+    turn_rate : float
+        rad/s about the body's z; NaN where nobody tells, as of the others.
+    speed : float
+        m/s, negative backwards.
+    current : float
+        Amperes, by any sign that stays the same.
+    side : float
+        One while it turns left, minus one to the right, and between where it hardly turns.
+    """
+
+    moving: float = 0.0
+    turn_rate: float = 0.0
+    speed: float = 0.0
+    current: float = 0.0
+    side: float = 0.0
+
+
+AT_REST = Running()
+
+
+@dataclass(frozen=True, eq=False)
+class MotorField:
+    """The field of the motors, `K u` beside the hard iron, with its certainty.
+
+    Parameters
+    ----------
+    inputs : tuple of MotorInput
+        What u holds.
+    gain : array_like, shape (n, 3)
+        K by inputs: tesla per unit of each, in the magnetometer's own axes.
+    covariance : array_like, shape (3 n, 3 n)
+        Of the gains, input by input, tesla² per units.
+    beside : array_like, shape (12, 3 n)
+        Covariance with the twelve numbers of the calibration.
+    ripple : float
+        Tesla per axis that the field strays by while the robot moves, beside K u.
+    usual : tuple of float
+        Root mean square of each input while the robot moves: what is expected of an input that
+        nobody tells.
+    """
+
+    inputs: tuple[MotorInput, ...]
+    gain: FloatArray
+    covariance: FloatArray
+    beside: FloatArray
+    ripple: float
+    usual: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.inputs)
+        size = 3 * count
+        for name, shape in (
+            ("gain", (count, 3)),
+            ("covariance", (size, size)),
+            ("beside", (PARAMETERS, size)),
+        ):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        if len(self.usual) != count or len(set(self.inputs)) != count:
+            raise ValueError("the motors' inputs must differ, and each has one usual size")
+
+    def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
+        """Return the inputs and their variances, each of shape (n,).
+
+        One that nobody tells counts as zero, and varies as usual while the robot moves.
+        """
+        values = np.array([running[INPUTS.index(each)] for each in self.inputs])
+        unknown = np.isnan(values)
+        variance = np.where(unknown, running.moving * np.square(self.usual), 0.0)
+        if MotorInput.MOVING in self.inputs:
+            at = self.inputs.index(MotorInput.MOVING)
+            variance[at] = running.moving * (1.0 - running.moving)
+        return np.where(unknown, 0.0, values), variance
+
+    def joint(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""
+        return np.block([[covariance, self.beside], [self.beside.T, self.covariance]])
+
+    def sigma(self, which: int) -> float:
+        """Return the standard deviation of an input's gain, all axes together, tesla per unit."""
+        at = slice(3 * which, 3 * which + 3)
+        return math.sqrt(float(np.trace(self.covariance[at, at])))
+
+    def size(self, which: int) -> float:
+        """Return the field that an input usually makes, tesla."""
+        return float(np.linalg.norm(self.gain[which])) * self.usual[which]
+
+    def with_another_calibration(self) -> MotorField:
+        """Return the same motors beside twelve numbers that were found otherwise."""
+        return replace(self, beside=np.zeros_like(self.beside))
+
+    def and_of(self, older: MotorField) -> MotorField:
+        """Return the same with the inputs that only an older field tells of."""
+        rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
+        numbers = [3 * k + axis for k in rows for axis in range(3)]
+        count = len(numbers)
+        apart = np.zeros((len(self.covariance), count))
+        added = older.covariance[np.ix_(numbers, numbers)]
+        return MotorField(
+            (*self.inputs, *(older.inputs[k] for k in rows)),
+            np.vstack([self.gain, older.gain[rows]]),
+            np.block([[self.covariance, apart], [apart.T, added]]),
+            np.hstack([self.beside, np.zeros((PARAMETERS, count))]),
+            self.ripple,
+            (*self.usual, *(older.usual[k] for k in rows)),
+        )
+
+    def tells_more_than(self, other: MotorField | None, share: float) -> bool:
+        """Whether an input is new, is known better by a share of its sigma, or has changed."""
+        if other is None or set(self.inputs) - set(other.inputs):
+            return True
+        for k, each in enumerate(self.inputs):
+            j = other.inputs.index(each)
+            change = float(np.linalg.norm(self.gain[k] - other.gain[j]))
+            if self.sigma(k) < share * other.sigma(j) or change > 3.0 * other.sigma(j):
+                return True
+        return False

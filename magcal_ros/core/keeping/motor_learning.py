@@ -1,0 +1,398 @@
+"""The field of the motors, learnt while a robot drives: at starts, stops and turns.
+
+A Kalman filter follows the corrected field in body axes: the field of the place, which the gyro
+propagates and the way driven changes; what the hard iron is off by; coloured noise of the body;
+and the motors' gains, one vector an input. The place's field is forgotten within some metres, so
+that the gains rest on what changes with the inputs and not with the place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.motors import INPUTS, MotorField, MotorInput, Running
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.vec3 import Triple
+
+MICROTESLA = 1e6
+PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
+FIXED = 9
+"""States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
+
+
+@dataclass(frozen=True)
+class LearningTuning:
+    """What is taken for granted of robots and places.
+
+    Parameters
+    ----------
+    block : float
+        Seconds whose samples are averaged.
+    longest : float
+        Seconds without a sample after which the field of the place is unknown.
+    field : float
+        µT of the Earth's field and all around it: what is believed of a place before the first
+        sample.
+    street, street_length : float
+        µT per axis by which places differ, and metres over which they are alike.
+    passing : float
+        µT per root second by which the field changes while the robot stands.
+    walk : float
+        rad per root second of the gyro's random walk.
+    turn_error : float
+        Share of an angle by which the gyro is off, as a random walk over radians.
+    latency : float
+        Seconds by which gyro and field may be apart.
+    beside : float
+        Metres of the magnetometer from the pivot.
+    body, body_length : float
+        µT per axis of the body's coloured noise at rest, and seconds over which it is alike.
+    freedom : float
+        Degrees of freedom of the Student distribution of samples.
+    pace : float
+        Share by which the size of the coloured noise follows one block.
+    iron_walk : float
+        µT per root second by which the hard iron drifts.
+    usual, spread : float
+        Median of the field that an input makes at its usual size, µT, and standard deviation of
+        its natural logarithm, as of `motors_moving` (`smoother.unknowns`).
+    most : float
+        Largest such field, µT.
+    """
+
+    block: float = 0.2
+    longest: float = 1.0
+    field: float = 100.0
+    street: float = 2.0
+    street_length: float = 30.0
+    passing: float = 0.03
+    walk: float = 0.002
+    turn_error: float = 0.01
+    latency: float = 0.01
+    beside: float = 0.15
+    body: float = 0.05
+    body_length: float = 4.0
+    freedom: float = 5.0
+    pace: float = 0.01
+    iron_walk: float = 0.003
+    usual: float = 0.05
+    spread: float = 2.0
+    most: float = 30.0
+
+
+TUNING = LearningTuning()
+
+USUAL_SIZES = dict(zip(INPUTS, (1.0, 0.5, 0.5, 2.0, 1.0), strict=True))
+"""Of an input while a robot moves, until its own is known: rad/s, m/s, A."""
+
+
+@dataclass
+class _Interval:
+    """Sums over the samples of a block, and how the robot has turned and gone in it."""
+
+    begin: float
+    turned: FloatArray
+    mean_turned: FloatArray
+    seconds: float = 0.0
+    count: int = 0
+    field: FloatArray | float = 0.0
+    inputs: FloatArray | float = 0.0
+    way: float = 0.0
+    clear: bool = True
+
+
+class MotorLearning:
+    """Learns the motors' gains from one sample after another.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What is in force; its motors are where the learning begins.
+    tuning : LearningTuning, optional
+
+    Attributes
+    ----------
+    heard : frozenset of MotorInput
+        The inputs that have been told.
+    """
+
+    def __init__(self, calibration: Calibration, tuning: LearningTuning = TUNING) -> None:
+        self.tuning = tuning
+        self.heard: frozenset[MotorInput] = frozenset()
+        self._calibration = calibration
+        self._white = (calibration.noise_field * MICROTESLA) ** 2
+        size = FIXED + 3 * len(INPUTS)
+        self._mean = np.zeros(size)
+        self._prior_mean, self._prior, self._known = _beginning(calibration, tuning)
+        self._covariance = np.zeros((size, size))
+        rows = np.r_[IRON, FIXED:size]
+        self._covariance[np.ix_(rows, rows)] = self._prior
+        self._mean[FIXED:] = self._prior_mean[3:]
+        motors = calibration.motors
+        ripple = tuning.body if motors is None else motors.ripple * MICROTESLA
+        self._ripple = max(ripple, tuning.body)
+        self._squares = np.square([USUAL_SIZES[each] for each in INPUTS])
+        if motors is not None:
+            for each, usual in zip(motors.inputs, motors.usual, strict=True):
+                self._squares[INPUTS.index(each)] = max(usual, 1e-3) ** 2
+        self._block: _Interval | None = None
+        self._before: _Interval | None = None
+        self._was_clear = True
+        self._left = self._rate = np.zeros(3)
+        self._stamp = -math.inf
+        self._forget_place()
+
+    def add(self, stamp: float, raw: Triple, rate: Triple, running: Running) -> bool:
+        """Take a raw field sample with what the robot does; returns whether a block is done.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        raw : tuple of float
+            Tesla, as the magnetometer reads it.
+        rate : tuple of float
+            rad/s in body axes, less the gyro's bias.
+        running : Running
+            What the motors do.
+        """
+        seconds, self._stamp = stamp - self._stamp, stamp
+        if not 0.0 < seconds < self.tuning.longest:
+            self._forget_place()
+            self._block = self._before = None
+            return False
+        if self._block is None:
+            self._block = _Interval(stamp, np.zeros(3), np.zeros(3))
+        block, moves = self._block, running.moving > 0.0
+        if moves:
+            # A robot at rest has a gyro's noise, and no turn.
+            block.turned = block.turned + seconds * np.array(rate)
+        speed = 0.3 if math.isnan(running.speed) else abs(running.speed)
+        block.way += seconds * moves * math.hypot(speed, self.tuning.beside * math.hypot(*rate))
+        block.seconds += seconds
+        block.count += 1
+        block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
+        block.field = block.field + np.array(raw)
+        block.inputs = block.inputs + np.array(running)
+        block.clear = block.clear and running.moving in (0.0, 1.0)
+        if stamp - block.begin < self.tuning.block:
+            return False
+        # Sensors and motors are late by some tenths: beside a start or stop no block is clear.
+        before, self._before, self._block = self._before, block, None
+        if before is not None:
+            self._take(before, self._was_clear and block.clear)
+            self._was_clear = before.clear
+        return True
+
+    @property
+    def motors(self) -> MotorField:
+        """What is known by now, with an input that explains nothing near zero."""
+        here = np.r_[IRON, FIXED : len(self._mean)]
+        which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
+        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in which)])
+        prior_mean = self._prior_mean[rows]
+        prior = np.linalg.inv(self._prior[np.ix_(rows, rows)])
+        now = np.linalg.inv(self._covariance[np.ix_(here[rows], here[rows])])
+        pull = now @ self._mean[here[rows]] - prior @ prior_mean
+        known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
+        seen = _SeenGains(_positive(np.asarray(now - prior)), pull, prior, prior_mean, known)
+        return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
+
+    def _is_used(self, which: MotorInput) -> bool:
+        return which in self.heard or INPUTS.index(which) in self._known
+
+    def _scales(self, seen: _SeenGains, which: list[int]) -> FloatArray:
+        """Return the prior sigmas of the gains that nothing else tells, µT per unit, one a row.
+
+        The root of the expected square under the posterior of the size (`Unknown`), one input
+        after the other.
+        """
+        tuning = self.tuning
+        grid = tuning.usual * np.exp(tuning.spread * np.linspace(-2.0, 3.2, 14))
+        grid = grid[grid < tuning.most]
+        belief = -0.5 * (np.log(grid / tuning.usual) / tuning.spread) ** 2
+        scales = np.ones(len(seen.pull))
+        per_unit = {k: 1.0 / math.sqrt(self._squares[k]) for k in which}
+        free = [(j, k) for j, k in enumerate(which) if k not in self._known]
+        for j, k in free:
+            scales[3 + 3 * j : 6 + 3 * j] = tuning.usual * per_unit[k]
+        for _ in range(2 if free else 0):
+            for j, k in free:
+                odds = np.empty(len(grid))
+                for i, size in enumerate(grid):
+                    scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
+                    odds[i] = seen.evidence(scales)
+                odds = np.exp(odds + belief - np.max(odds + belief))
+                size = math.sqrt(float(odds @ grid**2 / odds.sum()))
+                scales[3 + 3 * j : 6 + 3 * j] = size * per_unit[k]
+        return scales
+
+    def _in_sensor_axes(
+        self, covariance: FloatArray, mean: FloatArray, which: list[int]
+    ) -> MotorField:
+        """Return the gains beside the calibration in force, whose hard iron stays as it is."""
+        calibration, count = self._calibration, len(which)
+        back = np.linalg.inv(calibration.correction.matrix)
+        gain = np.linalg.solve(covariance[:3, :3], covariance[:3, 3:]).T
+        own = covariance[3:, 3:] - gain @ covariance[:3, 3:]
+        found = mean[3:] - gain @ mean[:3]
+        turn = np.kron(np.eye(count), back)
+        by_iron = turn @ gain @ calibration.correction.matrix
+        beside = calibration.covariance[:, 9:] @ by_iron.T
+        whole = turn @ own @ turn.T / MICROTESLA**2
+        whole = whole + by_iron @ calibration.covariance[9:, 9:] @ by_iron.T
+        return MotorField(
+            tuple(INPUTS[k] for k in which),
+            (turn @ found).reshape(-1, 3) / MICROTESLA,
+            0.5 * (whole + whole.T),
+            beside,
+            self._ripple / MICROTESLA,
+            tuple(math.sqrt(self._squares[k]) for k in which),
+        )
+
+    def _forget_place(self) -> None:
+        """Begin at a place of which nothing is known."""
+        for at in (PLACE, BODY):
+            self._mean[at] = 0.0
+            self._covariance[at, :] = self._covariance[:, at] = 0.0
+        self._covariance[PLACE, PLACE] = self.tuning.field**2 * np.eye(3)
+        self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
+
+    def _take(self, block: _Interval, is_even: bool) -> None:
+        """Go on by a block and take its means; not where the robot stops or starts beside it."""
+        tuning, count = self.tuning, block.count
+        u = np.asarray(block.inputs) / count
+        told = ~np.isnan(u)
+        self.heard |= {each for each, is_told in zip(INPUTS, told, strict=True) if is_told}
+        u = np.where(told, u, 0.0)
+        moves = u[0] > 0.0
+        self._predict(block, moves)
+        if not told[[self._is_used(each) for each in INPUTS]].all():
+            return
+        if not (block.clear and is_even):
+            return
+        raw = np.asarray(block.field) / count
+        y = self._calibration.correction.apply(raw) * MICROTESLA
+        rows = np.concatenate([np.ones(3), u])
+        h = np.kron(rows, np.eye(3))
+        noise = self._white / count + 1e-4
+        p_h = self._covariance @ h.T
+        spread = h @ p_h + noise * np.eye(3)
+        off = y - h @ self._mean
+        square = float(off @ np.linalg.solve(spread, off))
+        weight = (tuning.freedom + 3.0) / (tuning.freedom + square)
+        # A single odd block counts less; a large step that the gains may explain is none.
+        gain = np.linalg.solve(spread + (1.0 / min(weight, 1.0) - 1.0) * spread, p_h.T).T
+        self._mean += gain @ off
+        self._covariance -= gain @ p_h.T
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        if moves:
+            self._squares += 0.01 * (np.where(told, u**2, self._squares) - self._squares)
+            step = tuning.pace * (min(square / 3.0, 4.0) - 1.0)
+            self._ripple = min(max(self._ripple * math.exp(step), tuning.body), tuning.most)
+
+    def _predict(self, block: _Interval, moves: bool) -> None:
+        tuning, way, seconds = self.tuning, block.way, block.seconds
+        # From the middle of the block before to the middle of this one.
+        turned = self._left + block.mean_turned
+        rate = block.turned / seconds
+        faster, self._rate = rate - self._rate, rate
+        self._left = block.turned - block.mean_turned
+        step = np.eye(len(self._mean))
+        keeps = math.exp(-seconds / tuning.body_length)
+        step[PLACE, PLACE] = exp_rotation(-turned)
+        step[BODY, BODY] = keeps * np.eye(3)
+        self._mean = step @ self._mean
+        self._covariance = step @ self._covariance @ step.T
+        place = self._mean[PLACE]
+        angle = float(np.linalg.norm(turned))
+        lost = tuning.walk**2 * seconds * moves + tuning.turn_error**2 * angle
+        lost += tuning.latency**2 * float(faster @ faster)
+        across = float(place @ place) * np.eye(3) - np.outer(place, place)
+        drift = 2.0 * tuning.street**2 * way / tuning.street_length
+        drift += tuning.passing**2 * seconds
+        self._covariance[PLACE, PLACE] += lost * across + drift * np.eye(3)
+        level = self._ripple if moves else tuning.body
+        self._covariance[BODY, BODY] += level**2 * (1.0 - keeps**2) * np.eye(3)
+        self._covariance[IRON, IRON] += tuning.iron_walk**2 * seconds * np.eye(3)
+
+
+def _beginning(
+    calibration: Calibration, tuning: LearningTuning
+) -> tuple[FloatArray, FloatArray, frozenset[int]]:
+    """Return mean and covariance of hard iron and all gains before learning, and which are known.
+
+    Body axes, µT; what is not known is as large as it can be.
+    """
+    matrix = calibration.correction.matrix
+    size = 3 + 3 * len(INPUTS)
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    for k, each in enumerate(INPUTS):
+        at = slice(3 + 3 * k, 6 + 3 * k)
+        covariance[at, at] = (tuning.most / USUAL_SIZES[each]) ** 2 * np.eye(3)
+    covariance[:3, :3] = matrix @ calibration.covariance[9:, 9:] @ matrix.T * MICROTESLA**2
+    motors, known = calibration.motors, frozenset[int]()
+    if motors is not None:
+        known = frozenset(INPUTS.index(each) for each in motors.inputs)
+        places = [INPUTS.index(each) for each in motors.inputs]
+        rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in places)])
+        turn = np.kron(np.eye(1 + len(places)), matrix)
+        joint = motors.joint(calibration.covariance)[9:, 9:]
+        covariance[np.ix_(rows, rows)] = turn @ joint @ turn.T * MICROTESLA**2
+        mean[rows[3:]] = (motors.gain @ matrix.T).ravel() * MICROTESLA
+    # Files may hold numbers that are called exact; a filter needs a positive covariance.
+    return mean, covariance + 1e-6 * np.eye(size), known
+
+
+def _positive(matrix: FloatArray) -> FloatArray:
+    """Return the nearest matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenGains:
+    """What samples show of the iron's error and the gains, apart from the priors.
+
+    Parameters
+    ----------
+    shown : ndarray, shape (m, m)
+        Information of the samples alone.
+    pull : ndarray, shape (m,)
+        The same times their mean.
+    prior, prior_mean : ndarray, shape (m, m) and (m,)
+        Information and mean of what is known.
+    known : ndarray of bool, shape (m,)
+        Of which numbers something is; the others have a sigma, about zero.
+    """
+
+    shown: FloatArray
+    pull: FloatArray
+    prior: FloatArray
+    prior_mean: FloatArray
+    known: BoolArray
+
+    def posterior(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return covariance and mean under sigmas of what is not known."""
+        information, weighted = self._believed(scales)
+        covariance = np.linalg.inv(self.shown + information)
+        return 0.5 * (covariance + covariance.T), covariance @ (self.pull + weighted)
+
+    def evidence(self, scales: FloatArray) -> float:
+        """Return the logarithm of the evidence of such sigmas, but for a constant."""
+        information, weighted = self._believed(scales)
+        both, whole = self.shown + information, self.pull + weighted
+        cost = np.linalg.slogdet(both)[1] - np.linalg.slogdet(information)[1]
+        return 0.5 * float(whole @ np.linalg.solve(both, whole) - cost)
+
+    def _believed(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the information of all priors, and the same times their mean."""
+        known = self.known
+        free = np.diag(np.where(known, 0.0, scales**-2))
+        information = np.where(np.outer(known, known), self.prior, 0.0) + free
+        return information, information @ np.where(known, self.prior_mean, 0.0)

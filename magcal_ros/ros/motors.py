@@ -1,0 +1,150 @@
+"""What the motors do at the moment, and what is known of their field."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rclpy.node import Node
+from sensor_msgs.msg import BatteryState
+
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.running import MotionSense
+from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.motor_learning import MotorLearning
+from magcal_ros.core.messages import seconds
+from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.up import UpFollower
+from magcal_ros.ros.straight import SENSOR_DATA
+from magcal_ros.ros.travel import Travel
+
+BETTER = 0.7
+"""Share of a sigma that is kept, below which what was learnt is kept instead."""
+PAUSE = 60
+"""Seconds of learning between two writings of the file."""
+SILENT = 1.5
+"""Seconds without a message after which nobody knows the current any more."""
+
+
+class Motors:
+    """Follows what the motors do, by gyro, wheels and battery, and learns what they add.
+
+    It learns where wheels or a battery tell, unless self-calibration is off.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the subscription lives.
+    up : UpFollower
+        Has taken each IMU message.
+    travel : Travel
+        Knows the speed.
+    """
+
+    def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
+        self._up, self._travel = up, travel
+        self._sense = MotionSense()
+        self._current, self._told = math.nan, -math.inf
+        self._compass: Compass | None = None
+        self._learning: MotorLearning | None = None
+        self._kept: MotorField | None = None
+        self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
+        self._is_told = False
+        self._topic = node.resolve_topic_name("battery")
+        self._odom = node.resolve_topic_name("odom")
+        node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
+
+    def running(self, stamp: float) -> Running:
+        """Return what the motors do at the stamp of a field message, seconds."""
+        rate = self._up.rate if self._up.is_propagated else None
+        current = self._current if abs(stamp - self._told) < SILENT else math.nan
+        speed = self._travel.speed_near(stamp)
+        return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
+
+    def as_used(self, compass: Compass, stamp: float) -> Running:
+        """Return the same as far as a compass knows motors."""
+        return AT_REST if compass.motors is None else self.running(stamp)
+
+    def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
+        """Learn from a sample; returns it without what the motors add, as a compass knows them."""
+        if compass is not self._compass:
+            self._use(compass)
+        if compass is None:
+            return sample
+        if self._is_told and self._mode is not Mode.OFF and self._up.is_propagated:
+            if self._learning is None:
+                self._learning = MotorLearning(compass.calibration_with_motors)
+            running = self.running(sample.stamp)
+            is_done = self._learning.add(sample.stamp, sample.field, self._up.rate, running)
+            self._has_learnt = is_done or self._has_learnt
+        if compass.motors is None:
+            return sample
+        running = self.running(sample.stamp)
+        return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
+
+    def follow(self, mode: Mode) -> MotorField | None:
+        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
+        if mode is Mode.OFF:
+            self._learning = None
+        self._mode = mode
+        # Asked once a second, as it holds for long, and not for each message.
+        self._is_told = self._travel.has_wheels or math.isfinite(self._current)
+        if self._learning is None or self._compass is None or not self._has_learnt:
+            return None
+        self._has_learnt = False
+        motors = self._learning.motors
+        self._compass.use_motors(motors)
+        self._waited += 1
+        if mode is not Mode.APPLY or self._waited < PAUSE:
+            return None
+        if not motors.tells_more_than(self._kept, BETTER):
+            return None
+        self._kept, self._waited = motors, 0
+        return motors
+
+    def _use(self, compass: Compass | None) -> None:
+        """Another calibration is in force; the motors are the same, and so are their inputs."""
+        before = None if self._compass is None else self._compass.motors
+        self._compass, self._learning, self._has_learnt = compass, None, False
+        self._kept = None if compass is None else compass.motors
+        if compass is not None and compass.motors is not None and before is not None:
+            compass.use_motors(compass.motors.and_of(before))
+
+    def facts(self, compass: Compass | None) -> dict[str, Any] | None:
+        """Return what `~/status` tells of the motors; None where nothing is known of them."""
+        motors = None if compass is None else compass.motors
+        if motors is None:
+            return None
+        now = self._sense.newest
+        return {
+            "moves": None if now.moving == 0.5 else now.moving > 0.5,
+            "learns": self._learning is not None,
+            "ripple_ut": round(motors.ripple * 1e6, 2),
+            "inputs": {
+                each.value: {
+                    "from": self._source(each),
+                    "per": each.unit,
+                    "field_ut": [round(float(value) * 1e6, 2) for value in motors.gain[k]],
+                    "sigma_ut": round(motors.sigma(k) * 1e6, 2),
+                }
+                for k, each in enumerate(motors.inputs)
+            },
+        }
+
+    def _source(self, which: MotorInput) -> str:
+        """Return who tells an input, for people."""
+        if which is MotorInput.CURRENT:
+            return self._topic
+        if which in (MotorInput.TURN_RATE, MotorInput.SIDE):
+            return "gyro"
+        if which is MotorInput.SPEED:
+            return self._odom
+        return f"gyro and {self._odom}" if self._travel.has_wheels else "gyro"
+
+    def _on_battery(self, message: BatteryState) -> None:
+        # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.
+        stamp = seconds(message.header.stamp)
+        newest = self._up.newest_stamp
+        self._told = stamp if abs(stamp - newest) < SILENT else newest
+        self._current = float(message.current)

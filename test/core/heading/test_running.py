@@ -1,0 +1,59 @@
+import math
+
+import pytest
+
+from magcal_ros.core.heading.running import MotionSense
+
+STILL = (0.001, -0.002, 0.001)
+TURNS = (0.0, 0.0, 0.3)
+
+
+def shares(rates, speed=math.nan, is_at_rest=False):
+    sense = MotionSense()
+    return [
+        sense.at(0.04 * k, rate, is_at_rest, speed, math.nan).moving for k, rate in enumerate(rates)
+    ]
+
+
+@pytest.mark.parametrize("speed", [0.0, math.nan])
+def test_a_turn_begins_and_ends_with_a_moment_of_doubt(speed):
+    found = shares([STILL] * 3 + [TURNS] * 6 + [STILL] * 6, speed, is_at_rest=True)
+    assert found == [0.0] * 3 + [0.5] * 3 + [1.0] * 3 + [0.5] * 3 + [0.0] * 3
+
+
+def test_wheels_tell_a_straight_drive():
+    assert shares([STILL], speed=0.5) == [1.0]
+    assert shares([STILL], speed=-0.5) == [1.0]
+
+
+def test_without_wheels_a_straight_drive_and_a_rest_are_in_doubt_until_a_rest_is_seen():
+    assert shares([STILL] * 4) == [0.5] * 4
+    assert shares([None] * 4, speed=0.0) == [0.5] * 4
+    assert shares([STILL] * 4, is_at_rest=True) == [0.0] * 4
+
+
+def test_a_jump_of_time_does_not_last():
+    sense = MotionSense()
+    sense.at(100.0, TURNS, False, 0.0, 2.0)
+    sense.at(100.1, STILL, False, 0.0, 2.0)
+    found = sense.at(5.0, STILL, False, 0.0, 2.0)
+    assert (found.moving, found.turn_rate, found.current) == (0.0, 0.0, 0.0)
+
+
+def test_only_the_current_beyond_that_at_rest_counts():
+    sense = MotionSense()
+    plan = [(STILL, -0.5)] * 40 + [(TURNS, -3.5)] * 20 + [(STILL, -3.5)] * 3 + [(STILL, -0.5)] * 30
+    found = [
+        sense.at(0.04 * k, rate, True, 0.0, amps).current for k, (rate, amps) in enumerate(plan)
+    ]
+    assert found[:40] == [0.0] * 40
+    assert found[40:60] == pytest.approx([-3.0] * 20)
+    assert found[60:] == [0.0] * 33
+    assert sense.at(4.0, TURNS, False, 0.0, -3.5).current == pytest.approx(-3.0, abs=0.05)
+
+
+def test_a_robot_about_to_stop_is_in_doubt():
+    sense = MotionSense()
+    speeds = [0.5] * 5 + [0.04] * 5 + [0.0] * 5
+    found = [sense.at(0.04 * k, STILL, False, v, math.nan).moving for k, v in enumerate(speeds)]
+    assert found == [1.0] * 5 + [0.5] * 8 + [0.0] * 2

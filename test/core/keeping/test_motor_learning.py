@@ -1,0 +1,111 @@
+"""What motors add is learnt from a drive, and what they do not add is not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.motors import MotorInput, Running
+from magcal_ros.core.geometry.attitude import field_in_enu
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.keeping.motor_learning import MotorLearning
+
+STEP = 0.05
+MATRIX = np.array([[1.02, 0.02, 0.0], [-0.02, 0.98, 0.03], [0.0, -0.03, 1.0]])
+IRON = np.array([12e-6, -7e-6, 4e-6])
+
+
+def known(sigma=0.3e-6):
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = sigma**2 * np.eye(3)
+    evidence = Evidence("x", "good", "good", "Fine.")
+    return Calibration(Correction(MATRIX, IRON), covariance, 0.3e-6, 0.01, 48e-6, 1.1, evidence)
+
+
+def driven(rng, gains, seconds=120.0, current=True):
+    """Yield stamps, raw fields, rates and what the motors do, of a robot that stops and goes."""
+    attitude, begin = np.eye(3), 100.0
+    place = np.zeros(3)
+    earth = field_in_enu(48e-6, 1.1)
+    plan = []
+    while len(plan) * STEP < seconds:
+        for speed, rate in ((0.0, 0.0), (rng.uniform(0.3, 1.0), 0.0), (0.0, 0.0), (0.0, 0.4)):
+            sign = rng.choice([-1.0, 1.0])
+            plan += [(speed, sign * rate * rng.uniform(0.5, 2.0))] * int(rng.uniform(2, 5) / STEP)
+    for k, (speed, rate) in enumerate(plan):
+        attitude = exp_rotation(np.array([0.0, 0.0, -rate * STEP])) @ attitude
+        place = place + 0.3e-6 * math.sqrt(2.0 * speed * STEP / 10.0) * rng.standard_normal(3)
+        moves = float(speed > 0.0 or rate != 0.0)
+        ampere = moves * (1.0 + 2.0 * speed) * (1.0 + 0.3 * math.sin(2.0 * k * STEP))
+        side = math.copysign(1.0, rate) if rate else 0.0
+        now = Running(moves, rate, speed, ampere if current else math.nan, side)
+        added = sum(np.array(gain) * getattr(now, name) for name, gain in gains.items())
+        raw = np.linalg.solve(MATRIX, attitude @ (earth + place)) + IRON + added
+        raw = raw + 0.3e-6 * rng.standard_normal(3)
+        yield begin + k * STEP, tuple(raw), (0.0, 0.0, rate), now
+
+
+def learnt(gains, seed=0, **options):
+    learning = MotorLearning(known())
+    for sample in driven(np.random.default_rng(seed), gains, **options):
+        learning.add(*sample)
+    return learning.motors
+
+
+CASES = {
+    "none": {},
+    "step": {"moving": (6e-6, -4e-6, 1e-6)},
+    "speed": {"speed": (6e-6, -4e-6, 1e-6)},
+    "turn rate": {"turn_rate": (6e-6, -4e-6, 1e-6)},
+    "current": {"current": (3e-6, -4e-6, 1e-6)},
+    "side": {"side": (6e-6, -4e-6, 1e-6)},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_they_add_is_found_for_every_motion(name):
+    motors = learnt(CASES[name])
+    for now in (
+        Running(1.0, 0.0, 0.6, 2.2),
+        Running(1.0, 0.5, 0.0, 1.0, 1.0),
+        Running(1.0, -0.5, 0.0, 1.0, -1.0),
+    ):
+        u, _ = motors.known(now)
+        wide = np.kron(u, np.eye(3))
+        sigma = np.sqrt(np.diag(wide @ motors.covariance @ wide.T))
+        true = sum((np.array(g) * getattr(now, k) for k, g in CASES[name].items()), np.zeros(3))
+        assert (np.abs(u @ motors.gain - true) < 4.0 * sigma + 0.02e-6).all()
+        assert (sigma < 0.6e-6).all()
+
+
+def test_what_explains_nothing_is_near_zero_with_its_sigma():
+    motors = learnt({})
+    for k, each in enumerate(motors.inputs):
+        assert motors.size(k) < 0.15e-6, each
+        assert 0.0 < motors.sigma(k) * motors.usual[k] < 0.6e-6, each
+
+
+def test_only_what_was_told_is_named():
+    motors = learnt(CASES["step"], current=False)
+    assert set(motors.inputs) == set(MotorInput) - {MotorInput.CURRENT}
+
+
+def test_before_the_first_start_an_input_may_be_anything():
+    learning = MotorLearning(known())
+    for k in range(200):
+        raw = tuple(np.linalg.solve(MATRIX, field_in_enu(48e-6, 1.1)) + IRON)
+        learning.add(k * STEP, raw, (0.0, 0.0, 0.0), Running())
+    motors = learning.motors
+    at = motors.inputs.index(MotorInput.SPEED)
+    assert motors.sigma(at) * motors.usual[at] > 1.5e-6
+
+
+def test_a_jump_of_time_is_survived():
+    learning = MotorLearning(known())
+    for sample in driven(np.random.default_rng(1), CASES["step"], seconds=60.0):
+        learning.add(*sample)
+    before = learning.motors.gain
+    learning.add(5.0, (0.0, 0.0, 5e-5), (0.0, 0.0, 0.0), Running())
+    assert np.allclose(learning.motors.gain, before)

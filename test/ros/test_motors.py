@@ -1,0 +1,138 @@
+"""A robot whose motors add a field, over real middleware."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Odometry
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import BatteryState, Imu
+from support import PATIENCE, REFERENCE
+
+from magcal_ros.core.calibration.motors import MotorField, MotorInput
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.files.calibration_file import read_calibration, write_calibration
+
+GAIN = np.array([[4e-6, -3e-6, 2e-6], [0.0, 5e-6, 0.0], [1e-6, 1e-6, 0.0]])
+"""Tesla while it moves, per rad/s, and per ampere."""
+INPUTS = (MotorInput.MOVING, MotorInput.TURN_RATE, MotorInput.CURRENT)
+SIGMA = 0.5e-6
+IDLE = 0.5
+"""Amperes at rest."""
+APPLY, OFF = {"self_calibration": "apply"}, {"self_calibration": "off"}
+
+
+@pytest.fixture
+def with_motors(calibration_of_the_robot, tmp_path):
+    """A calibration of the robot that knows its motors."""
+    known, origin = read_calibration(calibration_of_the_robot)
+    covariance = SIGMA**2 * np.diag(np.repeat([1.0, 0.0, 0.0], 3))
+    motors = MotorField(INPUTS, GAIN, covariance, np.zeros((12, 9)), 0.0, (1.0, 0.5, 2.0))
+    path = tmp_path / "known.yaml"
+    write_calibration(path, replace(known, motors=motors), origin)
+    return path
+
+
+def yaw_of(message):
+    q = message.orientation
+    return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+
+
+def stamp_of(message):
+    return round(message.header.stamp.sec + message.header.stamp.nanosec * 1e-9, 3)
+
+
+def test_their_field_is_taken_off_and_their_doubt_is_told(graph, with_motors, tmp_path):
+    actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **OFF})
+    heard, now = [], {"rate": 0.0, "current": IDLE}
+    yaws = {}
+    actor.node.create_subscription(Imu, "compass/mag/enu/imu", heard.append, 10)
+    battery = actor.node.create_publisher(BatteryState, "battery", 1)
+
+    def add(sample):
+        if isinstance(sample, FieldSample):
+            moves = float(now["rate"] != 0.0)
+            # The calibration is that of the robot at rest, its current there included.
+            added = np.array([moves, now["rate"], now["current"] - IDLE]) @ GAIN
+            sample = sample._replace(field=tuple(np.add(sample.field, added)))
+            yaws[round(sample.stamp, 3)] = actor.ride.magnetic_yaw
+            battery.publish(BatteryState(current=now["current"]))
+        return [sample]
+
+    actor.mangle = add
+    actor.speed = 1.0
+
+    def drive(rate, current):
+        now.update(rate=rate, current=current)
+        actor.run(1.0, rate)
+        heard.clear()
+        actor.run(1.5, rate)
+        off = [float(wrap_angle(yaw_of(m) - yaws[stamp_of(m)])) for m in heard]
+        return abs(np.median(off)), np.median([m.orientation_covariance[8] for m in heard])
+
+    rest, at_rest = drive(0.0, IDLE)
+    turning, while_moving = drive(0.6, 3.0)
+    assert max(rest, turning) < math.radians(3.0)
+    level = 48e-6 * math.cos(math.radians(65.0))
+    assert while_moving - at_rest > 0.5 * (SIGMA / level) ** 2
+    assert while_moving - at_rest < 4.0 * (SIGMA / level) ** 2
+    actor.run(PATIENCE, 0.6, lambda: actor.status["motors"]["moves"])
+    told = actor.status["motors"]["inputs"]
+    assert told["current"]["from"] == "/battery"
+    assert told["turn_rate"]["from"] == "gyro"
+    assert told["moving"]["field_ut"] == [4.0, -3.0, 2.0]
+    assert told["moving"]["sigma_ut"] == pytest.approx(math.sqrt(3.0) * 0.5, abs=0.01)
+
+
+def test_a_robot_without_known_motors_says_none(loaded):
+    assert loaded().status["motors"] is None
+
+
+def odometry(stamp, speed):
+    message = Odometry()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(stamp * 1e9), 10**9)
+    message.header.frame_id, message.child_frame_id = "odom", "base_link"
+    message.twist.twist.linear.x = speed
+    return message
+
+
+def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, monkeypatch):
+    """The turn knew of nothing that goes with the speed; a few starts and stops show it."""
+    monkeypatch.setattr("magcal_ros.ros.motors.PAUSE", 2)
+    actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
+    out = actor.node.create_publisher(Odometry, "odom", qos_profile_sensor_data)
+    now = {"speed": 0.0}
+    by_speed = np.array([6e-6, -4e-6, 0.0])
+
+    def add(sample):
+        if isinstance(sample, FieldSample):
+            out.publish(odometry(sample.stamp, now["speed"]))
+            moves = now["speed"] > 0.0
+            added = moves * GAIN[0] + now["speed"] * by_speed
+            sample = sample._replace(field=tuple(np.add(sample.field, added)))
+        return [sample]
+
+    actor.mangle = add
+    for _ in range(5):
+        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
+            now["speed"] = speed
+            actor.run(0.6)
+
+    def told():
+        return (actor.status["motors"] or {}).get("inputs", {})
+
+    actor.run(PATIENCE, stop=lambda: "speed" in told())
+    found = told()["speed"]
+    assert found["from"] == "/odom"
+    gap = np.array(found["field_ut"]) * 1e-6 - by_speed
+    assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)
+    assert found["sigma_ut"] < 4.0
+    assert actor.status["motors"]["learns"]
+    actor.run(PATIENCE, stop=lambda: len(kept(tmp_path).inputs) > len(INPUTS))
+    assert MotorInput.SPEED in kept(tmp_path).inputs
+
+
+def kept(folder):
+    return read_calibration(folder / "calibration.yaml")[0].motors
