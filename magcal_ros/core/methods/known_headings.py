@@ -1,0 +1,236 @@
+"""A calibration from standing at known headings, without a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.estimate import Estimate, Installation
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import unit, wrapped
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother.headings import (
+    Agreement,
+    Standing,
+    agreement_of,
+    fit_headings,
+    sigma_with,
+)
+from magcal_ros.core.smoother.unknowns import ROLL_PITCH, YAW
+
+METHOD = "known_headings"
+DEGREES = 180.0 / math.pi
+
+
+@dataclass(frozen=True)
+class ContradictionTuning:
+    """When known headings contradict field and gyro.
+
+    Parameters
+    ----------
+    chance : float
+        Probability of a larger misfit by chance, below which they do.
+    odds : float
+        Minus twice the logarithm of the likelihood ratio by which another reading of the headings
+        must be better to be named: one in four hundred.
+    declination : float
+        Sigmas of the installation's yaw by which the declination must be seen to be named.
+    """
+
+    chance: float = 1e-3
+    odds: float = 12.0
+    declination: float = 3.0
+
+
+TUNING = ContradictionTuning()
+
+Reading = Callable[[float], float]
+READINGS: dict[str, Reading] = {
+    "they count clockwise from north, as a compass bearing does: "
+    "yaw counts to the left from east (ENU), 90° minus the bearing": lambda h: 0.5 * math.pi - h,
+    "their sign is wrong, or the antennas are mirrored: yaw counts to the left from east": lambda h: (
+        -h
+    ),
+    "they are half a turn off: front and back, or the two antennas, are exchanged": lambda h: (
+        h + math.pi
+    ),
+    "they are a quarter turn too far to the right: yaw is zero to the east, not to the north, and "
+    "of antennas that sit across it is that of the vehicle": lambda h: h + 0.5 * math.pi,
+    "they are a quarter turn too far to the left: the antennas sit across, and the yaw asked for is "
+    "that of the vehicle": lambda h: h - 0.5 * math.pi,
+}
+"""What people and drivers mistake, and what the heading is then, radians."""
+
+
+def fit(standings: Sequence[Standing], knowledge: Knowledge) -> Estimate:
+    """Find the twelve numbers from known headings.
+
+    Parameters
+    ----------
+    standings : sequence of Standing
+        At least one.
+    knowledge : Knowledge
+
+    Returns
+    -------
+    Estimate
+        The yaw of the installation is among what is found. Its samples are the standings.
+
+    Raises
+    ------
+    Refusal
+        If headings, field and gyro contradict each other; the text names what is likely wrong.
+    """
+    try:
+        found = fit_headings(standings, knowledge)
+    except np.linalg.LinAlgError:
+        words = "the samples do not determine a calibration; stand at another known heading"
+        raise Refusal(Reason.NO_SOLUTION, words) from None
+    _refuse_contradiction(found.agreement, standings, knowledge)
+    shared, posterior = found.state.shared, found.posterior
+    roll, pitch = shared[ROLL_PITCH]
+    count = len(standings)
+    figures = {
+        Figure.KNOWN_HEADINGS: float(count),
+        Figure.INSTALLATION_YAW_SIGMA: found.yaw_sigma,
+        Figure.SOFT_IRON: 1.0,
+    }
+    if count > 1:
+        figures[Figure.HEADING_MISFIT] = found.agreement.times
+    return Estimate(
+        method=METHOD,
+        correction=posterior.correction,
+        covariance=posterior.covariance,
+        installation=Installation(float(roll), float(pitch), float(shared[YAW])),
+        axis=unit(np.mean([unit(each.force) for each in standings], axis=0)),
+        arc=_arc(standings),
+        strength=posterior.strength,
+        inclination=posterior.inclination,
+        noise_field=max(each.noise_field for each in standings),
+        noise_up=max(each.noise_up for each in standings),
+        inliers=np.ones(count, dtype=bool),
+        residual=found.residual,
+        figures=figures,
+        message="converged",
+    )
+
+
+def _arc(standings: Sequence[Standing]) -> float:
+    """Return the radians of the circle that the headings span."""
+    yaw = np.sort([each.heading % math.tau for each in standings])
+    gaps = np.diff(np.append(yaw, yaw[0] + math.tau))
+    return math.tau - float(gaps.max())
+
+
+def _refuse_contradiction(
+    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge
+) -> None:
+    """Refuse headings that field and gyro contradict, and say what they likely are instead."""
+    if not agreement.freedom:
+        return
+    rivals = _rivals(standings, knowledge)
+    words = min(rivals, key=lambda each: rivals[each].cost)
+    best = rivals[words]
+    if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
+        raise Refusal(
+            Reason.HEADING_CONTRADICTED,
+            f"The known headings contradict the field: {words}. Read so, they agree with it.",
+        )
+    if agreement.chance < TUNING.chance:
+        raise Refusal(Reason.HEADING_CONTRADICTED, _stray(agreement, standings, knowledge))
+
+
+def _rivals(standings: Sequence[Standing], knowledge: Knowledge) -> dict[str, Agreement]:
+    """Return what other readings of the headings come to, by what they say."""
+    found = {}
+    for words, reading in READINGS.items():
+        read = []
+        for each in standings:
+            shift = _shift(each, knowledge)
+            read.append(replace(each, heading=wrapped(reading(each.heading - shift) + shift)))
+        found[words] = agreement_of(read, knowledge)
+    return found
+
+
+def _shift(standing: Standing, knowledge: Knowledge) -> float:
+    """Return a heading to magnetic north less the one that was told, radians."""
+    return (knowledge.reference.declination or 0.0) if standing.by_declination else 0.0
+
+
+def _as_told(standing: Standing, knowledge: Knowledge) -> str:
+    """Return a heading as it was told, in words."""
+    told = wrapped(standing.heading - _shift(standing, knowledge)) * DEGREES
+    return f"{told:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
+
+
+def _stray(agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge) -> str:
+    """Say which heading the others contradict; where none stands out, that they disagree."""
+    count = len(standings)
+    if count > 2:
+        found = [agreement_of(_without(standings, k), knowledge) for k in range(count)]
+        k = min(range(count), key=lambda j: found[j].cost)
+        if found[k].chance > TUNING.chance:
+            return (
+                f"Known heading {k + 1} of {count} ({_as_told(standings[k], knowledge)}) "
+                "contradicts the others by the field: was it typed in wrong, or did iron stand "
+                "beside the robot there?"
+            )
+    return (
+        f"The known headings contradict the field by {agreement.times:.1f} times what their "
+        "sigmas explain: check headings and sigmas, and stand away from iron."
+    )
+
+
+def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
+    """Return all standings but one; no gyro tells of the turn across the gap."""
+    rest = [each for k, each in enumerate(standings) if k != left_out]
+    if left_out < len(rest):
+        rest[left_out] = replace(rest[left_out], turned_sigma=math.inf)
+    return rest
+
+
+def declination_hint(
+    estimate: Estimate, standings: Sequence[Standing], knowledge: Knowledge
+) -> str:
+    """Say that the headings may be to the other north; empty where nothing points to it.
+
+    A heading to the wrong north looks as if the magnetometer were mounted turned by the
+    declination, and nothing but the size of that turn tells the two apart.
+    """
+    declination = knowledge.reference.declination
+    assert estimate.installation is not None
+    yaw, sigma = estimate.installation.yaw, estimate.figures[Figure.INSTALLATION_YAW_SIGMA]
+    if declination is None or abs(declination) < TUNING.declination * sigma:
+        return ""
+    told_true = [each.by_declination for each in standings]
+    # Told to true north but counted from magnetic, the yaw comes out as minus the declination.
+    expected = -declination if all(told_true) else declination
+    if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
+        return ""
+    if abs(yaw - expected) > 2.0 * sigma or abs(yaw) < TUNING.declination * sigma:
+        return ""
+    given, other = ("true", "magnetic") if all(told_true) else ("magnetic", "true")
+    return (
+        f"the magnetometer would be mounted turned by {yaw * DEGREES:.0f}°, as much as the "
+        f"declination here ({declination * DEGREES:.0f}°): if it is mounted straight, the "
+        f"headings are to {other} north and not to {given} north"
+    )
+
+
+def next_heading(
+    standings: Sequence[Standing], knowledge: Knowledge, tries: int = 12
+) -> tuple[float, float]:
+    """Return which further heading would show most, and the heading's sigma with it, radians.
+
+    The heading is to magnetic north, of what the last standing's `forward` points along.
+    """
+    found = fit_headings(standings, knowledge)
+    last = standings[-1].heading
+    headings = [wrapped(last + k * math.tau / tries) for k in range(1, tries)]
+    sigmas = [sigma_with(found, standings, knowledge, heading) for heading in headings]
+    best = int(np.argmin(sigmas))
+    return headings[best], sigmas[best]
