@@ -31,6 +31,7 @@ from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.further import FurtherMagnetometer, Told
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.markers import TurnMarkers
 from magcal_ros.ros.meetings import Meetings
@@ -98,13 +99,15 @@ class Calibrator(Node):
         self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
         self._keeping = SelfKeeping(self, self, self._keeper, self._files, log.info)
         streams = Streams(self._table.settings.max_gap)
-        self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
+        imu, field = (Sensor(self.resolve_topic_name(t)) for t in ("imu/data_raw", "imu/mag"))
+        self._inputs = Inputs(imu, field, streams)
         self._walk = Walk(self, self._up, self._inputs, self._seat, self._whereabouts, self._travel)
+        told = self._keeping, self._keeper, partial(self._walk.settled, FIRST, ""), self._seat
+        heard = self._up, streams, self._fits, self._sensor_group
+        self._known = self._walk.known = KnownHeadings(self, *told, *heard)
         self._reporter = Reporter(log.error)
         self._rotator = Rotator(self)
-        topics = Topics(
-            self._inputs.imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
-        )
+        topics = Topics(imu.topic, field.topic, self.resolve_topic_name("cmd_vel"))
         self._control = Control(streams, self, SelfTurn(topics), self._fits, self._files)
         own = self._control, topics.field, self._keeper
         self._magnetometers = Magnetometers(*own, self._walk.several)
@@ -137,6 +140,7 @@ class Calibrator(Node):
             "accept": self._accept,
             "save": partial(self._magnetometers.save, self._shelf),
             "load": partial(self._magnetometers.load, self._shelf),
+            "calibrate_at_heading": partial(self._known.calibrate, self._magnetometers),
         }
         cancel = self._magnetometers.cancel
         quick = {"start": self._start, "cancel": cancel, "reset": self._reset}
@@ -153,6 +157,7 @@ class Calibrator(Node):
         self.stop_robot()
         self._magnetometers.shut_down()
         self._keeping.end()
+        self._known.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""
@@ -162,7 +167,7 @@ class Calibrator(Node):
         """Return what serves this node, its sensors with the least effort; one at a time."""
         # Wheels tell nothing without the IMU, and need not wake the node between its messages.
         wheels, *receiver = self._travel.subscriptions
-        subscriptions = [*self._sensor_subscriptions, *receiver]
+        subscriptions = [*self._sensor_subscriptions, *receiver, self._known.subscription]
         return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
 
     def _on_mishap(self, error: Exception) -> None:
@@ -205,6 +210,8 @@ class Calibrator(Node):
             return
         self._up.add_field(sample.stamp, sample.field)
         self._keeping.on_field(sample, streams.newest_imu, self._travel)
+        if self._known.is_collecting:
+            self._known.on_field(sample)
         if self._compass is not None:
             moment = self._walk.moment_of(self._compass, sample)
             self._outputs.publish(moment.field, arrived, self._walk.body_frame())
@@ -213,9 +220,6 @@ class Calibrator(Node):
                 self._watch.take(moment)
         if not streams.is_repeated:
             self._walk.remember(self._control, sample)
-
-    def _sensor(self, topic: str) -> Sensor:
-        return Sensor(self.resolve_topic_name(topic))
 
     def _chosen(self) -> str:
         return self._table.settings.calibration_file
@@ -291,6 +295,7 @@ class Calibrator(Node):
         return self._seat.settled(self._whereabouts.settings).knowledge
 
     def _reset(self) -> Conclusion:
+        self._known.forget()
         self._control.forget_turns()
         self._meetings.forget()
         were_several = self._magnetometers.reset()
@@ -308,8 +313,8 @@ class Calibrator(Node):
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
-        complaints = self._inputs.complaints()
-        return "; ".join(complaints) or "no new field sample with an acceleration has come"
+        nothing = "no new field sample with an acceleration has come"
+        return "; ".join(self._inputs.complaints()) or nothing
 
     def move(self, rate: float) -> None:
         """Tell the base to turn at a rate, rad/s."""
@@ -356,16 +361,13 @@ class Calibrator(Node):
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
         settings = self._table.settings
-        wanted = settings.self_calibration, settings.report_folder
-        self._keeping.follow(*wanted, self._travel.swing)
+        self._keeping.follow(settings.self_calibration, settings.report_folder, self._travel.swing)
         news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
             self._shelf.save(lambda _: None)
         complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
-        rivals = self._walk.headings.rivals()
-        complaints += [rivals] if rivals else []
-        further = self._magnetometers.complaints()
-        self._announcer.complain(dict.fromkeys(complaints + further))
+        complaints += [*self._known.complaints, *filter(None, [self._walk.headings.rivals()])]
+        self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         self._magnetometers.repeat_bias(now)
@@ -383,17 +385,16 @@ class Calibrator(Node):
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),
         ]
-        array = diagnostic_array(statuses, self._inputs.field.frame, now)
-        self._diagnostics_out.publish(array)
+        self._diagnostics_out.publish(diagnostic_array(statuses, self._inputs.field.frame, now))
         self._publish_status()
 
     def _publish_status(self) -> None:
         answer = self._control.turn.last_conclusion
-        words = "" if answer is None else answer.message
-        self._announcer.follow_turn(self._magnetometers.state is not TurnState.IDLE, answer, words)
+        is_busy, words = self._magnetometers.state is not TurnState.IDLE, answer and answer.message
+        self._announcer.follow_turn(is_busy, answer, words or "")
         reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
         told = self._control, self._keeper, self._inputs, reference, self._watch, turns
-        status = status_json(*told, self._travel, self._keeping, self._magnetometers)
+        status = status_json(*told, self._travel, self._keeping, self._magnetometers, self._known)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

@@ -345,7 +345,9 @@ def _not_shown(
             f"error in the heading is {tilted * DEGREES:.1f}° (1σ); "
             f"{'' if known else 'give the reference field, or '}turn on ramps"
         )
-    if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(figures):
+    if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(
+        figures
+    ):
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)

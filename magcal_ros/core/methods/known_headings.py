@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,22 +48,21 @@ class ContradictionTuning:
 
 TUNING = ContradictionTuning()
 
-Reading = Callable[[float], float]
-READINGS: dict[str, Reading] = {
+QUARTER = 0.5 * math.pi
+READINGS: dict[str, tuple[float, float]] = {
     "they count clockwise from north, as a compass bearing does: "
-    "yaw counts to the left from east (ENU), 90° minus the bearing": lambda h: 0.5 * math.pi - h,
-    "their sign is wrong, or the antennas are mirrored: yaw counts to the left from east": lambda h: (
-        -h
+    "yaw counts to the left from east (ENU), 90° minus the bearing": (-1.0, QUARTER),
+    "their sign is wrong, or the antennas are mirrored: yaw counts to the left from east (ENU)": (
+        -1.0,
+        0.0,
     ),
-    "they are half a turn off: front and back, or the two antennas, are exchanged": lambda h: (
-        h + math.pi
-    ),
-    "they are a quarter turn too far to the right: yaw is zero to the east, not to the north, and "
-    "of antennas that sit across it is that of the vehicle": lambda h: h + 0.5 * math.pi,
-    "they are a quarter turn too far to the left: the antennas sit across, and the yaw asked for is "
-    "that of the vehicle": lambda h: h - 0.5 * math.pi,
+    "they are half a turn off: front and back, or the two antennas, are exchanged": (1.0, math.pi),
+    "they are a quarter turn too far to the right: yaw is zero to the east, not to the north, "
+    "and two antennas that sit across tell another yaw than the vehicle's": (1.0, QUARTER),
+    "they are a quarter turn too far to the left: two antennas that sit across tell another yaw "
+    "than the vehicle's": (1.0, -QUARTER),
 }
-"""What people and drivers mistake, and what the heading is then, radians."""
+"""What people and drivers mistake, and by which sign and shift (radians) the heading follows."""
 
 
 def fit(standings: Sequence[Standing], knowledge: Knowledge) -> Estimate:
@@ -147,11 +146,12 @@ def _refuse_contradiction(
 def _rivals(standings: Sequence[Standing], knowledge: Knowledge) -> dict[str, Agreement]:
     """Return what other readings of the headings come to, by what they say."""
     found = {}
-    for words, reading in READINGS.items():
+    for words, (sign, shift) in READINGS.items():
         read = []
         for each in standings:
-            shift = _shift(each, knowledge)
-            read.append(replace(each, heading=wrapped(reading(each.heading - shift) + shift)))
+            north = _shift(each, knowledge)
+            heading = wrapped(sign * (each.heading - north) + shift + north)
+            read.append(replace(each, heading=heading))
         found[words] = agreement_of(read, knowledge)
     return found
 
@@ -170,6 +170,9 @@ def _as_told(standing: Standing, knowledge: Knowledge) -> str:
 def _stray(agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge) -> str:
     """Say which heading the others contradict; where none stands out, that they disagree."""
     count = len(standings)
+    alone = agreement_of([replace(each, turned_sigma=math.inf) for each in standings], knowledge)
+    if alone.chance > TUNING.chance:
+        return _by_gyro(standings)
     if count > 2:
         found = [agreement_of(_without(standings, k), knowledge) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
@@ -182,6 +185,23 @@ def _stray(agreement: Agreement, standings: Sequence[Standing], knowledge: Knowl
     return (
         f"The known headings contradict the field by {agreement.times:.1f} times what their "
         "sigmas explain: check headings and sigmas, and stand away from iron."
+    )
+
+
+def _by_gyro(standings: Sequence[Standing]) -> str:
+    """Say between which headings the gyro saw another turn."""
+
+    def off(k: int) -> float:
+        one, next_ = standings[k], standings[k + 1]
+        return wrapped(next_.heading - one.heading - next_.turned)
+
+    k = max(range(len(standings) - 1), key=lambda j: abs(off(j)) / standings[j + 1].turned_sigma)
+    told = wrapped(standings[k + 1].heading - standings[k].heading) * DEGREES
+    seen = wrapped(standings[k + 1].turned) * DEGREES
+    return (
+        f"Between known headings {k + 1} and {k + 2} the robot should have turned by {told:.0f}°, "
+        f"and the gyro saw {seen:.0f}° (to the left): check both headings, and the sign and unit "
+        "(rad/s) of the gyro."
     )
 
 

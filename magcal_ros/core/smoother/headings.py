@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as member
 
 import numpy as np
 
@@ -83,7 +84,7 @@ class Standing:
     heading: float
     sigma: float
     by_declination: bool = False
-    forward: FloatArray = field(default_factory=lambda: X)
+    forward: FloatArray = member(default_factory=lambda: X)
     turned: float = 0.0
     turned_sigma: float = math.inf
     noise_field: float = 0.3e-6
