@@ -91,8 +91,7 @@ class Calibrator(Node):
         self._outputs = FieldOutput(self, "imu/mag")
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
         self._sensor_group = StraightGroup()
-        fixes = self._whereabouts.on_fix
-        self._travel = Travel(self, self._fits, self._sensor_group, fixes)
+        self._travel = Travel(self, self._fits, self._sensor_group, self._whereabouts.on_fix)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply, self._chosen())
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
@@ -102,9 +101,9 @@ class Calibrator(Node):
         imu, field = (Sensor(self.resolve_topic_name(t)) for t in ("imu/data_raw", "imu/mag"))
         self._inputs = Inputs(imu, field, streams)
         self._walk = Walk(self, self._up, self._inputs, self._seat, self._whereabouts, self._travel)
-        told = self._keeping, self._keeper, partial(self._walk.settled, FIRST, ""), self._seat
-        heard = self._up, streams, self._fits, self._sensor_group
-        self._known = self._walk.known = KnownHeadings(self, *told, *heard)
+        told = self, self._keeping, self._keeper, partial(self._walk.settled, FIRST, "")
+        heard = *told, self._seat, self._up, streams, self._walk.fused
+        self._known = self._walk.known = KnownHeadings(*heard, self._fits, self._sensor_group)
         self._reporter = Reporter(log.error)
         self._rotator = Rotator(self)
         topics = Topics(imu.topic, field.topic, self.resolve_topic_name("cmd_vel"))
@@ -167,7 +166,7 @@ class Calibrator(Node):
         """Return what serves this node, its sensors with the least effort; one at a time."""
         # Wheels tell nothing without the IMU, and need not wake the node between its messages.
         wheels, *receiver = self._travel.subscriptions
-        subscriptions = [*self._sensor_subscriptions, *receiver, self._known.subscription]
+        subscriptions = [*self._sensor_subscriptions, *receiver, self._known.antenna.subscription]
         return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
 
     def _on_mishap(self, error: Exception) -> None:
@@ -210,7 +209,7 @@ class Calibrator(Node):
             return
         self._up.add_field(sample.stamp, sample.field)
         self._keeping.on_field(sample, streams.newest_imu, self._travel)
-        if self._known.is_collecting:
+        if self._known.wants_field:
             self._known.on_field(sample)
         if self._compass is not None:
             moment = self._walk.moment_of(self._compass, sample)
@@ -290,9 +289,8 @@ class Calibrator(Node):
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        if self._control.state is not TurnState.IDLE:
-            return None
-        return self._seat.settled(self._whereabouts.settings).knowledge
+        is_idle = self._control.state is TurnState.IDLE
+        return self._walk.settled(FIRST, "").knowledge if is_idle else None
 
     def _reset(self) -> Conclusion:
         self._known.forget()

@@ -2,8 +2,7 @@
 
 import math
 
-import pytest
-import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Quaternion
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -14,6 +13,7 @@ from support import PATIENCE, REFERENCE, rms_deg
 from magcal_ros.files.calibration_file import read_calibration
 
 DECLINATION = 10.0
+SPEED = 8.0
 PLACE = {**REFERENCE, "reference.declination_deg": DECLINATION}
 DOCKS = (20.0, 140.0, 260.0)
 """ENU yaw to magnetic north, degrees."""
@@ -48,7 +48,7 @@ def dock(actor, heading, told=lambda yaw: yaw, north="magnetic"):
 
 
 def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home):
-    actor = stage(parameters=PLACE)
+    actor = stage(parameters=PLACE, speed=SPEED)
     nothing = actor.answer(actor.call("calibrate_at_heading"))
     assert not nothing.success
     assert "known_heading.yaw_deg" in nothing.message
@@ -74,7 +74,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
 
 
 def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
-    actor = stage(parameters=REFERENCE)
+    actor = stage(parameters=REFERENCE, speed=SPEED)
     for heading in DOCKS[:2]:
         assert dock(actor, heading).success
     before = actor.status["calibration"]
@@ -91,7 +91,7 @@ def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
 
 
 def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
-    actor = loaded()
+    actor = loaded(speed=SPEED)
     agreed = dock(actor, 70.0)
     assert agreed.success
     assert "it stays" in agreed.message
@@ -101,7 +101,7 @@ def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
 
 
 def test_a_robot_that_turns_meanwhile_is_refused(stage):
-    actor = stage(parameters=REFERENCE)
+    actor = stage(parameters=REFERENCE, speed=SPEED)
     tell(actor, yaw_deg=10.0, north="magnetic")
     future = actor.call("calibrate_at_heading")
     actor.run(PATIENCE, 0.3, future.done)
@@ -109,25 +109,72 @@ def test_a_robot_that_turns_meanwhile_is_refused(stage):
     assert "stand still" in future.result().message
 
 
-@pytest.mark.parametrize("variance", [1e-4, 1e6])
-def test_the_topic_tells_the_heading_where_none_is_typed_in(stage, variance):
-    actor = stage(parameters={**PLACE, "known_heading.topic_north": "true"})
-    out = actor.node.create_publisher(Imu, "heading", qos_profile_sensor_data)
-    actor.ride.stand(0.0, 0.0, math.radians(DOCKS[0]))
-    yaw = math.radians(DOCKS[0] - DECLINATION)
-    message = Imu(orientation=Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)))
-    message.orientation_covariance[8] = variance
-    timer = actor.node.create_timer(0.1, lambda: out.publish(message))
-    actor.run(
-        PATIENCE, stop=lambda: actor.status["known_headings"] is not None
-    ) if variance < 1.0 else actor.run(1.0)
+class Antennas:
+    """Two antennas of an actor's robot: they tell its heading to true north, ten times a second."""
+
+    def __init__(self, actor, read=lambda yaw: yaw):
+        self._actor, self._read, self.variance = actor, read, math.radians(1.0) ** 2
+        self._out = actor.node.create_publisher(Imu, "heading", qos_profile_sensor_data)
+        self._timer = actor.node.create_timer(0.1 / actor.speed, self._publish)
+
+    def _publish(self):
+        ride = self._actor.ride
+        half = 0.5 * self._read(ride.magnetic_yaw - math.radians(DECLINATION))
+        message = Imu(orientation=Quaternion(z=math.sin(half), w=math.cos(half)))
+        sec, nanosec = divmod(round(ride.stamp * 1e9), 10**9)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        message.orientation_covariance[8] = self.variance
+        self._out.publish(message)
+
+    def fall_silent(self):
+        self._timer.cancel()
+
+
+def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
+    actor = stage(parameters={**PLACE, "self_calibration": "off"}, speed=SPEED)
+    antennas = Antennas(actor)
+    antennas.variance = 1e6
+    actor.run(1.0)
+    lost = actor.answer(actor.call("calibrate_at_heading"))
+    assert not lost.success
+    assert "yaw is not known" in lost.message
+    antennas.variance = math.radians(1.0) ** 2
+    actor.run(PATIENCE, stop=lambda: actor.status["known_headings"] is not None)
     answer = actor.answer(actor.call("calibrate_at_heading"))
-    timer.cancel()
-    if variance > 1.0:
-        assert not answer.success
-        assert "yaw is not known" in answer.message
-    else:
-        assert answer.success, answer.message
-        assert rms_deg(actor.published_errors([(0.0, 0.0)], headings=1)) < 40.0
-        assert actor.status["known_headings"]["headings"] == ["10.0° ±0.6° to true north"]
-    assert rclpy.ok()
+    assert answer.success, answer.message
+    assert "from one known heading" in answer.message
+    (told,) = actor.status["known_headings"]["headings"]
+    assert told.endswith("±1.0° to true north")
+
+
+def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    fused = []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", fused.append, 10)
+    antennas = Antennas(actor)
+    for _ in range(12):
+        actor.run(1.5 / SPEED * 2.0, 0.6)
+        actor.run(1.5 / SPEED)
+    actor.run(PATIENCE, lambda: 0.0, lambda: actor.status["state"] == "calibrated")
+    assert "known headings" in actor.status["calibration"]["summary"]
+    antennas.fall_silent()
+    for _ in range(3):
+        actor.run(2.0 / SPEED, 0.6)
+        actor.run(4.0 / SPEED)
+    fused.clear()
+    actor.run(PATIENCE, stop=lambda: len(fused) > 3)
+    q = fused[-1].orientation
+    true = actor.ride.magnetic_yaw - math.radians(DECLINATION)
+    assert abs(math.remainder(2.0 * math.atan2(q.z, q.w) - true, math.tau)) < math.radians(6.0)
+    assert not actor.status["known_headings"]["topic"]["speaks"]
+
+
+def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    said = []
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+    )
+    Antennas(actor, lambda yaw: -yaw)
+    actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in said))
+    assert actor.status["state"] == "uncalibrated"

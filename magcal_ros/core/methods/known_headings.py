@@ -20,10 +20,12 @@ from magcal_ros.core.smoother.headings import (
     fit_headings,
     sigma_with,
 )
-from magcal_ros.core.smoother.unknowns import ROLL_PITCH, YAW
+from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
 
 METHOD = "known_headings"
 DEGREES = 180.0 / math.pi
+FEW = 24
+"""Up to so many standings it is asked which one contradicts the others."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ READINGS: dict[str, tuple[float, float]] = {
 """What people and drivers mistake, and by which sign and shift (radians) the heading follows."""
 
 
-def fit(standings: Sequence[Standing], knowledge: Knowledge) -> Estimate:
+def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
     """Find the twelve numbers from known headings.
 
     Parameters
@@ -73,6 +75,8 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge) -> Estimate:
     standings : sequence of Standing
         At least one.
     knowledge : Knowledge
+    place : Size
+        The local disturbance, larger along streets than where a robot stands.
 
     Returns
     -------
@@ -85,11 +89,11 @@ def fit(standings: Sequence[Standing], knowledge: Knowledge) -> Estimate:
         If headings, field and gyro contradict each other; the text names what is likely wrong.
     """
     try:
-        found = fit_headings(standings, knowledge)
+        found = fit_headings(standings, knowledge, place)
     except np.linalg.LinAlgError:
         words = "the samples do not determine a calibration; stand at another known heading"
         raise Refusal(Reason.NO_SOLUTION, words) from None
-    _refuse_contradiction(found.agreement, standings, knowledge)
+    _refuse_contradiction(found.agreement, standings, knowledge, place)
     shared, posterior = found.state.shared, found.posterior
     roll, pitch = shared[ROLL_PITCH]
     count = len(standings)
@@ -126,12 +130,12 @@ def _arc(standings: Sequence[Standing]) -> float:
 
 
 def _refuse_contradiction(
-    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge
+    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> None:
     """Refuse headings that field and gyro contradict, and say what they likely are instead."""
     if not agreement.freedom:
         return
-    rivals = _rivals(standings, knowledge)
+    rivals = _rivals(standings, knowledge, place)
     words = min(rivals, key=lambda each: rivals[each].cost)
     best = rivals[words]
     if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
@@ -140,10 +144,12 @@ def _refuse_contradiction(
             f"The known headings contradict the field: {words}. Read so, they agree with it.",
         )
     if agreement.chance < TUNING.chance:
-        raise Refusal(Reason.HEADING_CONTRADICTED, _stray(agreement, standings, knowledge))
+        raise Refusal(Reason.HEADING_CONTRADICTED, _stray(agreement, standings, knowledge, place))
 
 
-def _rivals(standings: Sequence[Standing], knowledge: Knowledge) -> dict[str, Agreement]:
+def _rivals(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size
+) -> dict[str, Agreement]:
     """Return what other readings of the headings come to, by what they say."""
     found = {}
     for words, (sign, shift) in READINGS.items():
@@ -152,7 +158,7 @@ def _rivals(standings: Sequence[Standing], knowledge: Knowledge) -> dict[str, Ag
             north = _shift(each, knowledge)
             heading = wrapped(sign * (each.heading - north) + shift + north)
             read.append(replace(each, heading=heading))
-        found[words] = agreement_of(read, knowledge)
+        found[words] = agreement_of(read, knowledge, place)
     return found
 
 
@@ -167,14 +173,17 @@ def _as_told(standing: Standing, knowledge: Knowledge) -> str:
     return f"{told:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
 
 
-def _stray(agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge) -> str:
+def _stray(
+    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+) -> str:
     """Say which heading the others contradict; where none stands out, that they disagree."""
     count = len(standings)
-    alone = agreement_of([replace(each, turned_sigma=math.inf) for each in standings], knowledge)
+    apart = [replace(each, turned_sigma=math.inf) for each in standings]
+    alone = agreement_of(apart, knowledge, place)
     if alone.chance > TUNING.chance:
         return _by_gyro(standings)
-    if count > 2:
-        found = [agreement_of(_without(standings, k), knowledge) for k in range(count)]
+    if 2 < count <= FEW:
+        found = [agreement_of(_without(standings, k), knowledge, place) for k in range(count)]
         k = min(range(count), key=lambda j: found[j].cost)
         if found[k].chance > TUNING.chance:
             return (
@@ -231,7 +240,7 @@ def declination_hint(
     expected = -declination if all(told_true) else declination
     if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
         return ""
-    if abs(yaw - expected) > 2.0 * sigma or abs(yaw) < TUNING.declination * sigma:
+    if abs(yaw) < TUNING.declination * sigma:
         return ""
     given, other = ("true", "magnetic") if all(told_true) else ("magnetic", "true")
     return (

@@ -47,6 +47,8 @@ CLOSE = 1e-3
 """Sigmas of an unknown below which a step ends the iterations."""
 SPREADS = np.linspace(-2.5, 2.5, 11)
 """Spreads of its logarithm at which the size of the local disturbance is tried."""
+BELIEVED = -2
+"""Which of them is the largest size beside which headings that do not fit are contradicted."""
 BY_MOTION = (
     *("gyro_bias", "gyro_matrix", "lever_arm", "latency"),
     *("motors_moving", "motors_rate", "drift", "force_moving"),
@@ -77,6 +79,8 @@ class Standing:
         tells.
     noise_field, noise_up : float
         Standard deviations of single samples: tesla per axis, radians of tilt per axis.
+    force_sigma : float
+        m/s² per axis of `force`; larger where up is of a robot that moves.
     """
 
     field: FloatArray
@@ -89,6 +93,7 @@ class Standing:
     turned_sigma: float = math.inf
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
+    force_sigma: float = SIZES["force"].usual
 
     def __post_init__(self) -> None:
         for name in ("field", "force", "forward"):
@@ -97,20 +102,23 @@ class Standing:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well known headings, field and gyro agree at the usual size of the local disturbance.
+    """How well known headings, field and gyro agree.
 
     Parameters
     ----------
     cost : float
         Minus twice the logarithm of the evidence, but for a constant of the number of standings.
     misfit : float
-        Squared deviations over their variances.
+        Squared deviations over their variances at the usual size of the local disturbance.
+    least : float
+        The same at the largest size that is believed.
     freedom : int
         How many deviations that adds up: those of the field but for the hard iron.
     """
 
     cost: float
     misfit: float
+    least: float
     freedom: int
 
     @property
@@ -118,7 +126,7 @@ class Agreement:
         """The probability that chance alone makes a larger misfit."""
         from scipy.special import gammaincc
 
-        return float(gammaincc(0.5 * self.freedom, 0.5 * self.misfit)) if self.freedom else 1.0
+        return float(gammaincc(0.5 * self.freedom, 0.5 * self.least)) if self.freedom else 1.0
 
     @property
     def times(self) -> float:
@@ -151,7 +159,9 @@ class HeadingFit:
     yaw_sigma: float
 
 
-def fit_headings(standings: Sequence[Standing], knowledge: Knowledge) -> HeadingFit:
+def fit_headings(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+) -> HeadingFit:
     """Find the shared unknowns from standings at known headings.
 
     Parameters
@@ -159,6 +169,8 @@ def fit_headings(standings: Sequence[Standing], knowledge: Knowledge) -> Heading
     standings : sequence of Standing
         At least one.
     knowledge : Knowledge
+    place : Size
+        The local disturbance.
 
     Raises
     ------
@@ -166,10 +178,10 @@ def fit_headings(standings: Sequence[Standing], knowledge: Knowledge) -> Heading
         If the matrix is not positive definite.
     """
     model = _Standings.of(standings, knowledge)
-    middle = model.optimum(_rms(STANDING))
-    sizes = STANDING.usual * np.exp(STANDING.spread * SPREADS)
+    middle = model.optimum(_rms(place))
+    sizes = place.usual * np.exp(place.spread * SPREADS)
     found = [model.optimum(float(size), middle.state) for size in sizes]
-    costs = np.array([each.agreement.cost for each in found]) + SPREADS**2
+    costs = np.array([each.cost for each in found]) + SPREADS**2
     weights = np.exp(-0.5 * (costs - costs.min()))
     weights = weights / weights.sum()
     shared = np.einsum("k,ks->s", weights, [each.state.shared for each in found])
@@ -183,12 +195,22 @@ def fit_headings(standings: Sequence[Standing], knowledge: Knowledge) -> Heading
     posterior = posterior_at(state, covariance, knowledge.mounting.matrix)
     residual = model.field_of(state).residual @ knowledge.mounting.matrix.T / MICROTESLA
     yaw_sigma = math.sqrt(covariance[YAW, YAW])
-    return HeadingFit(state, covariance, posterior, middle.agreement, residual, yaw_sigma)
+    agreement = _agreement(middle, found[BELIEVED], len(standings))
+    return HeadingFit(state, covariance, posterior, agreement, residual, yaw_sigma)
 
 
-def agreement_of(standings: Sequence[Standing], knowledge: Knowledge) -> Agreement:
+def agreement_of(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+) -> Agreement:
     """Return how well standings agree; parameters and errors as of `fit_headings`."""
-    return _Standings.of(standings, knowledge).optimum(_rms(STANDING)).agreement
+    model = _Standings.of(standings, knowledge)
+    middle = model.optimum(_rms(place))
+    size = place.usual * math.exp(place.spread * SPREADS[BELIEVED])
+    return _agreement(middle, model.optimum(size, middle.state), len(standings))
+
+
+def _agreement(usual: _Optimum, large: _Optimum, count: int) -> Agreement:
+    return Agreement(usual.cost, usual.misfit, large.misfit, 3 * count - 3)
 
 
 def sigma_with(
@@ -220,7 +242,8 @@ class _Optimum:
 
     state: State
     covariance: FloatArray
-    agreement: Agreement
+    cost: float
+    misfit: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +252,7 @@ class _Standings:
 
     course: Course
     force: FloatArray
+    force_sigma: FloatArray
     heading: FloatArray
     sigma: FloatArray
     forward: FloatArray
@@ -251,6 +275,7 @@ class _Standings:
         return cls(
             _course(nodes),
             force,
+            np.array([each.force_sigma for each in standings]),
             heading,
             np.array([each.sigma for each in standings]),
             forward,
@@ -274,9 +299,7 @@ class _Standings:
 
         found = {
             "field": known(self.field_of(state), _rms(SIZES["field"]) ** 2 * ones),
-            "force": known(
-                factors.force_at_rest(self.force, state), SIZES["force"].usual ** 2 * ones
-            ),
+            "force": known(factors.force_at_rest(self.force, state), self.force_sigma**2),
             "heading": known(
                 factors.known_heading(self.heading, self.forward, state), self.sigma**2
             ),
@@ -320,7 +343,7 @@ class _Standings:
         whole[np.ix_(free, free)] = covariance
         misfit, count = self._misfit(weighted, prior), len(self.heading)
         cost = misfit + 6.0 * count * math.log(size) + solution.log_determinant
-        return _Optimum(state, whole, Agreement(cost, misfit, 3 * count - 3))
+        return _Optimum(state, whole, cost, misfit)
 
     def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
         """Return all squared deviations over their variances; the hard iron has next to none."""
