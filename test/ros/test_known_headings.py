@@ -152,15 +152,14 @@ def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(s
     fused = []
     actor.node.create_subscription(Imu, "compass/fused/enu/imu", fused.append, 10)
     antennas = Antennas(actor)
-    for _ in range(12):
-        actor.run(1.5 / SPEED * 2.0, 0.6)
-        actor.run(1.5 / SPEED)
-    actor.run(PATIENCE, lambda: 0.0, lambda: actor.status["state"] == "calibrated")
-    assert "known headings" in actor.status["calibration"]["summary"]
+
+    def turns_and_stands():
+        return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
+
+    actor.run(PATIENCE, turns_and_stands, lambda: actor.status["state"] == "calibrated")
+    assert actor.status["calibration"]["method"] == "known_headings"
     antennas.fall_silent()
-    for _ in range(3):
-        actor.run(2.0 / SPEED, 0.6)
-        actor.run(4.0 / SPEED)
+    actor.run(20.0 / SPEED, turns_and_stands)
     fused.clear()
     actor.run(PATIENCE, stop=lambda: len(fused) > 3)
     q = fused[-1].orientation

@@ -251,7 +251,7 @@ def declination_hint(
 
 
 def next_heading(
-    standings: Sequence[Standing], knowledge: Knowledge, tries: int = 12
+    standings: Sequence[Standing], knowledge: Knowledge, tries: int = 8
 ) -> tuple[float, float]:
     """Return which further heading would show most, and the heading's sigma with it, radians.
 

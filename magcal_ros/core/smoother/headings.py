@@ -43,7 +43,7 @@ from magcal_ros.core.smoother.unknowns import (
 
 X = np.array([1.0, 0.0, 0.0])
 STEPS = 30
-CLOSE = 1e-3
+CLOSE = 1e-2
 """Sigmas of an unknown below which a step ends the iterations."""
 SPREADS = np.linspace(-2.5, 2.5, 11)
 """Spreads of its logarithm at which the size of the local disturbance is tried."""
