@@ -43,7 +43,7 @@ from magcal_ros.core.simulation.drive import Drive, Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, slope_rpy
 from magcal_ros.core.simulation.travel import travel
-from magcal_ros.core.smoother.headings import Standing
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up import UpFollower
 
 HEADINGS = 24

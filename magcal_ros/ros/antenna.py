@@ -14,6 +14,7 @@ from sensor_msgs.msg import Imu
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.vec3 import dot
+from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample
@@ -106,6 +107,7 @@ class Antenna:
         self._heard: tuple[float, HeadingSample] | None = None
         self._check = HeadingAgainstGyro()
         self._log: HeadingLog | None = None
+        self._view: BaseView | None = None
         self._is_fitting = False
         self._missed, self._gap = 0, 0.0
         self._imu_stamp = math.nan
@@ -176,10 +178,10 @@ class Antenna:
             return
         if settings.self_calibration == Mode.OFF.value or not follower.is_propagated:
             return
-        if self._log is None:
+        if self._log is None or self._view is not view:
             from magcal_ros.core.session.antenna import HeadingLog
 
-            self._log = HeadingLog(view.pose[0])
+            self._log, self._view = HeadingLog(view.pose[0]), view
         told = ToldHeading(heading.yaw, heading.sigma, settings.heading_is_true)
         seen = sample.stamp, sample.field, up.direction, follower.rate
         if self._log.add(*seen, told, shift, follower.is_at_rest) and not self._is_fitting:
@@ -212,24 +214,26 @@ class Antenna:
             self._gap = yaw.last_told_gap
 
     def _fit(self, settings: Settings, log: HeadingLog) -> None:
-        from magcal_ros.core.session.antenna import fit_log
-
         self._is_fitting = True
         standings = log.take()
-        self._fits.run(
-            lambda: self._aside.run(fit_log, standings, settings.knowledge),
-            self._note,
-            self._lost,
-        )
+
+        def work() -> Outcome:
+            from magcal_ros.core.session.antenna import fit_log
+
+            return self._aside.run(fit_log, standings, settings.knowledge)
+
+        self._fits.run(work, lambda outcome: self._note(outcome, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._is_fitting = False
         if not isinstance(error, Stopped):
             self._answer = f"the fit failed: {error}"
 
-    def _note(self, outcome: Outcome) -> None:
+    def _note(self, outcome: Outcome, log: HeadingLog) -> None:
         self._aside.stop()
         self._is_fitting = False
+        if log is not self._log:
+            return
         self._answer = outcome.verdict.summary
         found, before = outcome.calibration, self._keeper.calibration
         if found is None or not outcome.verdict.accepted or not _is_better(found, before):

@@ -28,7 +28,7 @@ from magcal_ros.ros.settings import Settings
 
 if TYPE_CHECKING:
     from magcal_ros.core.session.dockings import Docked
-    from magcal_ros.core.smoother.headings import Standing
+    from magcal_ros.core.smoother.standings import Standing
 
 TICK = 0.2
 """Seconds between looks while samples are collected."""
@@ -90,7 +90,8 @@ class KnownHeadings:
         self.antenna = Antenna(*heard, fits, group)
         self._aside = Aside()
         self._standings: tuple[Standing, ...] = ()
-        self._in_words: list[str] = []
+        self._epoch = 0
+        self._sensors = ""
         self._since: TurnSince | None = None
         self._pairs: list[Pair] = []
         self._pairer = Pairer(streams)
@@ -120,9 +121,16 @@ class KnownHeadings:
 
     def forget(self) -> None:
         """Begin anew with the next heading."""
-        self._standings, self._in_words, self._since = (), [], None
+        self._standings, self._since = (), None
+        self._epoch += 1
         self._answer = ""
         self.antenna.forget()
+
+    def meet(self, sensors: str) -> None:
+        """Take note of which sensors are heard: where others stood says nothing of these."""
+        if self._sensors and sensors != self._sensors:
+            self.forget()
+        self._sensors = sensors
 
     def calibrate(self, turns: Turns, tell: Tell) -> None:
         """Collect where the robot stands now, and tell what its heading shows.
@@ -200,7 +208,7 @@ class KnownHeadings:
             return None
         return {
             "collecting": self._is_collecting,
-            "headings": self._in_words,
+            "headings": [each.in_words for each in self._standings],
             "answer": self._answer,
             "topic": topic,
         }
@@ -212,8 +220,6 @@ class KnownHeadings:
             self._fit()
 
     def _fit(self) -> None:
-        from magcal_ros.core.session.dockings import Stood, dock_stood
-
         # The timer ends itself: cancelled by another thread it may be on its way already.
         self._is_collecting = False
         settings = self._settled()
@@ -222,22 +228,20 @@ class KnownHeadings:
         if told is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
             return
-        follower = self._follower
-        stood = Stood(
-            tuple(self._pairs),
-            told,
-            settings.knowledge,
-            view.pose[0],
-            self._since,
-            follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0),
-        )
+        follower, forward = self._follower, view.pose[0]
+        bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
+        pairs, since, knowledge = tuple(self._pairs), self._since, settings.knowledge
+        before, in_force, epoch = self._standings, self._keeper.calibration, self._epoch
         self._pairs = []
-        before, in_force = self._standings, self._keeper.calibration
-        self._fits.run(
-            lambda: self._aside.run(dock_stood, before, stood, in_force),
-            lambda docked: self._note(docked, told),
-            self._lost,
-        )
+
+        def work() -> Docked:
+            # What only a fit needs is loaded when one is made, beside the messages.
+            from magcal_ros.core.session.dockings import Stood, dock_stood
+
+            stood = Stood(pairs, told, knowledge, forward, since, bias)
+            return self._aside.run(dock_stood, before, stood, in_force)
+
+        self._fits.run(work, lambda docked: self._note(docked, epoch), self._lost)
 
     def _told_by_topic(self, settings: Settings) -> ToldHeading | None:
         """Return the mean of the topic's headings while the robot stood."""
@@ -254,13 +258,15 @@ class KnownHeadings:
         words = "the node ends" if isinstance(error, Stopped) else in_words(error)
         self._conclude(Conclusion(False, f"nothing was found: {words}"))
 
-    def _note(self, docked: Docked, told: ToldHeading) -> None:
+    def _note(self, docked: Docked, epoch: int) -> None:
         self._aside.stop()
-        if docked.standings is not self._standings and docked.outcome.calibration is not None:
-            self._standings = docked.standings
-            self._in_words = [*self._in_words, told.in_words][-len(docked.standings) :]
-            self._since = TurnSince()
+        if epoch != self._epoch:
+            words = "~/reset was called, or another sensor met, meanwhile: call again"
+            self._conclude(Conclusion(False, words))
+            return
         calibration = docked.outcome.calibration
+        if calibration is not None:
+            self._standings, self._since = docked.standings, TurnSince()
         if not docked.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
             self._conclude(Conclusion(docked.outcome.verdict.accepted, docked.words))

@@ -228,6 +228,7 @@ class Calibrator(Node):
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")
+        self._known.meet(f"{field.frame} {imu.frame}")
         self._seat.meet(imu.frame, field.frame)
         if field.last_heard is not None:
             self._meetings.meet(field.frame)

@@ -144,7 +144,7 @@ def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
     assert answer.success, answer.message
     assert "from one known heading" in answer.message
     (told,) = actor.status["known_headings"]["headings"]
-    assert told.endswith("±1.0° to true north")
+    assert told.endswith("±1.0° to magnetic north")
 
 
 def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(stage):

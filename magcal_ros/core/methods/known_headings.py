@@ -14,12 +14,12 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import unit, wrapped
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.headings import (
-    Agreement,
-    Standing,
+    HeadingAgreement,
     agreement_of,
     fit_headings,
     sigma_with,
 )
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
 
 METHOD = "known_headings"
@@ -130,7 +130,7 @@ def _arc(standings: Sequence[Standing]) -> float:
 
 
 def _refuse_contradiction(
-    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> None:
     """Refuse headings that field and gyro contradict, and say what they likely are instead."""
     if not agreement.freedom:
@@ -149,7 +149,7 @@ def _refuse_contradiction(
 
 def _rivals(
     standings: Sequence[Standing], knowledge: Knowledge, place: Size
-) -> dict[str, Agreement]:
+) -> dict[str, HeadingAgreement]:
     """Return what other readings of the headings come to, by what they say."""
     found = {}
     for words, (sign, shift) in READINGS.items():
@@ -174,7 +174,7 @@ def _as_told(standing: Standing, knowledge: Knowledge) -> str:
 
 
 def _stray(
-    agreement: Agreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
 ) -> str:
     """Say which heading the others contradict; where none stands out, that they disagree."""
     count = len(standings)

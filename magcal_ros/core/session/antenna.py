@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.known_headings import fit
 from magcal_ros.core.session.told_heading import LOG, ToldHeading
-from magcal_ros.core.smoother.headings import Standing
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import SIZES
 
 
@@ -103,7 +103,7 @@ class HeadingLog:
     def _keep(self, stamp: float, heading: float, standing: Standing) -> bool:
         sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
         since = stamp - (sector[-1][0] if sector else self._newest)
-        if since < (LOG.pause if sector else LOG.block):
+        if 0.0 <= since < (LOG.pause if sector else LOG.block):
             return False
         sector.append((stamp, standing))
         self._newest = stamp

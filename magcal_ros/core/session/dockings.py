@@ -22,7 +22,7 @@ from magcal_ros.core.methods.known_headings import METHOD, declination_hint, fit
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.told_heading import DEGREES, TUNING, ToldHeading, TurnSince
-from magcal_ros.core.smoother.headings import Standing
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, STANDING
 
 
@@ -54,16 +54,7 @@ def standing_of(
     Refusal
         If the robot did not stand, samples are too few, or the declination is missing.
     """
-    declination = 0.0
-    if told.is_true:
-        if knowledge.reference.declination is None:
-            raise Refusal(
-                Reason.NO_SOLUTION,
-                "the heading is to true north, and the declination here is not known: give "
-                "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
-                "for gps/fix, or give the heading to magnetic north",
-            )
-        declination = knowledge.reference.declination
+    declination = _declination(knowledge) if told.is_true else 0.0
     if len(pairs) < TUNING.fewest:
         raise Refusal(
             Reason.TOO_FEW_SAMPLES,
@@ -91,6 +82,17 @@ def standing_of(
         noise_field=max(noise, 1e-9),
         noise_up=float(np.sqrt(np.mean(np.diff(up, axis=0) ** 2) / 2.0)),
     )
+
+
+def _declination(knowledge: Knowledge) -> float:
+    if knowledge.reference.declination is None:
+        raise Refusal(
+            Reason.NO_SOLUTION,
+            "the heading is to true north, and the declination here is not known: give "
+            "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
+            "for gps/fix, or give the heading to magnetic north",
+        )
+    return knowledge.reference.declination
 
 
 def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:

@@ -105,12 +105,6 @@ class ToldHeading:
     sigma: float
     is_true: bool
 
-    @property
-    def in_words(self) -> str:
-        """The heading for people."""
-        north = "true" if self.is_true else "magnetic"
-        return f"{wrapped(self.yaw) * DEGREES:.1f}° ±{self.sigma * DEGREES:.1f}° to {north} north"
-
 
 class TurnSince:
     """The turn to the left since a standing, by the gyro."""

@@ -16,7 +16,8 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.session.dockings import dock
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
-from magcal_ros.core.smoother.headings import Standing, fit_headings
+from magcal_ros.core.smoother.headings import fit_headings
+from magcal_ros.core.smoother.standings import Standing
 
 ROBOT = Robot(yaw=2.0 * DEGREE)
 SIGMA = 1.0 * DEGREE
