@@ -306,7 +306,7 @@ def main() -> None:
         return
     robots = options.robots
     print("| headings | told to | RMS° | said° | NEES | refused |\n|---|---|---|---|---|---|")
-    for count in (1, 2, 3, 4, 6):
+    for count in (1, 2, 3):
         print(row(robots, count, 1.0), flush=True)
     print(row(robots, 3, 3.0))
     print(row(robots, 3, 1.0, 10.0))
