@@ -33,6 +33,7 @@ class Reason(str, Enum):
     AMBIGUOUS = "ambiguous"
     PLANAR = "planar"
     TURNS_DISAGREE = "turns_disagree"
+    HEADING_CONTRADICTED = "heading_contradicted"
 
 
 class Refusal(MagcalError):

@@ -8,7 +8,7 @@ from typing import Any
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
+from magcal_ros.core.samples.travel_samples import HeadingSample, SpeedSample, VelocitySample
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0
@@ -150,3 +150,25 @@ def velocity_from(
     if not math.isfinite(east + north + sigma):
         return "its velocity is not finite"
     return VelocitySample(stamp, east, north, sigma)
+
+
+HEADING_SIGMA = math.radians(1.0)
+"""Of a heading whose orientation covariance is zero, which says that nobody knows it."""
+NO_HEADING = math.radians(30.0)
+"""Sigma from which a driver says that it has no heading at the moment."""
+
+
+def heading_of(message: Any) -> HeadingSample | str:
+    """Return the yaw of a sensor_msgs/Imu's orientation, or why it has none."""
+    q, covariance = message.orientation, message.orientation_covariance
+    if covariance[0] == ABSENT:
+        return "its orientation is marked absent (covariance -1)"
+    size = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not abs(size - 1.0) < 0.02:
+        return f"its orientation is no unit quaternion (length {math.sqrt(abs(size)):.3g})"
+    variance = float(covariance[8])
+    if not (math.isfinite(variance) and 0.0 <= variance < NO_HEADING**2):
+        return "its orientation covariance says that the yaw is not known"
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    sigma = math.sqrt(variance) if variance > 0.0 else HEADING_SIGMA
+    return HeadingSample(seconds(message.header.stamp), yaw, sigma)

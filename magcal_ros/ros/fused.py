@@ -47,8 +47,15 @@ class FusedOutput:
         self._fused: FusedYaw | None = None
 
     def begin_anew(self, calibration: Calibration | None) -> None:
-        """Forget the yaw: another calibration is in force, or none."""
-        self._calibration, self._fused = calibration, None
+        """Forget the yaw: another calibration is in force, or none.
+
+        While two antennas tell it, no compass is needed to know it.
+        """
+        self._calibration = calibration
+        if calibration is not None and self._fused is not None and self._fused.is_told:
+            self._fused.use(calibration, self.patience)
+        else:
+            self._fused = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
         """Propagate the yaw to an IMU message, and publish it there.

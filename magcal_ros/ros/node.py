@@ -31,6 +31,7 @@ from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.further import FurtherMagnetometer, Told
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.markers import TurnMarkers
 from magcal_ros.ros.meetings import Meetings
@@ -90,21 +91,22 @@ class Calibrator(Node):
         self._outputs = FieldOutput(self, "imu/mag")
         self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
         self._sensor_group = StraightGroup()
-        fixes = self._whereabouts.on_fix
-        self._travel = Travel(self, self._fits, self._sensor_group, fixes)
+        self._travel = Travel(self, self._fits, self._sensor_group, self._whereabouts.on_fix)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply, self._chosen())
         log = self.get_logger()
         self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
         self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
         self._keeping = SelfKeeping(self, self, self._keeper, self._files, log.info)
         streams = Streams(self._table.settings.max_gap)
-        self._inputs = Inputs(self._sensor("imu/data_raw"), self._sensor("imu/mag"), streams)
+        imu, field = (Sensor(self.resolve_topic_name(t)) for t in ("imu/data_raw", "imu/mag"))
+        self._inputs = Inputs(imu, field, streams)
         self._walk = Walk(self, self._up, self._inputs, self._seat, self._whereabouts, self._travel)
+        told = self, self._keeping, self._keeper, partial(self._walk.settled, FIRST, "")
+        heard = *told, self._seat, self._up, streams, self._walk.fused
+        self._known = self._walk.known = KnownHeadings(*heard, self._fits, self._sensor_group)
         self._reporter = Reporter(log.error)
         self._rotator = Rotator(self)
-        topics = Topics(
-            self._inputs.imu.topic, self._inputs.field.topic, self.resolve_topic_name("cmd_vel")
-        )
+        topics = Topics(imu.topic, field.topic, self.resolve_topic_name("cmd_vel"))
         self._control = Control(streams, self, SelfTurn(topics), self._fits, self._files)
         own = self._control, topics.field, self._keeper
         self._magnetometers = Magnetometers(*own, self._walk.several)
@@ -137,6 +139,7 @@ class Calibrator(Node):
             "accept": self._accept,
             "save": partial(self._magnetometers.save, self._shelf),
             "load": partial(self._magnetometers.load, self._shelf),
+            "calibrate_at_heading": partial(self._known.calibrate, self._magnetometers),
         }
         cancel = self._magnetometers.cancel
         quick = {"start": self._start, "cancel": cancel, "reset": self._reset}
@@ -153,6 +156,7 @@ class Calibrator(Node):
         self.stop_robot()
         self._magnetometers.shut_down()
         self._keeping.end()
+        self._known.end()
 
     def stop_robot(self) -> None:
         """Stop a robot that turns itself, from any thread; it will not move again."""
@@ -162,7 +166,7 @@ class Calibrator(Node):
         """Return what serves this node, its sensors with the least effort; one at a time."""
         # Wheels tell nothing without the IMU, and need not wake the node between its messages.
         wheels, *receiver = self._travel.subscriptions
-        subscriptions = [*self._sensor_subscriptions, *receiver]
+        subscriptions = [*self._sensor_subscriptions, *receiver, self._known.antenna.subscription]
         return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
 
     def _on_mishap(self, error: Exception) -> None:
@@ -206,6 +210,7 @@ class Calibrator(Node):
         self._up.add_field(sample.stamp, sample.field)
         at_rest = self._walk.motors.take(self._compass, sample)
         self._keeping.on_field(at_rest, streams.newest_imu, self._travel)
+        self._known.on_field(at_rest)
         if self._compass is not None:
             moment = self._walk.moment_of(self._compass, sample)
             self._outputs.publish(moment.field, arrived, self._walk.body_frame())
@@ -215,9 +220,6 @@ class Calibrator(Node):
         if not streams.is_repeated:
             self._walk.remember(self._control, sample)
 
-    def _sensor(self, topic: str) -> Sensor:
-        return Sensor(self.resolve_topic_name(topic))
-
     def _chosen(self) -> str:
         return self._table.settings.calibration_file
 
@@ -226,6 +228,7 @@ class Calibrator(Node):
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")
+        self._known.meet(f"{field.frame} {imu.frame}")
         self._seat.meet(imu.frame, field.frame)
         if field.last_heard is not None:
             self._meetings.meet(field.frame)
@@ -287,11 +290,11 @@ class Calibrator(Node):
 
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
-        if self._control.state is not TurnState.IDLE:
-            return None
-        return self._seat.settled(self._whereabouts.settings).knowledge
+        is_idle = self._control.state is TurnState.IDLE
+        return self._walk.settled(FIRST, "").knowledge if is_idle else None
 
     def _reset(self) -> Conclusion:
+        self._known.forget()
         self._control.forget_turns()
         self._meetings.forget()
         were_several = self._magnetometers.reset()
@@ -309,8 +312,8 @@ class Calibrator(Node):
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
-        complaints = self._inputs.complaints()
-        return "; ".join(complaints) or "no new field sample with an acceleration has come"
+        nothing = "no new field sample with an acceleration has come"
+        return "; ".join(self._inputs.complaints()) or nothing
 
     def move(self, rate: float) -> None:
         """Tell the base to turn at a rate, rad/s."""
@@ -353,19 +356,17 @@ class Calibrator(Node):
         self._magnetometers.look(self.count_publishers, self._table.settings)
         if not self._table.settings.accumulate:
             self._control.forget_turns()
-        self._walk.follow(self._table.settings, self._keeper, self._shelf)
+        settings, swing = self._table.settings, self._travel.swing
+        self._walk.follow(settings, self._keeper, self._shelf)
         self._whereabouts.refresh()
         self._seat.note_up(self._up)
-        settings, swing = self._table.settings, self._travel.swing
         self._keeping.follow(settings.self_calibration, settings.report_folder, swing)
         news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
             self._shelf.save(lambda _: None)
         complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
-        rivals = self._walk.headings.rivals()
-        complaints += [rivals] if rivals else []
-        further = self._magnetometers.complaints()
-        self._announcer.complain(dict.fromkeys(complaints + further))
+        complaints += [*self._known.complaints, *filter(None, [self._walk.headings.rivals()])]
+        self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
         self._magnetometers.repeat_bias(now)
@@ -383,18 +384,17 @@ class Calibrator(Node):
                 name, self._inputs, complaints + self._table.complaints, self._mishaps.total
             ),
         ]
-        array = diagnostic_array(statuses, self._inputs.field.frame, now)
-        self._diagnostics_out.publish(array)
+        self._diagnostics_out.publish(diagnostic_array(statuses, self._inputs.field.frame, now))
         self._publish_status()
 
     def _publish_status(self) -> None:
-        answer = self._control.turn.last_conclusion
+        answer, state = self._control.turn.last_conclusion, self._magnetometers.state
         words = "" if answer is None else answer.message
-        self._announcer.follow_turn(self._magnetometers.state is not TurnState.IDLE, answer, words)
+        self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
         reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
         told = self._control, self._keeper, self._inputs, reference, self._watch, turns
-        motors = self._walk.motors.facts(self._compass)
-        status = status_json(*told, self._travel, self._keeping, self._magnetometers, motors)
+        extra = self._walk.motors.facts(self._compass), self._known
+        status = status_json(*told, self._travel, self._keeping, self._magnetometers, *extra)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

@@ -196,6 +196,35 @@ PARAMETERS: tuple[Spec, ...] = (
         "°",
     ),
     Spec(
+        "known_heading.yaw_deg",
+        UNSET,
+        "Heading at which the robot stands when ~/calibrate_at_heading is called: ENU yaw, 0 to "
+        "the east, 90 to the north, positive to the left; .nan for that of the topic heading",
+        -360.0,
+        360.0,
+        "°",
+    ),
+    Spec(
+        "known_heading.north",
+        "",
+        "Which north known_heading.yaw_deg is to; there is no default",
+        choices=("", "true", "magnetic"),
+    ),
+    Spec(
+        "known_heading.sigma_deg",
+        2.0,
+        "How far known_heading.yaw_deg may be off (1 σ)",
+        0.05,
+        30.0,
+        "°",
+    ),
+    Spec(
+        "known_heading.topic_north",
+        "true",
+        "Which north the topic heading is to; that of two antennas is true",
+        choices=("true", "magnetic"),
+    ),
+    Spec(
         "window.timeout_s",
         90.0,
         "A turn is used or refused after this time, whatever was seen",

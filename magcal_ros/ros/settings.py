@@ -13,6 +13,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.session.session import Limits
+from magcal_ros.core.session.told_heading import ToldHeading
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,8 @@ class Settings:
     `mount_is_given` that the magnetometer's pose was; `second_mount` is that of the second one.
     An empty `base_frame` is the IMU's.
     `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without.
+    `known_heading` is the heading typed in; None without, or while its north is not said.
+    `heading_is_true` tells which north the topic `heading` is to.
     """
 
     calibration_file: str
@@ -67,6 +70,9 @@ class Settings:
     magnetometers: int
     self_calibration: str
     vehicle_yaw: float | None
+    known_heading: ToldHeading | None
+    north_is_missing: bool
+    heading_is_true: bool
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Settings:
@@ -119,7 +125,19 @@ class Settings:
             values["magnetometers"],
             values["self_calibration"],
             None if math.isnan(by_hand) else math.radians(by_hand),
+            _told(values),
+            not (math.isnan(values["known_heading.yaw_deg"]) or values["known_heading.north"]),
+            values["known_heading.topic_north"] == "true",
         )
+
+
+def _told(values: Mapping[str, Any]) -> ToldHeading | None:
+    """Return the heading typed in; None without one, or while its north is not said."""
+    yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
+    if math.isnan(yaw) or not north:
+        return None
+    sigma = math.radians(values["known_heading.sigma_deg"])
+    return ToldHeading(math.radians(yaw), sigma, north == "true")
 
 
 def _pose(rpy_deg: tuple[float, float, float]) -> FloatArray | None:

@@ -22,6 +22,7 @@ from magcal_ros.files.plain import plain
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.self_keeping import SelfKeeping
@@ -39,6 +40,7 @@ def status_json(
     keeping: SelfKeeping,
     magnetometers: Magnetometers,
     motors: Mapping[str, Any] | None,
+    known_headings: KnownHeadings,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
     state = magnetometers.state.value
@@ -68,6 +70,7 @@ def status_json(
             "self_calibration": keeping.facts(),
             "magnetometers": magnetometers.facts(),
             "motors": motors,
+            "known_headings": known_headings.facts(),
             "dropped": {
                 "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
                 "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},

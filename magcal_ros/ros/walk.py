@@ -20,6 +20,7 @@ from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import HeadingOutput
 from magcal_ros.ros.reporter import Reporter
@@ -58,6 +59,8 @@ class Walk:
         Whether a calibration of a further one is in force, so that there is something to join.
     lead : Calibration or None
         In whose terms the heading is: that of the first magnetometer that has one.
+    known : KnownHeadings or None
+        Follows the gyro between known headings.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class Walk:
         self.several = SeveralCompasses()
         self.are_several = False
         self.lead: Calibration | None = None
+        self.known: KnownHeadings | None = None
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 
@@ -107,6 +111,8 @@ class Walk:
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
+        if self.known is not None and self.known.follows:
+            self.known.on_imu(seconds)
         reference = self._whereabouts.reference.field
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 

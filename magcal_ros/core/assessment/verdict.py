@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS
+from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS, HEADING_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
 from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, KNOWN_MOTORS, TURN_BOUNDS
@@ -209,8 +209,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > TUNING.nearly_full:
             figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
-    is_drive = Figure.HEADINGS_DRIVEN in figures
-    bounds = DRIVE_BOUNDS if is_drive else TURN_BOUNDS
+    bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else TURN_BOUNDS
+    bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
     if estimate.motors is not None:
         bounds = tuple(KNOWN_MOTORS if b.figure is Figure.MOTOR_FIELD else b for b in bounds)
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
@@ -347,7 +347,9 @@ def _not_shown(
             f"error in the heading is {tilted * DEGREES:.1f}° (1σ); "
             f"{'' if known else 'give the reference field, or '}turn on ramps"
         )
-    if Figure.GYRO_COMPASS_SWING not in figures and Figure.HEADINGS_DRIVEN not in figures:
+    if not {Figure.GYRO_COMPASS_SWING, Figure.HEADINGS_DRIVEN, Figure.KNOWN_HEADINGS} & set(
+        figures
+    ):
         found.append(GYRO_UNUSED if has_gyro else NO_GYRO)
     if not knowledge.reference.is_complete:
         found.append(NO_REFERENCE)
@@ -377,7 +379,9 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
 
 
 def _drive_in_words(figures: Mapping[Figure, float]) -> str:
-    """Say what was driven; empty for a turn."""
+    """Say what was driven, or at how many headings the robot stood; empty for a turn."""
+    if count := int(figures.get(Figure.KNOWN_HEADINGS, 0)):
+        return f" from {count} known headings" if count > 1 else " from one known heading"
     if Figure.HEADINGS_DRIVEN not in figures:
         return ""
     seconds, metres = figures[Figure.DRIVING_TIME], figures.get(Figure.METRES)

@@ -166,6 +166,12 @@ class Figure(str, Enum):
     """Level field of a drive less the one believed, in sigmas of the belief; absent where that is
     exact or unknown."""
 
+    KNOWN_HEADINGS = "known_headings"
+    """At how many known headings a robot stood."""
+    HEADING_MISFIT = "heading_misfit"
+    """How far known headings, field and gyro are apart, as many times as their sigmas explain;
+    absent of one known heading alone, which nothing contradicts."""
+
     CIRCLE_RADIUS = "circle_radius"
     """Radius of the turn's circle, tesla."""
     AXIS_TILT = "axis_tilt"

@@ -52,12 +52,21 @@ class FusedYaw:
     ----------
     detector : DisturbanceDetector
         Whether the field of the moment is the calibrated one.
+    last_told_gap : float
+        Radians by which the last told heading (`take_heading`) was ahead.
     """
 
     def __init__(
         self, calibration: Calibration, patience: float, tuning: FusionTuning | None = None
     ) -> None:
         self.tuning = tuning or FusionTuning()
+        self.use(calibration, patience)
+        self._path: deque[_Moment] = deque(maxlen=HISTORY)
+        self._filter = YawFilter()
+        self.restart()
+
+    def use(self, calibration: Calibration, patience: float) -> None:
+        """Go on with another calibration, where something else than the compass tells the yaw."""
         expected = Expected(calibration.strength, calibration.inclination)
         self.detector = DisturbanceDetector(
             expected,
@@ -68,9 +77,6 @@ class FusedYaw:
         )
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
-        self._path: deque[_Moment] = deque(maxlen=HISTORY)
-        self._filter = YawFilter()
-        self.restart()
 
     def restart(self) -> None:
         """Forget where north is; the next compass sample tells."""
@@ -82,7 +88,9 @@ class FusedYaw:
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, self.tuning.bias_sigma**2, 0.0)
         self._is_at_rest = False
-        self._corrected = self._begun = -math.inf
+        self._corrected = self._begun = self._told = -math.inf
+        self._share = 1.0
+        self.last_told_gap = 0.0
         self._overruled = 0.0
         self._path.clear()
 
@@ -192,6 +200,53 @@ class FusedYaw:
             return
         self._weigh(self._north, innovation, heading, min(since, self.tuning.noise_tau))
 
+    def take_heading(
+        self, stamp: float, yaw: float, variance: float, forward: Triple
+    ) -> float | None:
+        """Let a heading correct the yaw that is not measured by the field, as of two antennas.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        yaw : float
+            ENU yaw to magnetic north of `forward`, radians.
+        variance : float
+            Of it, rad².
+        forward : tuple of float
+            Direction in body axes.
+
+        Returns
+        -------
+        float or None
+            Sigmas by which it misses; beyond the gate it is not taken. None while north is not
+            known at its stamp.
+        """
+        north = self.north_at(stamp)
+        if north is None or stamp <= self._told:
+            return None
+        since = min(stamp - self._told, self.tuning.heading_tau)
+        self._told = stamp
+        assert self._north is not None
+        east = cross(north, self._up.direction)
+        own = math.atan2(dot(north, forward), dot(east, forward))
+        innovation = self.last_told_gap = wrapped(yaw - own)
+        # The compass's lasting error is in the yaw that it has corrected.
+        lasting = self._share * self._lasting
+        missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + lasting + variance)
+        if missed > self.tuning.told_gate:
+            return missed
+        self._filter.doubt_yaw(lasting)
+        self._share = 0.0
+        noise = variance * self.tuning.heading_tau / since
+        self._turn(self._north, self._filter.observe_yaw(innovation, noise))
+        return missed
+
+    @property
+    def is_told(self) -> bool:
+        """Whether something else than the compass has told the yaw lately."""
+        return self._north is not None and self._stamp - self._told < self.tuning.heading_tau
+
     def heading(self) -> Heading | None:
         """Return the attitude at the newest IMU message; None while north is not known."""
         north, up = self._north, self._up.direction
@@ -200,7 +255,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = self._filter.yaw_variance + self._lasting
+        variance = self._filter.yaw_variance + self._share * self._lasting
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:
@@ -274,9 +329,13 @@ class FusedYaw:
             # Errors by tilt are common to both: where the compass of the moment is the better
             # one, a mean of both is not.
             following.follow(share, momentary)
-            self._turn(north, share * innovation)
+            turned = share * innovation
         else:
-            self._turn(north, following.observe(innovation, noise))
+            turned = following.observe(innovation, noise)
+        self._turn(north, turned)
+        if self._share < 1.0 and innovation:
+            # What the compass corrects brings its lasting error with it.
+            self._share += (1.0 - self._share) * min(max(turned / innovation, 0.0), 1.0)
 
     def _turn(self, north: Triple, angle: float) -> None:
         x, y, z = self._up.direction

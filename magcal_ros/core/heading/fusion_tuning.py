@@ -82,6 +82,10 @@ class FusionTuning:
         yaw is wrong.
     beyond_doubt : float
         Squared gates of disagreement that count fully; what disagrees less needs longer.
+    heading_tau : float
+        Seconds over which the error of a heading that somebody else measures is correlated.
+    told_gate : float
+        Sigmas by which such a heading may miss; beyond, it is not taken.
     unknown : float
         Radians of uncertainty of a start in a field that is not the expected one.
     start : float
@@ -101,6 +105,8 @@ class FusionTuning:
     gate: float = 3.0
     overruled_after: float = 3.0
     beyond_doubt: float = 4.0
+    heading_tau: float = 2.0
+    told_gate: float = 4.0
     unknown: float = 0.5
     start: float = 5.0
     disturbance: DisturbanceTuning = field(default_factory=DisturbanceTuning)

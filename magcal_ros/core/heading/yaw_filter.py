@@ -120,6 +120,21 @@ class YawFilter:
         self._bias_disturbance -= by_bias * by_disturbance / spread
         return by_yaw * left
 
+    def observe_yaw(self, innovation: float, noise: float) -> float:
+        """Take a yaw that no field disturbs less the propagated one; otherwise as `observe`."""
+        spread = self.yaw_variance + noise
+        left = innovation / spread
+        by_yaw, by_bias, by_disturbance = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
+        self.bias += by_bias * left
+        self.disturbance += by_disturbance * left
+        self.yaw_variance -= by_yaw * by_yaw / spread
+        self._bias -= by_bias * by_bias / spread
+        self._disturbance -= by_disturbance * by_disturbance / spread
+        self._yaw_bias -= by_yaw * by_bias / spread
+        self._yaw_disturbance -= by_yaw * by_disturbance / spread
+        self._bias_disturbance -= by_bias * by_disturbance / spread
+        return by_yaw * left
+
     def follow(self, share: float, variance: float) -> None:
         """Give up a share of the yaw for a compass whose variance is smaller, rad²."""
         self.yaw_variance += share * (variance - self.yaw_variance)

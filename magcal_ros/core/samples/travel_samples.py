@@ -35,3 +35,11 @@ class VelocitySample(NamedTuple):
 
 TravelSample = SpeedSample | PositionSample | VelocitySample
 """Whatever tells how a vehicle travels."""
+
+
+class HeadingSample(NamedTuple):
+    """ENU yaw (rad) that somebody else measures, with its sigma, at a stamp (s)."""
+
+    stamp: float
+    yaw: float
+    sigma: float

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle
 from magcal_ros.core.geometry.rotations import (
     exp_rotations,
     rotation_from_rpy,
@@ -206,6 +206,52 @@ def force(course: Course, state: State) -> Linear:
         skews(np.cross(rate, arm)) + spin @ skews(arm[None])[0] - sideways[:, :, None] * up
     )
     return Linear(nodes.force - predicted, here, there, by)
+
+
+def force_at_rest(measured: FloatArray, state: State) -> Linear:
+    """Return what the specific force says at nodes that stand, (n, 3) in m/s²."""
+    gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
+    here = np.zeros((len(measured), 3, LOCAL))
+    here[:, :, ATTITUDE] = -skews(gravity)
+    by = np.zeros((len(measured), 3, SHARED))
+    by[:, :, AT["force_offset"]] = np.eye(3)
+    return Linear(measured - gravity - state.shared[AT["force_offset"]], here, None, by)
+
+
+def known_heading(heading: FloatArray, forward: FloatArray, state: State) -> Linear:
+    """Return what is known of the nodes' headings.
+
+    Parameters
+    ----------
+    heading : ndarray, shape (n,)
+        ENU yaw to magnetic north, radians.
+    forward : ndarray, shape (n, 3)
+        The direction in body axes that points there.
+    state : State
+    """
+    off, by_attitude = _heading_less(heading, forward, state)
+    here = np.zeros((len(heading), 1, LOCAL))
+    here[:, 0, ATTITUDE] = by_attitude
+    return Linear(off[:, None], here)
+
+
+def known_turn(turned: FloatArray, forward: FloatArray, state: State) -> Linear:
+    """Return what is known of the turns between nodes, (n - 1,) radians to the left."""
+    ahead, by_attitude = _heading_less(np.zeros(len(forward)), forward, state)
+    here, there = (np.zeros((len(turned), 1, LOCAL)) for _ in range(2))
+    here[:, 0, ATTITUDE], there[:, 0, ATTITUDE] = -by_attitude[:-1], by_attitude[1:]
+    # `ahead` is minus the heading.
+    return Linear(wrap_angle(turned + ahead[1:] - ahead[:-1])[:, None], here, there)
+
+
+def _heading_less(
+    heading: FloatArray, forward: FloatArray, state: State
+) -> tuple[FloatArray, FloatArray]:
+    """Return headings less those of a state, and the derivative of the latter by the attitudes."""
+    east, north = state.attitude[:, :, 0], state.attitude[:, :, 1]
+    x, y = np.sum(east * forward, axis=1), np.sum(north * forward, axis=1)
+    turned = x[:, None] * np.cross(north, forward) - y[:, None] * np.cross(east, forward)
+    return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
 
 
 def gyro(course: Course, state: State) -> Linear:

@@ -23,6 +23,7 @@ from magcal_ros.core.smoother.factors import (
     soft_iron,
 )
 from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -96,17 +97,22 @@ def posterior(fit: Fit, to_sensor: FloatArray) -> Posterior:
     to_sensor : ndarray, shape (3, 3)
         From nominal body axes to sensor axes (`Mounting.matrix`).
     """
-    shared = fit.state.shared
-    up = unit(np.median(fit.state.attitude[:, :, 2], axis=0))
+    return posterior_at(fit.state, fit.covariance, to_sensor)
+
+
+def posterior_at(state: State, known: FloatArray, to_sensor: FloatArray) -> Posterior:
+    """Return the calibration at a state, by the covariance (SHARED, SHARED) of what is shared."""
+    shared = state.shared
+    up = unit(np.median(state.attitude[:, :, 2], axis=0))
     correction = correction_of(shared, to_sensor, up)
     jacobian = _by_shared(shared, correction, to_sensor, up)
     by_motors = np.zeros((6, SHARED))
     for k, name in enumerate(MOTORS.values()):
         by_motors[3 * k : 3 * k + 3, AT[name]] = to_sensor / MICROTESLA
     both = np.vstack([jacobian, by_motors])
-    joint = both @ fit.covariance @ both.T
-    offset = fit.covariance[AT["force_offset"]] @ jacobian.T
-    own = np.linalg.pinv(fit.covariance[AT["force_offset"], AT["force_offset"]])
+    joint = both @ known @ both.T
+    offset = known[AT["force_offset"]] @ jacobian.T
+    own = np.linalg.pinv(known[AT["force_offset"], AT["force_offset"]])
     level, down = shared[EARTH] / MICROTESLA
     return Posterior(
         np.concatenate([correction.parameters, by_motors @ shared]),

@@ -147,6 +147,11 @@ SIZES: dict[str, Size] = {
     "speed_change": Size(0.05, 1.2, 4.0, "m/s/√s", "change of velocity", "cars .5, on the spot 0"),
 }
 
+STANDING = Size(
+    0.7, 0.5, 6.0, "µT", "local disturbance where a robot stands, per axis", "open places: .3 to 2"
+)
+"""Of a robot at a known heading, which stands on one spot instead of passing along a street."""
+
 
 class KindOfMotion(NamedTuple):
     """A kind of motion: the usual velocity (m/s per axis) and lever arm (m)."""

@@ -334,3 +334,30 @@ def test_slow_and_fast_imus(rate):
     course.go(3.0)
     course.go(3.0, yaw_rate=0.5)
     assert abs(fusing.errors_deg()[-1]) < 3.0
+
+
+def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
+    fused = FusedYaw(CALIBRATED, PATIENCE)
+    up, field = Up((0.0, 0.0, 1.0), 1e-4), CALIBRATED.strength * np.array([0.0, 0.4, -0.9])
+    heading = Compass(CALIBRATED).heading(tuple(field), (0.0, 0.0, 1.0), 1e-4)
+    told = [0.0, 0.0]
+    for k in range(3000):
+        stamp = 100.0 + 0.02 * k
+        # A gyro that turns by 0.3 °/s, of which nobody knows, while the robot stands.
+        fused.propagate(stamp, up, (0.0, 0.0, math.radians(0.3)))
+        if k == 0:
+            fused.correct(stamp, tuple(field), up, heading)
+        elif k % 10 == 0 and k < 2500:
+            missed = fused.take_heading(stamp, heading.yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+            assert missed < fused.tuning.told_gate
+        if k in (2500, 2999):
+            told[k == 2999] = abs(fused.heading().yaw - heading.yaw)
+    assert told[0] < math.radians(1.0)
+    # Ten seconds of silence would be 3° with the bias as it was.
+    assert told[1] < math.radians(2.0)
+    assert fused.take_heading(200.0, heading.yaw + 1.0, 1e-4, (1.0, 0.0, 0.0)) is None
+    last = 100.0 + 0.02 * 3000
+    fused.propagate(last, up, (0.0, 0.0, 0.0))
+    before = fused.heading().yaw
+    assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > fused.tuning.told_gate
+    assert fused.heading().yaw == before

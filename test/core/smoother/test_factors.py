@@ -53,7 +53,28 @@ def process(_: Course, state: State) -> Linear:
     return factors.process(state, STREET, np.full(len(state.local) - 1, 0.7))
 
 
-FACTORS = (magnetic, factors.force, factors.gyro, process)
+def forward(count: int) -> np.ndarray:
+    return np.tile([0.8, 0.5, 0.1], (count, 1))
+
+
+def known_heading(_: Course, state: State) -> Linear:
+    count = len(state.local)
+    return factors.known_heading(np.linspace(0.0, 1.0, count), forward(count), state)
+
+
+def known_turn(_: Course, state: State) -> Linear:
+    count = len(state.local)
+    return factors.known_turn(np.linspace(0.0, 0.1, count - 1), forward(count), state)
+
+
+def force_at_rest(_: Course, state: State) -> Linear:
+    return factors.force_at_rest(np.tile([0.3, -0.2, 9.7], (len(state.local), 1)), state)
+
+
+FACTORS = (
+    *(magnetic, factors.force, factors.gyro, process),
+    *(known_heading, known_turn, force_at_rest),
+)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:

@@ -1,0 +1,265 @@
+"""A calibration from standing at known headings, without a turn."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.estimate import Estimate, Installation
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import unit, wrapped
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother.headings import (
+    HeadingAgreement,
+    agreement_of,
+    fit_headings,
+    sigma_with,
+)
+from magcal_ros.core.smoother.standings import Standing
+from magcal_ros.core.smoother.unknowns import ROLL_PITCH, STANDING, YAW, Size
+
+METHOD = "known_headings"
+DEGREES = 180.0 / math.pi
+FEW = 24
+"""Up to so many standings it is asked which one contradicts the others."""
+
+
+@dataclass(frozen=True)
+class ContradictionTuning:
+    """When known headings contradict field and gyro.
+
+    Parameters
+    ----------
+    chance : float
+        Probability of a larger misfit by chance, below which they do.
+    odds : float
+        Minus twice the logarithm of the likelihood ratio by which another reading of the headings
+        must be better to be named: one in four hundred.
+    declination : float
+        Sigmas of the installation's yaw by which the declination must be seen to be named.
+    """
+
+    chance: float = 1e-3
+    odds: float = 12.0
+    declination: float = 3.0
+
+
+TUNING = ContradictionTuning()
+
+QUARTER = 0.5 * math.pi
+READINGS: dict[str, tuple[float, float]] = {
+    "they count clockwise from north, as a compass bearing does: "
+    "yaw counts to the left from east (ENU), 90° minus the bearing": (-1.0, QUARTER),
+    "their sign is wrong, or the antennas are mirrored: yaw counts to the left from east (ENU)": (
+        -1.0,
+        0.0,
+    ),
+    "they are half a turn off: front and back, or the two antennas, are exchanged": (1.0, math.pi),
+    "they are a quarter turn too far to the right: yaw is zero to the east, not to the north, "
+    "and two antennas that sit across tell another yaw than the vehicle's": (1.0, QUARTER),
+    "they are a quarter turn too far to the left: two antennas that sit across tell another yaw "
+    "than the vehicle's": (1.0, -QUARTER),
+}
+"""What people and drivers mistake, and by which sign and shift (radians) the heading follows."""
+
+
+def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
+    """Find the twelve numbers from known headings.
+
+    Parameters
+    ----------
+    standings : sequence of Standing
+        At least one.
+    knowledge : Knowledge
+    place : Size
+        The local disturbance, larger along streets than where a robot stands.
+
+    Returns
+    -------
+    Estimate
+        The yaw of the installation is among what is found. Its samples are the standings.
+
+    Raises
+    ------
+    Refusal
+        If headings, field and gyro contradict each other; the text names what is likely wrong.
+    """
+    try:
+        found = fit_headings(standings, knowledge, place)
+    except np.linalg.LinAlgError:
+        words = "the samples do not determine a calibration; stand at another known heading"
+        raise Refusal(Reason.NO_SOLUTION, words) from None
+    _refuse_contradiction(found.agreement, standings, knowledge, place)
+    shared, posterior = found.state.shared, found.posterior
+    roll, pitch = shared[ROLL_PITCH]
+    count = len(standings)
+    figures = {
+        Figure.KNOWN_HEADINGS: float(count),
+        Figure.INSTALLATION_YAW_SIGMA: found.yaw_sigma,
+        Figure.SOFT_IRON: 1.0,
+    }
+    if count > 1:
+        figures[Figure.HEADING_MISFIT] = found.agreement.times
+    return Estimate(
+        method=METHOD,
+        correction=posterior.correction,
+        covariance=posterior.covariance,
+        installation=Installation(float(roll), float(pitch), float(shared[YAW])),
+        axis=unit(np.mean([unit(each.force) for each in standings], axis=0)),
+        arc=_arc(standings),
+        strength=posterior.strength,
+        inclination=posterior.inclination,
+        noise_field=max(each.noise_field for each in standings),
+        noise_up=max(each.noise_up for each in standings),
+        inliers=np.ones(count, dtype=bool),
+        residual=found.residual,
+        figures=figures,
+        message="converged",
+    )
+
+
+def _arc(standings: Sequence[Standing]) -> float:
+    """Return the radians of the circle that the headings span."""
+    yaw = np.sort([each.heading % math.tau for each in standings])
+    gaps = np.diff(np.append(yaw, yaw[0] + math.tau))
+    return math.tau - float(gaps.max())
+
+
+def _refuse_contradiction(
+    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+) -> None:
+    """Refuse headings that field and gyro contradict, and say what they likely are instead."""
+    if not agreement.freedom:
+        return
+    rivals = _rivals(standings, knowledge, place)
+    words = min(rivals, key=lambda each: rivals[each].cost)
+    best = rivals[words]
+    if best.cost < agreement.cost - TUNING.odds and best.chance > TUNING.chance:
+        raise Refusal(
+            Reason.HEADING_CONTRADICTED,
+            f"The known headings contradict the field: {words}. Read so, they agree with it.",
+        )
+    if agreement.chance < TUNING.chance:
+        raise Refusal(Reason.HEADING_CONTRADICTED, _stray(agreement, standings, knowledge, place))
+
+
+def _rivals(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size
+) -> dict[str, HeadingAgreement]:
+    """Return what other readings of the headings come to, by what they say."""
+    found = {}
+    for words, (sign, shift) in READINGS.items():
+        read = []
+        for each in standings:
+            north = _shift(each, knowledge)
+            heading = wrapped(sign * (each.heading - north) + shift + north)
+            read.append(replace(each, heading=heading))
+        found[words] = agreement_of(read, knowledge, place)
+    return found
+
+
+def _shift(standing: Standing, knowledge: Knowledge) -> float:
+    """Return a heading to magnetic north less the one that was told, radians."""
+    return (knowledge.reference.declination or 0.0) if standing.by_declination else 0.0
+
+
+def _as_told(standing: Standing, knowledge: Knowledge) -> str:
+    """Return a heading as it was told, in words."""
+    told = wrapped(standing.heading - _shift(standing, knowledge)) * DEGREES
+    return f"{told:.0f}° to {'true' if standing.by_declination else 'magnetic'} north"
+
+
+def _stray(
+    agreement: HeadingAgreement, standings: Sequence[Standing], knowledge: Knowledge, place: Size
+) -> str:
+    """Say which heading the others contradict; where none stands out, that they disagree."""
+    count = len(standings)
+    apart = [replace(each, turned_sigma=math.inf) for each in standings]
+    alone = agreement_of(apart, knowledge, place)
+    if alone.chance > TUNING.chance:
+        return _by_gyro(standings)
+    if 2 < count <= FEW:
+        found = [agreement_of(_without(standings, k), knowledge, place) for k in range(count)]
+        k = min(range(count), key=lambda j: found[j].cost)
+        if found[k].chance > TUNING.chance:
+            return (
+                f"Known heading {k + 1} of {count} ({_as_told(standings[k], knowledge)}) "
+                "contradicts the others by the field: was it typed in wrong, or did iron stand "
+                "beside the robot there?"
+            )
+    return (
+        f"The known headings contradict the field by {agreement.times:.1f} times what their "
+        "sigmas explain: check headings and sigmas, and stand away from iron."
+    )
+
+
+def _by_gyro(standings: Sequence[Standing]) -> str:
+    """Say between which headings the gyro saw another turn."""
+
+    def off(k: int) -> float:
+        one, next_ = standings[k], standings[k + 1]
+        return wrapped(next_.heading - one.heading - next_.turned)
+
+    k = max(range(len(standings) - 1), key=lambda j: abs(off(j)) / standings[j + 1].turned_sigma)
+    told = wrapped(standings[k + 1].heading - standings[k].heading) * DEGREES
+    seen = wrapped(standings[k + 1].turned) * DEGREES
+    return (
+        f"Between known headings {k + 1} and {k + 2} the robot should have turned by {told:.0f}°, "
+        f"and the gyro saw {seen:.0f}° (to the left): check both headings, and the sign and unit "
+        "(rad/s) of the gyro."
+    )
+
+
+def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
+    """Return all standings but one; no gyro tells of the turn across the gap."""
+    rest = [each for k, each in enumerate(standings) if k != left_out]
+    if left_out < len(rest):
+        rest[left_out] = replace(rest[left_out], turned_sigma=math.inf)
+    return rest
+
+
+def declination_hint(
+    estimate: Estimate, standings: Sequence[Standing], knowledge: Knowledge
+) -> str:
+    """Say that the headings may be to the other north; empty where nothing points to it.
+
+    A heading to the wrong north looks as if the magnetometer were mounted turned by the
+    declination, and nothing but the size of that turn tells the two apart.
+    """
+    declination = knowledge.reference.declination
+    assert estimate.installation is not None
+    yaw, sigma = estimate.installation.yaw, estimate.figures[Figure.INSTALLATION_YAW_SIGMA]
+    if declination is None or abs(declination) < TUNING.declination * sigma:
+        return ""
+    told_true = [each.by_declination for each in standings]
+    # Told to true north but counted from magnetic, the yaw comes out as minus the declination.
+    expected = -declination if all(told_true) else declination
+    if all(told_true) is not any(told_true) or abs(yaw - expected) > abs(yaw):
+        return ""
+    if abs(yaw) < TUNING.declination * sigma:
+        return ""
+    given, other = ("true", "magnetic") if all(told_true) else ("magnetic", "true")
+    return (
+        f"the magnetometer would be mounted turned by {yaw * DEGREES:.0f}°, as much as the "
+        f"declination here ({declination * DEGREES:.0f}°): if it is mounted straight, the "
+        f"headings are to {other} north and not to {given} north"
+    )
+
+
+def next_heading(
+    standings: Sequence[Standing], knowledge: Knowledge, tries: int = 8
+) -> tuple[float, float]:
+    """Return which further heading would show most, and the heading's sigma with it, radians.
+
+    The heading is to magnetic north, of what the last standing's `forward` points along.
+    """
+    found = fit_headings(standings, knowledge)
+    last = standings[-1].heading
+    headings = [wrapped(last + k * math.tau / tries) for k in range(1, tries)]
+    sigmas = [sigma_with(found, standings, knowledge, heading) for heading in headings]
+    best = int(np.argmin(sigmas))
+    return headings[best], sigmas[best]

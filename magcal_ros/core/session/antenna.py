@@ -1,0 +1,133 @@
+"""Calibrating while something else tells the heading, as two antennas do."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from magcal_ros.core.assessment.verdict import judge
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrapped
+from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.methods.known_headings import fit
+from magcal_ros.core.session.told_heading import LOG, ToldHeading
+from magcal_ros.core.smoother.standings import Standing
+from magcal_ros.core.smoother.unknowns import SIZES
+
+
+class HeadingLog:
+    """Keeps means of the field at known headings, a few of each direction.
+
+    Parameters
+    ----------
+    forward : ndarray, shape (3,)
+        Direction in the IMU's axes whose heading is told.
+    """
+
+    def __init__(self, forward: FloatArray) -> None:
+        self.forward = forward
+        self._kept: list[deque[tuple[float, Standing]]] = [
+            deque(maxlen=LOG.each) for _ in range(LOG.sectors)
+        ]
+        self._newest, self._fresh = -math.inf, 0
+        self._rested = False
+        self._begin(math.nan)
+
+    def _begin(self, stamp: float) -> None:
+        self._started, self._count = stamp, 0
+        self._field, self._up = np.zeros(3), np.zeros(3)
+        self._east = self._north = 0.0
+
+    def add(
+        self,
+        stamp: float,
+        field: Triple,
+        up: Triple,
+        rate: Triple,
+        told: ToldHeading,
+        shift: float,
+        is_at_rest: bool,
+    ) -> bool:
+        """Take a field sample; returns whether enough is new for a fit.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field : tuple of float
+            Raw, tesla.
+        up, rate : tuple of float
+            Unit, and rad/s less the bias, body axes.
+        told : ToldHeading
+            Of this moment.
+        shift : float
+            Declination, if the heading is to true north, radians.
+        is_at_rest : bool
+            Whether the robot stands: one mean tells all that is to be had there.
+        """
+        self._rested = self._rested and is_at_rest
+        if self._rested:
+            return False
+        if abs(dot(rate, up)) > LOG.rate:
+            self._begin(math.nan)
+            return False
+        if not 0.0 <= stamp - self._started < 2.0 * LOG.block:
+            self._begin(stamp)
+        self._field += field
+        self._up += up
+        self._east += math.cos(told.yaw)
+        self._north += math.sin(told.yaw)
+        self._count += 1
+        if stamp - self._started < LOG.block or self._count < LOG.fewest:
+            return False
+        heading = wrapped(math.atan2(self._north, self._east) + shift)
+        standing = Standing(
+            self._field / self._count,
+            STANDARD_GRAVITY * self._up / self._count,
+            heading,
+            math.hypot(told.sigma, LOG.sigma),
+            by_declination=told.is_true,
+            forward=self.forward,
+            force_sigma=LOG.force,
+        )
+        self._begin(math.nan)
+        self._rested = is_at_rest
+        return self._keep(stamp, heading, standing)
+
+    def _keep(self, stamp: float, heading: float, standing: Standing) -> bool:
+        sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
+        since = stamp - (sector[-1][0] if sector else self._newest)
+        if 0.0 <= since < (LOG.pause if sector else LOG.block):
+            return False
+        sector.append((stamp, standing))
+        self._newest = stamp
+        self._fresh += 1
+        return self._fresh >= max(LOG.first, len(self.standings) // 3)
+
+    @property
+    def standings(self) -> tuple[Standing, ...]:
+        """What is kept, in the order of time."""
+        found = [each for sector in self._kept for each in sector]
+        return tuple(standing for _, standing in sorted(found, key=lambda each: each[0]))
+
+    def take(self) -> tuple[Standing, ...]:
+        """Return what is kept, for a fit; what comes after is new."""
+        self._fresh = 0
+        return self.standings
+
+
+def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> Outcome:
+    """Calibrate from headings that were told on the way, and judge the result."""
+    try:
+        estimate = fit(standings, knowledge, SIZES["street"])
+    except Refusal as refusal:
+        return Outcome.refused(refusal)
+    verdict = judge(estimate, knowledge)
+    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
+    return Outcome(verdict, calibration, estimate)

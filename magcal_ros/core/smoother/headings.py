@@ -1,0 +1,170 @@
+"""A calibration from known headings: what the field shows where a robot stands and is told how."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.posterior import Posterior, posterior_at
+from magcal_ros.core.smoother.standings import (
+    Standing,
+    StandingOptimum,
+    Standings,
+    course_of,
+    rms_size,
+)
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    MICROTESLA,
+    SHARED,
+    STANDING,
+    YAW,
+    Size,
+)
+
+SPREADS = np.linspace(-2.4, 2.4, 7)
+"""Spreads of its logarithm at which the size of the local disturbance is tried."""
+BELIEVED = -2
+"""Which of them is the largest size beside which headings that do not fit are contradicted."""
+
+
+@dataclass(frozen=True)
+class HeadingAgreement:
+    """How well known headings, field and gyro agree.
+
+    Parameters
+    ----------
+    cost : float
+        Minus twice the logarithm of the evidence, but for a constant of the number of standings.
+    misfit : float
+        Squared deviations over their variances at the usual size of the local disturbance.
+    least : float
+        The same at the largest size that is believed.
+    freedom : int
+        How many deviations that adds up: those of the field but for the hard iron.
+    """
+
+    cost: float
+    misfit: float
+    least: float
+    freedom: int
+
+    @property
+    def chance(self) -> float:
+        """The probability that chance alone makes a larger misfit."""
+        from scipy.special import gammaincc
+
+        return float(gammaincc(0.5 * self.freedom, 0.5 * self.least)) if self.freedom else 1.0
+
+    @property
+    def times(self) -> float:
+        """How far they are apart, as many times as their sigmas explain."""
+        return math.sqrt(self.misfit / self.freedom) if self.freedom else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class HeadingFit:
+    """What known headings show.
+
+    Parameters
+    ----------
+    state : State
+    covariance : ndarray, shape (SHARED, SHARED)
+        Of the shared unknowns.
+    posterior : Posterior
+    agreement : HeadingAgreement
+    residual : ndarray, shape (n, 3)
+        Field less the model's without the local disturbance, tesla, sensor axes.
+    yaw_sigma : float
+        Of the installation's yaw, radians.
+    """
+
+    state: State
+    covariance: FloatArray
+    posterior: Posterior
+    agreement: HeadingAgreement
+    residual: FloatArray
+    yaw_sigma: float
+
+
+def fit_headings(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+) -> HeadingFit:
+    """Find the shared unknowns from standings at known headings.
+
+    Parameters
+    ----------
+    standings : sequence of Standing
+        At least one.
+    knowledge : Knowledge
+    place : Size
+        The local disturbance.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the matrix is not positive definite.
+    """
+    model = Standings.of(standings, knowledge)
+    middle = model.optimum(rms_size(place))
+    sizes = place.usual * np.exp(place.spread * SPREADS)
+    found = [model.optimum(float(size), middle.state) for size in sizes]
+    costs = np.array([each.cost for each in found]) + SPREADS**2
+    weights = np.exp(-0.5 * (costs - costs.min()))
+    weights = weights / weights.sum()
+    shared = np.einsum("k,ks->s", weights, [each.state.shared for each in found])
+    covariance = np.zeros((SHARED, SHARED))
+    for weight, each in zip(weights, found, strict=True):
+        off = each.state.shared - shared
+        covariance += weight * (each.covariance + np.outer(off, off))
+    if np.linalg.det(factors.soft_iron(shared)) <= 0.0:
+        raise np.linalg.LinAlgError("the soft iron mirrors the axes")
+    state = replace(found[int(np.argmax(weights))].state, shared=shared)
+    posterior = posterior_at(state, covariance, knowledge.mounting.matrix)
+    residual = model.field_of(state).residual @ knowledge.mounting.matrix.T / MICROTESLA
+    yaw_sigma = math.sqrt(covariance[YAW, YAW])
+    agreement = _agreement(middle, found[BELIEVED], len(standings))
+    return HeadingFit(state, covariance, posterior, agreement, residual, yaw_sigma)
+
+
+def agreement_of(
+    standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING
+) -> HeadingAgreement:
+    """Return how well standings agree; parameters and errors as of `fit_headings`."""
+    model = Standings.of(standings, knowledge)
+    middle = model.optimum(rms_size(place))
+    size = place.usual * math.exp(place.spread * SPREADS[BELIEVED])
+    return _agreement(middle, model.optimum(size, middle.state), len(standings))
+
+
+def _agreement(usual: StandingOptimum, large: StandingOptimum, count: int) -> HeadingAgreement:
+    return HeadingAgreement(usual.cost, usual.misfit, large.misfit, 3 * count - 3)
+
+
+def sigma_with(
+    fit: HeadingFit, standings: Sequence[Standing], knowledge: Knowledge, heading: float
+) -> float:
+    """Return the heading's sigma on the level, radians, that a further standing would leave.
+
+    Parameters
+    ----------
+    fit : HeadingFit
+        What the standings so far show.
+    standings : sequence of Standing
+    knowledge : Knowledge
+    heading : float
+        Of the further one, as sure as the last; radians to magnetic north.
+    """
+    last = replace(standings[-1], heading=heading, turned_sigma=math.inf)
+    more = Standings.of([*standings, last], knowledge)
+    # Its field is what the fit expects there, so that only the covariance changes.
+    state = replace(more.start, shared=fit.state.shared)
+    fields = more.course.nodes.field - more.field_of(state).residual
+    found = replace(more, course=course_of(fields), start=state).optimum(rms_size(STANDING))
+    return posterior_at(found.state, found.covariance, knowledge.mounting.matrix).heading_sigma

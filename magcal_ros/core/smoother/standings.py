@@ -1,0 +1,319 @@
+"""Robots that stand at known headings, as nodes of the smoother.
+
+Each standing is a node without a link, or with the turn that the gyro saw since the one before.
+The unknowns and their priors are the smoother's; what only motion makes stays zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from dataclasses import field as member
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray, frozen_array
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part, unit
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.rests import Course
+from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    BODY_FIELD,
+    EARTH,
+    LOCAL,
+    MICROTESLA,
+    SHARED,
+    SIZES,
+    STREET,
+    UNKNOWNS,
+    YAW,
+    Priors,
+    Size,
+    priors_of,
+)
+
+X = np.array([1.0, 0.0, 0.0])
+STEPS = 30
+CLOSE = 1e-2
+"""Sigmas of an unknown below which a step ends the iterations."""
+BY_MOTION = (
+    *("gyro_bias", "gyro_matrix", "lever_arm", "latency"),
+    *("motors_moving", "motors_rate", "drift", "force_moving"),
+)
+"""Unknowns that standing does not ask for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What a robot measured while it stood at a known heading.
+
+    Parameters
+    ----------
+    field : array_like, shape (3,)
+        Mean raw field, tesla, in the magnetometer's axes.
+    force : array_like, shape (3,)
+        Mean specific force, m/s², body axes.
+    heading : float
+        ENU yaw to magnetic north of `forward`, radians.
+    sigma : float
+        Its standard deviation.
+    by_declination : bool
+        Whether it was told to true north: such headings share the declination's error.
+    forward : array_like, shape (3,)
+        Direction in body axes whose heading it is; body x unless given.
+    turned, turned_sigma : float
+        Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
+        tells.
+    noise_field, noise_up : float
+        Standard deviations of single samples: tesla per axis, radians of tilt per axis.
+    force_sigma : float
+        m/s² per axis of `force`; larger where up is of a robot that moves.
+    """
+
+    field: FloatArray
+    force: FloatArray
+    heading: float
+    sigma: float
+    by_declination: bool = False
+    forward: FloatArray = member(default_factory=lambda: X)
+    turned: float = 0.0
+    turned_sigma: float = math.inf
+    noise_field: float = 0.3e-6
+    noise_up: float = 0.003
+    force_sigma: float = SIZES["force"].usual
+
+    def __post_init__(self) -> None:
+        for name in ("field", "force", "forward"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (3,), name))
+
+    @property
+    def in_words(self) -> str:
+        """The heading for people."""
+        yaw, sigma = math.degrees(self.heading), math.degrees(self.sigma)
+        return f"{yaw:.1f}° ±{sigma:.1f}° to magnetic north"
+
+
+@dataclass(frozen=True, eq=False)
+class StandingOptimum:
+    """The optimum at one size of the local disturbance."""
+
+    state: State
+    covariance: FloatArray
+    cost: float
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Standings:
+    """All standings as nodes, and what is believed before."""
+
+    course: Course
+    force: FloatArray
+    force_sigma: FloatArray
+    heading: FloatArray
+    sigma: FloatArray
+    forward: FloatArray
+    turned: FloatArray
+    turned_sigma: FloatArray
+    common: FloatArray
+    priors: Priors
+    start: State
+
+    @classmethod
+    def of(cls, standings: Sequence[Standing], knowledge: Knowledge) -> Standings:
+        """Return standings as nodes, with the priors that go with what is known."""
+        field_ = np.array([each.field for each in standings]) @ knowledge.mounting.to_body.T
+        force = np.array([each.force for each in standings])
+        heading = np.array([each.heading for each in standings])
+        forward = np.array([each.forward for each in standings])
+        course = course_of(field_ * MICROTESLA)
+        priors = _priors(knowledge)
+        state = _start(course.nodes, force, heading, forward, priors)
+        by = np.array([each.by_declination for each in standings], dtype=float)
+        return cls(
+            course,
+            force,
+            np.array([each.force_sigma for each in standings]),
+            heading,
+            np.array([each.sigma for each in standings]),
+            forward,
+            np.array([each.turned for each in standings[1:]]),
+            np.array([each.turned_sigma for each in standings[1:]]),
+            by * knowledge.reference.declination_sigma,
+            replace(priors, mean=_about(priors, state)),
+            state,
+        )
+
+    def field_of(self, state: State) -> factors.Linear:
+        """Return what the field says."""
+        return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
+
+    def weighed(self, state: State) -> dict[str, Weighted]:
+        """Return all residuals with their variances."""
+        ones = np.ones(len(self.heading))
+
+        def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
+            return Weighted(linear, variance, GAUSSIAN)
+
+        found = {
+            "field": known(self.field_of(state), rms_size(SIZES["field"]) ** 2 * ones),
+            "force": known(factors.force_at_rest(self.force, state), self.force_sigma**2),
+            "heading": known(
+                factors.known_heading(self.heading, self.forward, state), self.sigma**2
+            ),
+        }
+        if len(ones) > 1:
+            turn = factors.known_turn(self.turned, self.forward, state)
+            found["turn"] = known(turn, self.turned_sigma**2)
+        return found
+
+    def prior(self, state: State, size: float) -> Prior:
+        """Return the priors with a size of the local disturbance."""
+        local = np.full_like(state.local, 1.0)
+        local[:, : LOCAL - 8] = LEAST_VARIANCE
+        local[:, STREET] = size**-2.0
+        local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
+        free = self.free
+        information = np.zeros((SHARED, SHARED))
+        information[free, free] = self.priors.scale[free] ** -2.0
+        information[EARTH, EARTH] = np.linalg.inv(self.priors.earth)
+        offset = self.priors.mean - state.shared
+        return Prior(local, -state.local, information[np.ix_(free, free)], offset[free])
+
+    @property
+    def free(self) -> IntArray:
+        """The shared unknowns that are looked for."""
+        return np.flatnonzero(self.priors.scale > 0.0)
+
+    def optimum(self, size: float, start: State | None = None) -> StandingOptimum:
+        """Return the optimum at a size of the local disturbance."""
+        state, free = start or self.start, self.free
+        for _ in range(STEPS):
+            weighted, prior = self.weighed(state), self.prior(state, size)
+            solution = solve(list(weighted.values()), prior, free)
+            if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
+                break
+            shared = np.zeros(SHARED)
+            shared[free] = solution.shared
+            state = state.moved(solution.local, shared)
+        covariance = solution.covariance + self._by_declination(weighted, prior, solution)
+        whole = np.zeros((SHARED, SHARED))
+        whole[np.ix_(free, free)] = covariance
+        misfit, count = self._misfit(weighted, prior), len(self.heading)
+        cost = misfit + 6.0 * count * math.log(size) + solution.log_determinant
+        return StandingOptimum(state, whole, cost, misfit)
+
+    def _misfit(self, weighted: dict[str, Weighted], prior: Prior) -> float:
+        """Return all squared deviations over their variances; the hard iron has next to none."""
+        square = sum(float(part.chi2.sum()) for part in weighted.values())
+        square += float(np.sum(prior.local_information * prior.local_offset**2))
+        return square + float(prior.offset @ prior.information @ prior.offset)
+
+    def _by_declination(
+        self, weighted: dict[str, Weighted], prior: Prior, solution: Solution
+    ) -> FloatArray:
+        """Return the covariance that an error adds which all headings to true north share."""
+        if not self.common.any():
+            return np.zeros_like(solution.covariance)
+        still = {name: _with_residual(part, 0.0) for name, part in weighted.items()}
+        still["heading"] = _with_residual(weighted["heading"], self.common[:, None])
+        offset, local = np.zeros_like(prior.offset), np.zeros_like(prior.local_offset)
+        at_rest = replace(prior, offset=offset, local_offset=local)
+        step = solve(list(still.values()), at_rest, self.free).shared
+        return np.outer(step, step)
+
+
+def _with_residual(part: Weighted, residual: FloatArray | float) -> Weighted:
+    changed = np.zeros_like(part.linear.residual) + residual
+    return replace(part, linear=replace(part.linear, residual=changed))
+
+
+def _sigmas(solution: Solution) -> FloatArray:
+    return np.sqrt(np.diag(solution.covariance))
+
+
+def rms_size(size: Size) -> float:
+    """Return the root mean square of a size under its prior."""
+    return size.usual * math.exp(size.spread**2)
+
+
+def _priors(knowledge: Knowledge) -> Priors:
+    """Return the priors of standings: sigmas that are uncertain count by their mean squares."""
+    priors = priors_of(knowledge)
+    scale = priors.scale.copy()
+    for name, at in AT.items():
+        scale[at] *= 0.0 if name in BY_MOTION else _mean_factor(name, priors.spread[name])
+    # Nothing but known headings shows how the magnetometer is turned about up.
+    scale[YAW] = math.hypot(scale[YAW], knowledge.mounting.yaw_sigma)
+    return replace(priors, scale=scale)
+
+
+def _mean_factor(name: str, spread: float) -> float:
+    """Return the root mean square of the factor of a group's sigmas (`Unknown`)."""
+    if spread == 0.0:
+        return 1.0
+    x = np.linspace(-6.0 * spread, math.log(UNKNOWNS[name].most), 400)
+    odds = np.exp(-0.5 * (x / spread) ** 2)
+    return math.sqrt(float(np.sum(odds * np.exp(2.0 * x)) / np.sum(odds)))
+
+
+def _start(
+    nodes: Nodes, force: FloatArray, heading: FloatArray, forward: FloatArray, priors: Priors
+) -> State:
+    """Return the state at which the headings and the accelerometer are right."""
+    up = unit(force)
+    ahead = unit(level_part(forward, up))
+    left = np.cross(up, ahead)
+    cosine, sine = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    east, north = cosine * ahead - sine * left, sine * ahead + cosine * left
+    attitude = np.stack([east, north, up], axis=2)
+    shared = priors.mean.copy()
+    state = State(attitude, np.zeros((len(heading), LOCAL)), shared)
+    shared[AT["iron"]] = np.mean(nodes.field - attitude @ state.earth, axis=0)
+    return state
+
+
+def _about(priors: Priors, state: State) -> FloatArray:
+    """Return the means of the priors, that of the hard iron at the start."""
+    mean = priors.mean.copy()
+    mean[AT["iron"]] = state.shared[AT["iron"]]
+    return mean
+
+
+def _nodes(field_: FloatArray) -> Nodes:
+    """Return nodes at rest with nothing between them; field (n, 3) in nominal axes, µT."""
+    n = len(field_)
+    one, links = np.eye(3), n - 1
+    several = np.repeat(one[None], n, axis=0)
+    return Nodes(
+        time=np.arange(n, dtype=float),
+        field=field_,
+        inside=several,
+        rate=np.zeros((n, 3)),
+        count=np.ones(n),
+        quiet=np.ones(n, dtype=bool),
+        seconds=np.ones(links),
+        turned=several[:links],
+        angle=np.zeros((links, 3)),
+        force=np.full((links, 3), [0.0, 0.0, STANDARD_GRAVITY]),
+        along=several[:links],
+        swing=np.zeros((links, 3)),
+        samples=np.zeros(links),
+        unseen=np.zeros((links, 3)),
+        noise=0.0,
+    )
+
+
+def course_of(field_: FloatArray) -> Course:
+    """Return the course of nodes that stand, by their field (n, 3) in nominal axes, µT."""
+    nodes = _nodes(field_)
+    n = len(nodes)
+    zeros, still = np.zeros(n), np.ones(n, dtype=bool)
+    return Course(nodes, np.eye(3), zeros, ~still, still, zeros)

@@ -1,0 +1,156 @@
+"""Robots that stand at known headings and never turn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, headings_apart
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, field_in_enu, wrapped
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
+from magcal_ros.core.methods.known_headings import declination_hint, fit
+from magcal_ros.core.session.dockings import dock
+from magcal_ros.core.simulation.simulator import DEGREE, Robot
+from magcal_ros.core.smoother.headings import fit_headings
+from magcal_ros.core.smoother.standings import Standing
+
+ROBOT = Robot(yaw=2.0 * DEGREE)
+SIGMA = 1.0 * DEGREE
+PERFECT = np.random.default_rng(0)
+THREE = (0.3, 2.3, 4.4)
+
+
+def knowledge(declination: float = 0.0) -> Knowledge:
+    reference = ReferenceField(
+        Belief(ROBOT.strength, 1.5e-6), Belief(ROBOT.inclination, DEGREE), declination, 0.5 * DEGREE
+    )
+    return Knowledge(reference)
+
+
+def standings(
+    yaws=THREE, rng=None, place: float = 0.0, robot: Robot = ROBOT, is_true: bool = False
+) -> list[Standing]:
+    """Return what a robot measures at headings to magnetic north, by chance if there is any."""
+    found = []
+    for yaw in yaws:
+        tilt = (0.0, 0.0) if rng is None else 2.0 * DEGREE * rng.standard_normal(2)
+        pose = rotation_from_rpy(*tilt, yaw).T
+        here = field_in_enu(robot.strength, robot.inclination)
+        told = yaw
+        if rng is not None:
+            here = here + place * rng.standard_normal(3)
+            told = yaw + SIGMA * rng.standard_normal()
+        field = robot.raw_field((pose @ here)[None])[0]
+        force = STANDARD_GRAVITY * pose[:, 2]
+        found.append(Standing(field, force, wrapped(told), SIGMA, by_declination=is_true))
+    return found
+
+
+def off(correction, robot: Robot = ROBOT) -> np.ndarray:
+    return headings_apart(robot.true_correction, correction, robot.strength, robot.inclination)
+
+
+def test_three_known_headings_show_all_that_a_turn_does_and_the_yaw_of_the_installation():
+    found = fit(standings(), knowledge())
+    assert np.abs(off(found.correction)).max() < 0.3 * DEGREE
+    assert found.installation is not None
+    assert found.installation.yaw == pytest.approx(ROBOT.yaw, abs=0.3 * DEGREE)
+    assert found.arc > 3.5
+
+
+def test_one_known_heading_is_right_near_it_and_says_what_it_does_not_show():
+    found = fit_headings(standings([0.0]), knowledge()).posterior
+    field = field_in_enu(ROBOT.strength, ROBOT.inclination)
+    jacobian = heading_jacobian(found.correction, field, 0.0)
+    sigma = np.sqrt(np.einsum("ki,ij,kj->k", jacobian, found.covariance, jacobian))
+    errors = np.abs(off(found.correction))
+    # At the known heading, to the side, and behind.
+    assert errors[0] < 0.1 * DEGREE
+    assert sigma[0] < 3.5 * DEGREE
+    assert sigma[12] > 2.5 * sigma[0]
+    assert (errors < 2.0 * sigma).all()
+
+
+@pytest.mark.parametrize("yaws", [(0.5, 3.4), THREE], ids=len)
+def test_sigma_is_honest(yaws, request):
+    many = request.config.getoption("markexpr") == ""
+    ratios = []
+    for seed in range(120 if many else 12):
+        rng = np.random.default_rng(seed)
+        robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
+        found = fit_headings(standings(yaws, rng, 0.9e-6, robot), knowledge()).posterior
+        ratios.append(np.mean(off(found.correction, robot) ** 2) / found.heading_sigma**2)
+    assert 0.3 < np.mean(ratios) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("read", "named"),
+    [
+        (lambda yaw: 0.5 * math.pi - yaw, "compass bearing"),
+        (lambda yaw: -yaw, "mirrored"),
+        (lambda yaw: yaw + math.pi, "half a turn"),
+        (lambda yaw: yaw - 0.5 * math.pi, "quarter turn too far to the right"),
+    ],
+)
+def test_headings_that_are_read_wrongly_are_named(read, named):
+    told = [replace(each, heading=wrapped(read(each.heading))) for each in standings()]
+    with pytest.raises(Refusal, match=named) as refusal:
+        fit(told, knowledge())
+    assert refusal.value.reason is Reason.HEADING_CONTRADICTED
+
+
+def test_the_heading_that_contradicts_the_others_is_named():
+    told = standings()
+    told[1] = replace(told[1], heading=told[1].heading + 0.7)
+    with pytest.raises(Refusal, match="Known heading 2 of 3"):
+        fit(told, knowledge())
+
+
+def test_a_gyro_that_turned_otherwise_is_named():
+    told = standings()
+    for k in (1, 2):
+        turned = wrapped(told[k].heading - told[k - 1].heading)
+        told[k] = replace(told[k], turned=turned, turned_sigma=2.0 * DEGREE)
+    fit(told, knowledge())
+    told[2] = replace(told[2], turned=-told[2].turned)
+    with pytest.raises(Refusal, match="Between known headings 2 and 3"):
+        fit(told, knowledge())
+
+
+def test_magnetic_north_told_as_true_is_said():
+    declination = 12.0 * DEGREE
+    right = standings(robot=Robot(), is_true=True)
+    known = knowledge(declination)
+    assert not declination_hint(fit(right, known), right, known)
+    wrong = [replace(each, heading=wrapped(each.heading + declination)) for each in right]
+    assert "to magnetic north and not to true north" in declination_hint(
+        fit(wrong, known), wrong, known
+    )
+
+
+def test_headings_to_true_north_share_the_declinations_error():
+    known = knowledge(10.0 * DEGREE)
+    alone = fit_headings(standings(), known).posterior.heading_sigma
+    shared = fit_headings(standings(is_true=True), known).posterior.heading_sigma
+    assert shared**2 - alone**2 == pytest.approx((0.5 * DEGREE) ** 2, rel=0.4)
+
+
+def test_standings_add_up_and_one_that_says_the_same_takes_its_place():
+    kept, sigmas = (), []
+    for each in standings():
+        found = dock(kept, each, knowledge())
+        assert found.applies
+        kept = found.standings
+        sigmas.append(found.outcome.verdict.summary)
+        assert "One more known heading" in found.words
+    assert len(kept) == 3
+    assert len(dock(kept, standings()[0], knowledge()).standings) == 3
+    wrong = dock(kept, replace(standings([1.0])[0], heading=-1.0), knowledge())
+    assert wrong.standings == kept
+    assert not wrong.applies
+    assert "The 3 before it stay" in wrong.words

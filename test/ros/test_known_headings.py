@@ -1,0 +1,179 @@
+"""A robot that cannot turn on the spot stands at known headings, over real middleware."""
+
+import math
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Quaternion
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu
+from support import PATIENCE, REFERENCE, rms_deg
+
+from magcal_ros.files.calibration_file import read_calibration
+
+DECLINATION = 10.0
+SPEED = 8.0
+PLACE = {**REFERENCE, "reference.declination_deg": DECLINATION}
+DOCKS = (20.0, 140.0, 260.0)
+"""ENU yaw to magnetic north, degrees."""
+
+
+def tell(actor, **values):
+    """Set the parameters of a known heading, as `ros2 param set` does."""
+    client = AsyncParameterClient(actor.node, "calibrator")
+    assert client.wait_for_services(PATIENCE)
+    future = client.set_parameters(
+        [Parameter(f"known_heading.{name}", value=value) for name, value in values.items()]
+    )
+    actor.run(PATIENCE, stop=future.done)
+    for result in future.result().results:
+        assert result.successful, result.reason
+
+
+def dock(actor, heading, told=lambda yaw: yaw, north="magnetic"):
+    """Turn to about a heading (degrees) and tell the node of it; returns the answer."""
+    way = math.remainder(math.radians(heading) - actor.ride.magnetic_yaw, math.tau)
+    goal = actor.ride.magnetic_yaw + way
+    rate = math.copysign(1.0, way)
+
+    def is_there():
+        return math.remainder(goal - actor.ride.magnetic_yaw, math.tau) * rate < 0.05
+
+    actor.run(PATIENCE, rate, is_there)
+    actor.run(0.3)
+    yaw = told(math.degrees(actor.ride.magnetic_yaw))
+    tell(actor, yaw_deg=math.remainder(yaw, 360.0), north=north, sigma_deg=1.0)
+    return actor.answer(actor.call("calibrate_at_heading"))
+
+
+def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    nothing = actor.answer(actor.call("calibrate_at_heading"))
+    assert not nothing.success
+    assert "known_heading.yaw_deg" in nothing.message
+    tell(actor, yaw_deg=0.0)
+    unsaid = actor.answer(actor.call("calibrate_at_heading"))
+    assert not unsaid.success
+    assert "which north" in unsaid.message
+    first = dock(actor, DOCKS[0])
+    assert first.success, first.message
+    assert "roughly from one known heading" in first.message
+    assert "One more known heading" in first.message
+    # True north is told for the second: 10° less, as the magnetic one lies to the east of it.
+    second = dock(actor, DOCKS[1], lambda yaw: yaw - DECLINATION, "true")
+    assert second.success, second.message
+    third = dock(actor, DOCKS[2])
+    assert third.success, third.message
+    assert "from 3 known headings" in third.message
+    assert len(actor.status["known_headings"]["headings"]) == 3
+    errors = actor.published_errors([(0.0, 0.0)], headings=6)
+    assert rms_deg(errors) < 2.0
+    stored, _ = read_calibration(ros_home / "magcal" / "calibrator.mag_link.yaml")
+    assert stored.evidence.method == "known_headings"
+
+
+def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
+    actor = stage(parameters=REFERENCE, speed=SPEED)
+    for heading in DOCKS[:2]:
+        assert dock(actor, heading).success
+    before = actor.status["calibration"]
+    wrong = dock(actor, DOCKS[2], lambda yaw: yaw + 60.0)
+    assert not wrong.success
+    assert "Known heading 3 of 3" in wrong.message
+    assert "contradicts the others" in wrong.message
+    assert actor.status["calibration"] == before
+    assert actor.answer(actor.call("reset")).success
+    assert dock(actor, DOCKS[0], lambda yaw: -yaw).success
+    mirrored = dock(actor, DOCKS[1], lambda yaw: -yaw)
+    assert not mirrored.success
+    assert "mirrored" in mirrored.message
+
+
+def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
+    actor = loaded(speed=SPEED)
+    agreed = dock(actor, 70.0)
+    assert agreed.success
+    assert "it stays" in agreed.message
+    wrong = dock(actor, 70.0, lambda yaw: yaw + 40.0)
+    assert not wrong.success
+    assert "40° further to the right" in wrong.message
+
+
+def test_a_robot_that_turns_meanwhile_is_refused(stage):
+    actor = stage(parameters=REFERENCE, speed=SPEED)
+    tell(actor, yaw_deg=10.0, north="magnetic")
+    future = actor.call("calibrate_at_heading")
+    actor.run(PATIENCE, 0.3, future.done)
+    assert not future.result().success
+    assert "stand still" in future.result().message
+
+
+class Antennas:
+    """Two antennas of an actor's robot: they tell its heading to true north, ten times a second."""
+
+    def __init__(self, actor, read=lambda yaw: yaw):
+        self._actor, self._read, self.variance = actor, read, math.radians(1.0) ** 2
+        self._out = actor.node.create_publisher(Imu, "heading", qos_profile_sensor_data)
+        self._timer = actor.node.create_timer(0.1 / actor.speed, self._publish)
+
+    def _publish(self):
+        ride = self._actor.ride
+        half = 0.5 * self._read(ride.magnetic_yaw - math.radians(DECLINATION))
+        message = Imu(orientation=Quaternion(z=math.sin(half), w=math.cos(half)))
+        sec, nanosec = divmod(round(ride.stamp * 1e9), 10**9)
+        message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
+        message.orientation_covariance[8] = self.variance
+        self._out.publish(message)
+
+    def fall_silent(self):
+        self._timer.cancel()
+
+
+def test_the_topic_tells_the_heading_where_none_is_typed_in(stage):
+    actor = stage(parameters={**PLACE, "self_calibration": "off"}, speed=SPEED)
+    antennas = Antennas(actor)
+    antennas.variance = 1e6
+    actor.run(1.0)
+    lost = actor.answer(actor.call("calibrate_at_heading"))
+    assert not lost.success
+    assert "yaw is not known" in lost.message
+    antennas.variance = math.radians(1.0) ** 2
+    actor.run(PATIENCE, stop=lambda: actor.status["known_headings"] is not None)
+    answer = actor.answer(actor.call("calibrate_at_heading"))
+    assert answer.success, answer.message
+    assert "from one known heading" in answer.message
+    (told,) = actor.status["known_headings"]["headings"]
+    assert told.endswith("±1.0° to magnetic north")
+
+
+def test_antennas_calibrate_the_compass_and_the_fused_yaw_goes_on_without_them(stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    fused = []
+    actor.node.create_subscription(Imu, "compass/fused/enu/imu", fused.append, 10)
+    antennas = Antennas(actor)
+
+    def turns_and_stands():
+        return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
+
+    actor.run(PATIENCE, turns_and_stands, lambda: actor.status["state"] == "calibrated")
+    assert actor.status["calibration"]["method"] == "known_headings"
+    antennas.fall_silent()
+    actor.run(20.0 / SPEED, turns_and_stands)
+    fused.clear()
+    actor.run(PATIENCE, stop=lambda: len(fused) > 3)
+    q = fused[-1].orientation
+    true = actor.ride.magnetic_yaw - math.radians(DECLINATION)
+    assert abs(math.remainder(2.0 * math.atan2(q.z, q.w) - true, math.tau)) < math.radians(6.0)
+    assert not actor.status["known_headings"]["topic"]["speaks"]
+
+
+def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
+    actor = stage(parameters=PLACE, speed=SPEED)
+    said = []
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+    )
+    Antennas(actor, lambda yaw: -yaw)
+    actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in said))
+    assert actor.status["state"] == "uncalibrated"
