@@ -1,6 +1,6 @@
 """Known headings instead of a turn: `python benchmarks/known_headings.py [--robots N]`.
 
-Robots with the sensors of `realistic.py` stand at one to six known headings, on slopes and in a
+Robots with the sensors of `realistic.py` stand at one to three known headings, on slopes and in a
 field that differs from place to place. Printed are the RMS error of the heading over all headings
 on the level, what is promised, and NEES; then what becomes of headings that are told wrongly.
 
