@@ -53,7 +53,20 @@ def process(_: Course, state: State) -> Linear:
     return factors.process(state, STREET, np.full(len(state.local) - 1, 0.7))
 
 
-FACTORS = (magnetic, factors.force, factors.gyro, process)
+def turning(course: Course, state: State) -> Linear:
+    axes = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
+    return factors.turning(course, state, axes)
+
+
+FACTORS = (
+    magnetic,
+    factors.force,
+    factors.gyro,
+    factors.force_at_nodes,
+    factors.sway,
+    turning,
+    process,
+)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
@@ -85,7 +98,7 @@ def test_derivatives_by_the_nodes_unknowns(
             np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
 
 
-@pytest.mark.parametrize("factor", FACTORS[:3], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("factor", FACTORS[:6], ids=lambda f: f.__name__)
 def test_derivatives_by_the_shared_unknowns(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:
