@@ -18,6 +18,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from realistic import (
+    FULL_TURN,
+    SAMPLES,
+    SECONDS,
     SENSORS,
     Course,
     Scene,
@@ -38,8 +41,19 @@ from realistic import (
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    heading_errors,
+    measure,
+    slope_rpy,
+    smooth_wobble,
+    turn,
+)
 
 Case = Callable[[int], tuple[Scene, Knowledge]]
+TILTED = "no gyro, no reference, swaying: at 10°, "
+"""How rows are called whose heading is judged on slopes of 10°."""
 METHODS = ("maximum_likelihood", "smoother_one")
 
 
@@ -106,6 +120,61 @@ def shifting(size: float) -> Case:
     return case
 
 
+def swaying(height: float) -> Case:
+    """Return turns of a robot in a field nobody knows, with its IMU so many metres up (no gyro).
+
+    Its sway shakes the accelerometer in proportion to the lean.
+    """
+
+    def case(number: int) -> tuple[Scene, Knowledge]:
+        rng = np.random.default_rng([9, number])
+        scene, _ = drawn(rng)
+        sway = smooth_wobble(rng, SAMPLES, SECONDS, rng.uniform(1.0, 3.0) * DEGREE, (0.2, 1.0))
+        arc = rng.choice([-1.0, 1.0]) * rng.uniform(*FULL_TURN) * math.tau
+        slope = slope_rpy(abs(rng.normal(0.0, 2.0)) * DEGREE, *rng.uniform(0.0, math.tau, 2))
+        motion = turn(arc=arc, samples=SAMPLES, duration=SECONDS, start_rpy=slope, wobble=sway)
+        moved = np.gradient(height * motion.attitude[:, 2], motion.time, axis=0)
+        shaken = np.gradient(moved, motion.time, axis=0)
+        shaken[:3], shaken[-3:] = shaken[3], shaken[-4]
+        window = measure(scene.robot, motion, rng)
+        pull = np.einsum("nij,nj->ni", motion.attitude, shaken)
+        return with_force(Scene(scene.robot, motion, window), pull), Knowledge()
+
+    return case
+
+
+def without_gyro(case: Case) -> Case:
+    """Return the same turns without their gyro."""
+
+    def deaf(number: int) -> tuple[Scene, Knowledge]:
+        scene, knowledge = case(number)
+        return replace(scene, window=replace(scene.window, angular_rate=None)), knowledge
+
+    return deaf
+
+
+def rows_without_gyro() -> dict[str, Case]:
+    """Return the rows of turns without a gyro."""
+    found = {
+        f"rest, turn, rest: {sensors}, {course}": by_rested_turn(course, sensors, "open")
+        for sensors in ("perfect", "typical", "cheap")
+        for course in ("even", "uneven", "there and back", "stops")
+    }
+    found |= {
+        f"{sensors}, {kind}": by_turn(kind, sensors, "open")
+        for sensors in ("perfect", "good", "typical", "cheap")
+        for kind in ("even", "uneven", "stops", "fast", "slope", "bent ground", "steep field")
+    }
+    found |= {
+        f"{sensors}, {place}": by_turn("even", sensors, place)
+        for sensors in ("good", "typical")
+        for place in ("near iron", "indoors")
+    }
+    found["circle of 0.5 m"] = small_circle(0.5)
+    blind = {f"no gyro: {name}": without_gyro(case) for name, case in found.items()}
+    return blind | {f"{TILTED}{height} m up": swaying(height) for height in (0.1, 0.3, 0.6)}
+
+
 def rows() -> dict[str, Case]:
     """Return the rows by name."""
     found = {
@@ -135,13 +204,14 @@ def rows() -> dict[str, Case]:
     }
     found |= {f"hard iron drifts by {size} µT": drifting(size * 1e-6) for size in (0.4, 1.0)}
     found["accelerometer shifts by .12 m/s²"] = shifting(0.12)
-    return found
+    return found | rows_without_gyro()
 
 
 @dataclass
 class Tally:
-    """What one estimator made of a row."""
+    """What one estimator made of a row; with a tilt (radians), on slopes to all sides."""
 
+    tilt: float = 0.0
     errors: list[float] = field(default_factory=list)
     sigmas: list[float] = field(default_factory=list)
     refused: int = 0
@@ -156,8 +226,12 @@ class Tally:
         if outcome.estimate is None or (method == METHODS[0] and not outcome.verdict.accepted):
             self.refused += 1
             return
-        self.errors.append(math.degrees(heading_error(scene, outcome.estimate.correction)))
-        self.sigmas.append(math.degrees(predicted_heading_sigma(outcome.estimate, 0.0)))
+        error = heading_error(scene, outcome.estimate.correction)
+        if self.tilt > 0.0:
+            errors = heading_errors(outcome.estimate.correction, scene.robot)
+            error = math.sqrt(float(np.mean(np.delete(errors, LEVEL_TILT, axis=1) ** 2)))
+        self.errors.append(math.degrees(error))
+        self.sigmas.append(math.degrees(predicted_heading_sigma(outcome.estimate, self.tilt)))
 
     def text(self) -> str:
         count = len(self.errors) + self.refused
@@ -190,7 +264,8 @@ def main() -> None:
     for name, case in rows().items():
         if arguments.only not in name:
             continue
-        tallies = {method: Tally() for method in methods}
+        tilt = 10.0 * DEGREE if name.startswith(TILTED) else 0.0
+        tallies = {method: Tally(tilt) for method in methods}
         for number in range(arguments.first, arguments.first + arguments.runs):
             scene, knowledge = case(number)
             for method, tally in tallies.items():

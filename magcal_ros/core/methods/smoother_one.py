@@ -8,18 +8,25 @@ import numpy as np
 
 from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
 from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.methods.maximum_likelihood.screening import (
+    check_agreement,
+    check_arc,
+    check_radius,
+    check_rival,
+    check_window,
+)
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import QUARTER, distortion
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth, smooth_turn
 from magcal_ros.core.smoother.posterior import motors_of
+from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
 from magcal_ros.core.smoother.unknowns import (
     AT,
     MICROTESLA,
@@ -29,6 +36,7 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
     YAW,
 )
+from magcal_ros.core.smoother.without_gyro import living_axes
 
 METHOD = "smoother_one"
 FEWEST_SAMPLES = 20
@@ -46,7 +54,7 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Parameters
     ----------
     window : Window
-        Paired samples with a gyro.
+        Paired samples. Without a gyro they are of a turn.
     knowledge : Knowledge
 
     Returns
@@ -56,13 +64,31 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Raises
     ------
     Refusal
-        If there is no gyro, or if the samples cannot carry a calibration.
+        If the samples cannot carry a calibration.
     """
     refuse_empty(window, FEWEST_SAMPLES)
-    if window.angular_rate is None:
-        words = "this method needs a gyro; connect one, or use the method maximum_likelihood"
-        raise Refusal(Reason.NO_SOLUTION, words)
-    return _estimate(smooth(window, knowledge), window, knowledge)
+    if living_axes(window.angular_rate)[2]:
+        return _estimate(smooth(window, knowledge), window, knowledge)
+    check_window(window, knowledge)
+    found = smooth_by_field(window, knowledge)
+    estimate = _estimate(found, window, knowledge)
+    _check(found, estimate, knowledge)
+    return estimate
+
+
+def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
+    """Refuse a turn without a gyro that explains its samples only in appearance."""
+    sizes, state = found.fit.point.sizes, found.fit.state
+    stray = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
+    axes = np.einsum("nji,j->ni", state.attitude, estimate.axis)
+    axis = unit(np.median(axes, axis=0))
+    lean = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
+    inliers = float(np.mean(estimate.inliers))
+    check_agreement(stray / estimate.strength, float(np.median(lean)), inliers)
+    across = np.linalg.norm(np.cross(axis, unit(state.earth)))
+    check_radius(float(across), estimate.inclination)
+    check_arc(estimate.arc, solved_by_knowledge=knowledge.reference.is_complete)
+    check_rival(rival_gap(found), knowledge, estimate.arc)
 
 
 def fit_turn(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate | None:
@@ -71,7 +97,8 @@ def fit_turn(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate | N
     Parameters and errors as of `fit`.
     """
     refuse_empty(window, FEWEST_SAMPLES)
-    found = None if window.angular_rate is None else smooth_turn(window, knowledge)
+    lives = living_axes(window.angular_rate)[2]
+    found = smooth_turn(window, knowledge) if lives else None
     return None if found is None else _estimate(found, window, knowledge)
 
 
@@ -85,13 +112,18 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
     steps = np.median(np.abs(np.diff(window.field, axis=0))) / 0.954
     tilts = np.median(np.abs(np.diff(unit(window.specific_force), axis=0))) / 0.954
     roll, pitch = shared[ROLL_PITCH]
-    swing = _swing(found)
+    figures = _figures(found)
+    swing = _swing(found) if nodes.tied_to is None else None
+    if swing is None:
+        del figures[Figure.GYRO_CARRIED]
+    else:
+        figures[Figure.GYRO_COMPASS_SWING] = swing.rms
     return Estimate(
         method=METHOD,
         correction=posterior.correction,
         covariance=posterior.covariance,
         installation=Installation(float(roll), float(pitch), float(shared[YAW])),
-        axis=unit(up.mean(axis=0)),
+        axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
         arc=_arc(best.state.attitude),
         strength=posterior.strength,
         inclination=posterior.inclination,
@@ -99,7 +131,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         noise_up=float(tilts),
         inliers=(part.weight * part.variance > BELIEVED)[belongs],
         residual=residual[belongs],
-        figures={**_figures(found), Figure.GYRO_COMPASS_SWING: swing.rms},
+        figures=figures,
         message=best.message,
         swing=swing,
         motors=motors_of(posterior, best),
@@ -156,5 +188,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.SOFT_IRON: 1.0,
         Figure.LATENCY: float(shared[AT["latency"]][0]),
         Figure.MOTOR_FIELD: size / MICROTESLA if size > SIGMAS * doubt else 0.0,
-        Figure.ON_THE_SPOT: found.weights.get(ON_THE_SPOT, 0.0),
+        Figure.ON_THE_SPOT: sum(
+            share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
+        ),
     }

@@ -16,6 +16,7 @@ from magcal_ros.core.geometry.rotations import (
     exp_rotations,
     rotation_from_rpy,
     rotation_vectors,
+    skew,
     skews,
 )
 from magcal_ros.core.smoother.places import Places
@@ -27,6 +28,7 @@ from magcal_ros.core.smoother.unknowns import (
     BODY_FIELD,
     EARTH,
     LOCAL,
+    RATE,
     ROLL_PITCH,
     SHARED,
     SHIELDING,
@@ -80,6 +82,11 @@ class Linear:
         rest = (None if each is None else each[:, components] for each in (self.there, self.shared))
         return Linear(self.residual[:, components], self.here[:, components], *rest)
 
+    def along(self, axes: FloatArray) -> Linear:
+        """Return the residuals' components along the columns of a matrix (3, 3)."""
+        rest = (None if each is None else axes.T @ each for each in (self.there, self.shared))
+        return Linear(self.residual @ axes, axes.T @ self.here, *rest)
+
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None
@@ -114,7 +121,9 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     late = exp_rotations(nodes.rate * shared[AT["latency"]][0])
     attitude = late @ state.attitude
     earth = attitude @ state.earth
-    street = np.einsum("nij,nj->ni", attitude, places.disturbance(state))
+    ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
+    disturbance = places.disturbance(state) + ahead @ gradient.T
+    street = np.einsum("nij,nj->ni", attitude, disturbance)
     turn, bend = installation(shared), soft_iron(shared)
     full = bend @ turn
     by_earth, by_street = full @ nodes.inside, turn @ nodes.inside
@@ -133,10 +142,14 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     here = np.zeros((count, 3, LOCAL))
     here[:, :, ATTITUDE] = -(by_earth @ skews(earth) + by_street @ skews(street)) @ late
     by_place = by_street @ attitude
+    swung = np.swapaxes(state.attitude, 1, 2)[:, :2] @ skew(X)
+    here[:, :, ATTITUDE] += by_place @ gradient @ swung
     here[:, :, STREET] = by_place * places.rest[:, None, None]
     here[:, :, BODY_FIELD] = np.eye(3)
     by = np.zeros((count, 3, SHARED + 3 * len(places)))
     by[:, :, SHARED:] = np.einsum("nk,nij->nikj", places.weights, by_place).reshape(count, 3, -1)
+    on_the_way = by_place[:, :, :, None] * ahead[:, None, None, :]
+    by[:, :, AT["gradient"]] = on_the_way.reshape(count, 3, 6)
     by[:, :, AT["iron"]] = np.eye(3)
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
@@ -254,6 +267,70 @@ def _heading_less(
     return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
 
 
+def force_at_nodes(course: Course, state: State) -> Linear:
+    """Return what the specific force says at the nodes, where no gyro tells the turning between.
+
+    It is the mean of the same samples as the field's, so that a lean within a node is no error. The
+    velocity of node k is that of the accelerometer between nodes k - 1 and k. The last node, whose
+    end has no velocity, is left out.
+    """
+    nodes, shared = course.nodes, state.shared
+    level, up = course.axes[:, :2], course.axes[:, 2]
+    inside, rate = nodes.inside[:-1], nodes.rate[:-1]
+    turning = (rate @ up)[:, None]
+    velocity = state.local[:, VELOCITY]
+    mean = 0.5 * (velocity[1:] + velocity[:-1])
+    seconds = nodes.seconds[:, None]
+    gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
+    spin = skews(rate)
+    by_arm = spin @ spin
+    moving = course.moving[:-1, None]
+    acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
+    predicted = (
+        np.einsum("nij,nj->ni", inside, gravity)
+        + acceleration @ level.T
+        + by_arm @ shared[AT["lever_arm"]]
+        + shared[AT["force_offset"]]
+        + moving * shared[AT["force_moving"]]
+    )
+    count = len(seconds)
+    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    here[:, :, ATTITUDE] = -inside @ skews(gravity)
+    bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
+    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
+    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    by = np.zeros((count, 3, SHARED))
+    by[:, :, AT["lever_arm"]] = by_arm
+    by[:, :, AT["force_offset"]] = np.eye(3)
+    by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
+    return Linear(nodes.mean_force[:-1] - predicted, here, there, by)
+
+
+def sway(course: Course, state: State) -> Linear:
+    """Return what is left of the accelerometer's velocity beside the sway of its body, m/s.
+
+    An accelerometer above the pivot is moved by every change of lean. The velocity of node k is
+    that between nodes k - 1 and k.
+    """
+    level, up = course.axes[:, :2], course.axes[:, 2]
+    seconds = course.nodes.seconds[:, None]
+    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
+    rate = -rotation_vectors(between) / seconds
+    height = float(state.shared[AT["height"]][0])
+    # Of rate x (height up), in level axes.
+    across = -level.T @ skews(up[None])[0]
+    count = len(seconds)
+    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
+    by_rate = height * across / seconds[:, :, None]
+    here[:, :, ATTITUDE] = -by_rate @ between
+    there[:, :, ATTITUDE] = by_rate
+    there[:, :, VELOCITY] = np.eye(2)
+    by = np.zeros((count, 2, SHARED))
+    by[:, :, AT["height"]] = -(rate @ across.T)[:, :, None]
+    residual = height * rate @ across.T - state.local[1:, VELOCITY]
+    return Linear(residual, here, there, by)
+
+
 def gyro(course: Course, state: State) -> Linear:
     """Return what the gyro says of the rotation between nodes, radians."""
     nodes, shared = course.nodes, state.shared
@@ -271,6 +348,19 @@ def gyro(course: Course, state: State) -> Linear:
         columns = AT["gyro_matrix"].start + 3 * row
         by[:, row, columns : columns + 3] = -nodes.angle
     return Linear(-off, here, there, by)
+
+
+def turning(course: Course, state: State, axes: FloatArray) -> Linear:
+    """Return what the turn rate that the nodes have says of the rotation between them, radians.
+
+    By axes of which the last one is the turn's; across it the body keeps its axis.
+    """
+    nodes = course.nodes
+    free = gyro(course, state).along(axes)
+    free.residual[:, 2] += nodes.angle @ axes[:, 2]
+    free.residual[:, 2] -= nodes.seconds * state.local[:-1, RATE][:, 0]
+    free.here[:, 2, RATE] = nodes.seconds[:, None]
+    return free
 
 
 def process(state: State, which: slice, keeps: FloatArray) -> Linear:

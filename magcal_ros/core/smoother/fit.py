@@ -66,6 +66,7 @@ class Fit:
 
     Parameters
     ----------
+    model : Model
     point : Point
     covariance : ndarray, shape (SHARED, SHARED)
         Of the shared unknowns.
@@ -77,6 +78,7 @@ class Fit:
     converged : bool
     """
 
+    model: Model
     point: Point
     covariance: FloatArray
     evidence: float
@@ -144,7 +146,7 @@ def fit(
             point = replace(point, is_robust=True)
     found = evidence(model, point, weighted, solution)
     covariance = _covariance(model, point, solution, sizes.shown)
-    return Fit(point, covariance, found, weighted, rounds, converged)
+    return Fit(model, point, covariance, found, weighted, rounds, converged)
 
 
 def _share(solution: Solution, tolerances: Tolerances) -> float:
@@ -209,7 +211,7 @@ class _Sizes:
             last = (self.pace or {}).get(name, 1.0)
             pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
             steps[name] = pace[name] * step
-        sizes = {name: size * math.exp(steps[name]) for name, size in point.sizes.items()}
+        sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
         return _Sizes(pace, steps, shown), replace(point, sizes=sizes, doubt=doubt)
 
 

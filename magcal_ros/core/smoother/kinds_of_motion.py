@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,11 +19,17 @@ from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import DRIVE, KINDS, ON_THE_SPOT, SIZES, Priors, priors_of
+from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
 
 BELIEVED = 0.25
 """Of the evidence, which is minus twice a logarithm; exact evidence would count by a half.
 
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
+
+ANY: Mapping[str, float] = {}
+"""Where all kinds of motion are as usual."""
+
+NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
 SPREADS = 3.0
 """Of the size of a gyro's noise, within which it is one that gyros have."""
@@ -102,16 +109,19 @@ def smooth_turn(window: Window, knowledge: Knowledge) -> Smoothed | None:
 
 
 def gyro_is_usual(fit: Fit) -> bool:
-    """Return whether the gyro's noise is one that gyros have."""
+    """Return whether the gyro's noise is one that gyros have, on axes that live."""
+    believed = fit.model.priors.sizes
     return all(
         fit.point.sizes[name] < SIZES[name].usual * math.exp(SPREADS * SIZES[name].spread)
         for name in ("gyro", "gyro_up")
+        if believed[name] == SIZES[name]
     )
 
 
 def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
     nodes = nodes_of(window, knowledge.mounting.to_body)
-    return nodes, *start(nodes, priors_of(knowledge, window.bias_sigma))
+    priors = priors_of(knowledge, window.bias_sigma)
+    return nodes, *start(nodes, with_dead_axes(priors, living_axes(window.angular_rate)))
 
 
 def _weighed(
@@ -121,15 +131,24 @@ def _weighed(
     for name in KINDS.keys() - fits.keys():
         _try(fits, name, nodes, priors, state)
     if not fits:
-        words = "the samples do not determine a calibration; turn the robot through a full circle"
-        raise Refusal(Reason.NO_SOLUTION, words)
+        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
     best = min(fits, key=lambda name: fits[name].evidence)
     for name in KINDS:
         # Another kind may have stopped at a worse optimum than the best one's lies at.
         if name != best:
             _try(fits, name, nodes, priors, state, fits[best])
+    return mixed(fits, nodes, knowledge)
+
+
+def mixed(
+    fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = ANY
+) -> Smoothed:
+    """Weigh fits by their evidence, and by how usual their kinds of motion are."""
     least = min(each.evidence for each in fits.values())
-    odds = {n: math.exp(-BELIEVED * min(f.evidence - least, 700.0)) for n, f in fits.items()}
+    odds = {
+        n: usual.get(n, 1.0) * math.exp(-BELIEVED * min(f.evidence - least, 700.0))
+        for n, f in fits.items()
+    }
     weights = {name: value / sum(odds.values()) for name, value in odds.items()}
     best = max(weights, key=lambda name: weights[name])
     found = {name: posterior(each, knowledge.mounting.matrix) for name, each in fits.items()}
@@ -156,10 +175,13 @@ def _try(
     except np.linalg.LinAlgError:
         return
     known = fits.get(name)
-    if np.linalg.det(soft_iron(found.state.shared)) > 0.0 and (
-        known is None or found.evidence < known.evidence
-    ):
+    if is_upright(found) and (known is None or found.evidence < known.evidence):
         fits[name] = found
+
+
+def is_upright(fit: Fit) -> bool:
+    """Return whether the soft iron of a fit mirrors nothing."""
+    return bool(np.linalg.det(soft_iron(fit.state.shared)) > 0.0)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:

@@ -21,6 +21,7 @@ from magcal_ros.core.smoother.unknowns import (
     EARTH,
     KINDS,
     ON_THE_SPOT,
+    RATE,
     SHARED,
     STREET,
     UNKNOWNS,
@@ -70,6 +71,12 @@ class Model:
         return cls(nodes, axes, replace(priors, scale=scale), kind.speed, travels)
 
     @property
+    def no_places(self) -> Places:
+        """No centres; without a gyro no local disturbance at the nodes either."""
+        none = Places.none(len(self.nodes), self.priors.lengths.street)
+        return none if self.nodes.tied_to is None else replace(none, rest=np.zeros(len(self.nodes)))
+
+    @property
     def free(self) -> IntArray:
         """Which of the shared unknowns are free; those of the centres of places come after."""
         return np.flatnonzero(self.priors.scale > 0.0)
@@ -114,13 +121,19 @@ class Point:
                 for name, size in model.priors.sizes.items()
             },
             _usual_groups(model.priors, state),
-            Places.none(len(model.nodes), model.priors.lengths.street),
+            model.no_places,
             np.full(len(model.nodes), 2.0 * model.speed**2),
         )
 
+    def freedom(self, model: Model, name: str) -> float:
+        """Return the degrees of freedom of a noise's Student distribution."""
+        return model.priors.sizes[name].freedom if self.is_robust else GAUSSIAN
+
     def moved_to(self, model: Model) -> Point:
         """Return the same value of the unknowns as a beginning for another kind of motion."""
-        places = Places.none(len(model.nodes), model.priors.lengths.street)
+        places = model.no_places
+        if model.nodes.tied_to is not None:
+            return self
         state = places.retold(self.state, self.places.disturbance(self.state))
         local = state.local.copy()
         local[:, VELOCITY] *= min(
@@ -149,16 +162,13 @@ def course_at(model: Model, state: State) -> Course:
 def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     """Return all residuals with their variances."""
     nodes, lengths, sizes, state = model.nodes, model.priors.lengths, point.sizes, point.state
-    seconds, beliefs, places = nodes.seconds, model.priors.sizes, point.places
+    seconds, places = nodes.seconds, point.places
     per_node = np.median(nodes.count) / nodes.count
     per_node = per_node + nodes.noise**2 / nodes.count / sizes["field"] ** 2
     # The share of an edge's node in which motors run is uniform between zero and one.
     per_node = per_node + point.course.edge * (LARGEST_MOTORS / sizes["field"]) ** 2 / 12.0
     with np.errstate(divide="ignore"):
         per_link = np.median(nodes.samples[nodes.samples > 0]) / nodes.samples
-
-    def freedom(name: str) -> float:
-        return beliefs[name].freedom if point.is_robust else GAUSSIAN
 
     def forgets(
         name: str,
@@ -170,33 +180,61 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         keeps = np.exp(-per_step)
         variance = level**2 * (1.0 - keeps**2) + LEAST_VARIANCE
         variance = np.where(where, variance, math.inf)
-        return Weighted(factors.process(state, which, keeps), variance, freedom(name))
+        return Weighted(factors.process(state, which, keeps), variance, point.freedom(model, name))
 
     def measured(name: str, linear: Linear, scale: FloatArray) -> Weighted:
-        return Weighted(linear, sizes[name] ** 2 * scale, freedom(name))
+        return Weighted(linear, sizes[name] ** 2 * scale, point.freedom(model, name))
 
     def turned(name: str, axes: slice) -> Weighted:
         variance = sizes[name] ** 2 * seconds + nodes.unseen[:, axes].mean(axis=1)
-        return Weighted(gyro.part(axes), variance, freedom(name))
+        return Weighted(gyro.part(axes), variance, point.freedom(model, name))
 
     course, change = point.course, sizes["speed_change"] / model.speed
     steps = way_between(model, point) / places.length
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
     fades = np.where(still[1:] == still[:-1], seconds / lengths.body_field, math.inf)
-    force, gyro = factors.force(course, state), factors.gyro(course, state)
-    return {
+    found = {
         "field": measured("field", factors.magnetic(course, state, places), per_node),
+        "body_field": forgets("body_field", BODY_FIELD, fades, sizes["body_field"], still[1:]),
+        "motors_noise": forgets(
+            "motors_noise", BODY_FIELD, fades, sizes["motors_noise"], ~still[1:]
+        ),
+    }
+    if nodes.tied_to is not None:
+        return found | _of_a_turn_without_gyro(model, point)
+    force, gyro = factors.force(course, state), factors.gyro(course, state)
+    return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
         "force_up": measured("force_up", force.part(UP_AXIS), per_link),
         "gyro": turned("gyro", LEVEL_AXES),
         "gyro_up": turned("gyro_up", UP_AXIS),
         "street": forgets("street", STREET, steps, sizes["street"]),
-        "body_field": forgets("body_field", BODY_FIELD, fades, sizes["body_field"], still[1:]),
-        "motors_noise": forgets(
-            "motors_noise", BODY_FIELD, fades, sizes["motors_noise"], ~still[1:]
-        ),
         "speed_change": forgets("speed_change", VELOCITY, 0.5 * seconds * change**2, model.speed),
+    }
+
+
+def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
+    """Return what force, steady turning and sway say where no gyro measured the turning."""
+    nodes, course, state = model.nodes, point.course, point.state
+    assert nodes.tied_to is not None
+    per_node = np.median(nodes.count) / nodes.count[:-1]
+    force = factors.force_at_nodes(course, state)
+    turning = factors.turning(course, state, nodes.tied_to)
+
+    def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:
+        variance = point.sizes[name] ** 2 * scale + 1e-3 * LEAST_VARIANCE
+        return Weighted(linear, variance, point.freedom(model, name))
+
+    return {
+        "force": sized("force", force.part(LEVEL_AXES), per_node),
+        "force_up": sized("force_up", force.part(UP_AXIS), per_node),
+        "gyro": sized("gyro", turning.part(LEVEL_AXES), nodes.seconds),
+        "gyro_up": sized("gyro_up", turning.part(UP_AXIS), nodes.seconds),
+        "speed_change": sized("speed_change", factors.sway(course, state), np.ones(len(per_node))),
+        "rate_change": sized(
+            "rate_change", factors.process(state, RATE, np.ones(len(per_node))), nodes.seconds
+        ),
     }
 
 

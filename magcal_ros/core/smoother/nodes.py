@@ -72,6 +72,11 @@ class Nodes:
         Variance of the angle there of what happened while samples were missing, radians².
     noise : float
         White noise of a field sample per axis, microtesla.
+    mean_force : ndarray, shape (n, 3)
+        Mean specific force of the same samples as the field, m/s².
+    tied_to : ndarray, shape (3, 3), or None
+        Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
+        those that the field shows, and serve to average.
     """
 
     time: FloatArray
@@ -89,6 +94,8 @@ class Nodes:
     samples: FloatArray
     unseen: FloatArray
     noise: float
+    mean_force: FloatArray
+    tied_to: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -139,6 +146,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         np.diff(middle).astype(float),
         links.unseen,
         _white_noise(field),
+        _means(window.specific_force, first, count),
     )
     for rest in window.rests:
         beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
@@ -258,4 +266,6 @@ def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: Flo
         put(nodes.samples, np.array([link[3] for link in links]), lag),
         put(nodes.unseen, np.zeros((2, 3)), lag),
         nodes.noise,
+        put(nodes.mean_force, np.tile(rest.force, (2, 1)), at),
+        nodes.tied_to,
     )

@@ -308,6 +308,7 @@ def _nodes(field_: FloatArray) -> Nodes:
         samples=np.zeros(links),
         unseen=np.zeros((links, 3)),
         noise=0.0,
+        mean_force=np.full((n, 3), [0.0, 0.0, STANDARD_GRAVITY]),
     )
 
 

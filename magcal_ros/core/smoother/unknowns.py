@@ -22,6 +22,8 @@ ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), 
 """Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
 local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT)."""
 LOCAL = 11
+RATE = slice(5, 6)
+"""Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s."""
 
 
 class Unknown(NamedTuple):
@@ -128,6 +130,17 @@ UNKNOWNS: dict[str, Unknown] = {
     "force_offset": Unknown(
         (0.08, 0.08, 0.08), 0.9, 10.0, "m/s²", "offset of the accelerometer", "MEMS: .02 to .8"
     ),
+    "height": Unknown(
+        (0.2,), 0.0, 1.0, "m", "accelerometer above the pivot of its sway", "robots: 0 to .6"
+    ),
+    "gradient": Unknown(
+        (0.4,) * 6,
+        1.2,
+        30.0,
+        "µT",
+        "local disturbance on the turn's own small circle, by east and north of the body's x axis",
+        "a sensor 0 to .25 m beside the axis; .1 to 20 µT/m",
+    ),
 }
 
 SIZES: dict[str, Size] = {
@@ -153,6 +166,12 @@ STANDING = Size(
 """Of a robot at a known heading, which stands on one spot instead of passing along a street."""
 
 
+NOTHING = 1e-3
+"""µT of a local disturbance or of currents that are known to be none."""
+RARE_IRON = 0.0005, 2.0
+"""Median size of soft iron and its spread, where the sensors have no errors of their own."""
+
+
 class KindOfMotion(NamedTuple):
     """A kind of motion: the usual velocity (m/s per axis) and lever arm (m)."""
 
@@ -160,10 +179,10 @@ class KindOfMotion(NamedTuple):
     lever_arm: float
 
 
-ON_THE_SPOT, DRIVE = "on the spot", "drive"
+ON_THE_SPOT, SMALL_CIRCLE, DRIVE = "on the spot", "small circle", "drive"
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 0.08),
-    "small circle": KindOfMotion(0.8, 0.15),
+    SMALL_CIRCLE: KindOfMotion(0.8, 0.15),
     DRIVE: KindOfMotion(6.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
@@ -261,7 +280,10 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
+    # The gyro tells what the lever arm and the place do.
+    scale[AT["height"]] = scale[AT["gradient"]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
+    sizes = dict(SIZES)
     if knowledge.systematics.are_none:
         for name in (
             "gyro_matrix",
@@ -274,10 +296,15 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         for name in ("drift", "force_moving", "force_offset"):
             scale[AT[name]] = 0.0
         scale[YAW] = 0.0
+        for name in ("axes", "shielding"):
+            scale[AT[name]] = 0.0
+        scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON
+        for name in ("street", "body_field", "motors_noise"):
+            sizes[name] = sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    return Priors(mean, scale, earth, spread)
+    return Priors(mean, scale, earth, spread, sizes)
 
 
 def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:

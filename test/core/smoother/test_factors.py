@@ -71,10 +71,16 @@ def force_at_rest(_: Course, state: State) -> Linear:
     return factors.force_at_rest(np.tile([0.3, -0.2, 9.7], (len(state.local), 1)), state)
 
 
-FACTORS = (
-    *(magnetic, factors.force, factors.gyro, process),
-    *(known_heading, known_turn, force_at_rest),
+def turning(course: Course, state: State) -> Linear:
+    axes = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
+    return factors.turning(course, state, axes)
+
+
+BY_SHARED = (
+    *(magnetic, factors.force, factors.gyro, force_at_rest),
+    *(factors.force_at_nodes, factors.sway, turning),
 )
+FACTORS = (*BY_SHARED, process, known_heading, known_turn)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
@@ -106,7 +112,7 @@ def test_derivatives_by_the_nodes_unknowns(
             np.testing.assert_allclose(found, expected, atol=1e-3 * scale)
 
 
-@pytest.mark.parametrize("factor", FACTORS[:3], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("factor", BY_SHARED, ids=lambda f: f.__name__)
 def test_derivatives_by_the_shared_unknowns(
     course: Course, state: State, factor: Callable[[Course, State], Linear]
 ) -> None:

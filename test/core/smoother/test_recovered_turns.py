@@ -11,7 +11,6 @@ from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
@@ -104,13 +103,6 @@ def test_effects_that_are_not_there_stay_near_zero():
     for name in ("axes", "motors_moving", "motors_rate", "drift", "latency"):
         usual = np.array(UNKNOWNS[name].sigma)
         assert (np.abs(shared[AT[name]]) < 1.5 * usual).all(), name
-
-
-def test_a_window_without_a_gyro_is_refused_in_words():
-    robot = Robot()
-    window = measure(robot, turn(), np.random.default_rng(1))
-    with pytest.raises(Refusal, match="needs a gyro"):
-        fit(window, known(robot))
 
 
 @pytest.mark.nightly

@@ -152,14 +152,26 @@ def check_solution(
     """
     _check_agreement(block)
     _check_circle(block, is_known=knowledge.reference.is_complete)
-    _check_arc(arc, solved_by_knowledge=knowledge.reference.is_complete or gyro)
-    if rival_gap > SCREENING.widest_rival:
-        raise Refusal(
-            Reason.AMBIGUOUS,
-            f"two calibrations explain this turn equally well and differ by"
-            f" {math.degrees(rival_gap):.0f} degrees of heading; {_other_turn(arc)}"
-            f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
-        )
+    check_arc(arc, solved_by_knowledge=knowledge.reference.is_complete or gyro)
+    check_rival(rival_gap, knowledge, arc)
+
+
+def check_rival(rival_gap: float, knowledge: Knowledge, arc: float) -> None:
+    """Refuse a turn that two calibrations explain; `rival_gap` is radians of heading between them.
+
+    Raises
+    ------
+    Refusal
+        `AMBIGUOUS`.
+    """
+    if rival_gap <= SCREENING.widest_rival:
+        return
+    raise Refusal(
+        Reason.AMBIGUOUS,
+        f"two calibrations explain this turn equally well and differ by"
+        f" {math.degrees(rival_gap):.0f} degrees of heading; {_other_turn(arc)}"
+        f"{'' if knowledge.reference.is_complete else ', or give the reference field'}",
+    )
 
 
 def _other_turn(arc: float) -> str:
@@ -189,13 +201,31 @@ def _check_agreement(block: TurnBlock) -> None:
     noise = block.weighting.noise
     inliers = float(block.weighting.inliers.mean())
     strength = abs(block.place.state.shared.strength)
+    check_agreement(noise.field / max(strength, 1e-9), block.wobble, inliers)
+
+
+def check_agreement(stray: float, wobble: float, inliers: float) -> None:
+    """Refuse a field that follows no turn.
+
+    Parameters
+    ----------
+    stray : float
+        What the field strays by, over its strength.
+    wobble : float
+        Radians.
+    inliers : float
+        Share of the samples.
+
+    Raises
+    ------
+    Refusal
+        `FIELD_NOT_ON_A_PLANE`.
+    """
     causes = []
-    if noise.field > SCREENING.worst_field_noise * strength:
-        causes.append(
-            f"the field strays by {noise.field / max(strength, 1e-9):.0%} of its strength"
-        )
-    if block.wobble > SCREENING.worst_wobble:
-        causes.append(f"the turn's axis wobbles by {math.degrees(block.wobble):.0f} degrees")
+    if stray > SCREENING.worst_field_noise:
+        causes.append(f"the field strays by {stray:.0%} of its strength")
+    if wobble > SCREENING.worst_wobble:
+        causes.append(f"the turn's axis wobbles by {math.degrees(wobble):.0f} degrees")
     if inliers < SCREENING.fewest_inliers:
         causes.append(f"only {inliers:.0%} of the samples fit")
     if causes:
@@ -208,16 +238,24 @@ def _check_agreement(block: TurnBlock) -> None:
 
 def _check_circle(block: TurnBlock, *, is_known: bool) -> None:
     shared = block.place.state.shared
-    axis = shared.world_axis[:, 2]
-    radius = float(np.linalg.norm(np.cross(axis, shared.field_enu)))
-    if not is_known and radius >= SCREENING.smallest_alone:
-        return
-    if abs(shared.inclination) > SCREENING.steepest:
-        raise _too_steep(shared.inclination)
-    across = radius / abs(shared.strength)
+    radius = float(np.linalg.norm(np.cross(shared.world_axis[:, 2], shared.field_enu)))
+    if is_known or radius < SCREENING.smallest_alone:
+        check_radius(radius / abs(shared.strength), shared.inclination)
+
+
+def check_radius(across: float, inclination: float) -> None:
+    """Refuse a circle of which too little is level; `across` is its radius over the strength.
+
+    Raises
+    ------
+    Refusal
+        `FIELD_TOO_STEEP`, `AXIS_ALONG_FIELD` or `CIRCLE_TOO_SMALL`.
+    """
+    if abs(inclination) > SCREENING.steepest:
+        raise _too_steep(inclination)
     if across >= SCREENING.smallest_radius:
         return
-    if math.cos(shared.inclination) > 2.0 * SCREENING.smallest_radius:
+    if math.cos(inclination) > 2.0 * SCREENING.smallest_radius:
         raise Refusal(
             Reason.AXIS_ALONG_FIELD,
             "the robot turned about an axis along the field, which shows nothing of the heading;"
@@ -230,7 +268,14 @@ def _check_circle(block: TurnBlock, *, is_known: bool) -> None:
     )
 
 
-def _check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
+def check_arc(arc: float, *, solved_by_knowledge: bool) -> None:
+    """Refuse a turn that is too short; `solved_by_knowledge` says that a field or a gyro is known.
+
+    Raises
+    ------
+    Refusal
+        `ARC_TOO_SHORT`.
+    """
     least = SCREENING.least_arc if solved_by_knowledge else SCREENING.least_arc_alone
     if arc >= least - SCREENING.arc_tolerance:
         return

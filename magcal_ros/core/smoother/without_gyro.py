@@ -1,0 +1,178 @@
+"""Windows without a gyro, or with dead axes: a turn rate to average by, and wider priors.
+
+An axis that never changes measures nothing. The field shows how the robot turned about its axis;
+that rate serves only to average samples to nodes. What ties the attitudes of neighbouring nodes is
+that up changes slowly in body axes: the robot turns about an axis that it keeps, and sways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from magcal_ros.core.estimation.averaging import without_spikes
+from magcal_ros.core.estimation.initial import starts
+from magcal_ros.core.estimation.model import Samples
+from magcal_ros.core.estimation.model import State as Guess
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.circle3d import fit_circle_robustly
+from magcal_ros.core.geometry.rotations import minimal_rotation
+from magcal_ros.core.knowledge import ReferenceField, Systematics
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    EARTH,
+    LOCAL,
+    MICROTESLA,
+    RATE,
+    ROLL_PITCH,
+    UNKNOWNS,
+    Priors,
+    Size,
+)
+
+SMOOTHED = 0.5
+"""Seconds (one sigma) over which the field is averaged for the turn rate."""
+NODE = 0.3
+"""Seconds of a node; a sway of more than 1 Hz is not followed."""
+AXIS = 0.3
+"""Radians by which the turn's axis may lean from the one that is guessed, per axis."""
+HEIGHT = 0.3
+"""Metres of the accelerometer above the pivot of its sway, tried beside zero."""
+CIRCLE = 0.6
+"""Metres of the accelerometer from the middle of a small circle: one sigma."""
+NOISELESS = 1e-6
+"""Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
+Z = np.array([0.0, 0.0, 1.0])
+
+SWAY: Mapping[str, Size] = {
+    "gyro": Size(0.01, 1.5, 6.0, "rad/√s", "sway: random walk of the lean", "robots: 0 to .1", 0.1),
+    "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beside a rate that changes", "jerks", 0.05),
+    "rate_change": Size(0.05, 1.5, 4.0, "rad/s/√s", "change of the turn rate", "0 to .3", 0.2),
+    "speed_change": Size(
+        0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
+    ),
+}
+
+
+def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
+    """Return which axes of a gyro (n, 3) measure something.
+
+    One that never changes is dead; in a simulation without noise it may be right.
+    """
+    if rate is None or not np.ptp(rate, axis=0).any():
+        return False, False, False
+    x, y, z = (bool(spread > 0.0) for spread in np.ptp(rate, axis=0))
+    bend = np.abs(np.diff(rate[:, [x, y, z]], 2, axis=0))
+    if not len(bend) or np.median(bend) < NOISELESS * np.abs(rate).max():
+        return True, True, True
+    return x, y, z
+
+
+def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
+    """Average a window that has no gyro by the turn rate that its field shows."""
+    window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
+    field = _smooth(window.time, window.field @ to_body.T * MICROTESLA)
+    circle = fit_circle_robustly(field)
+    usual = unit(np.median(window.specific_force, axis=0))
+    axis = circle.normal * math.copysign(1.0, float(circle.normal @ usual))
+    turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
+    rate = np.gradient(-turn, window.time)[:, None] * axis
+    made = replace(window, angular_rate=rate)
+    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
+    return replace(nodes, tied_to=minimal_rotation(Z, axis))
+
+
+def _smooth(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return values averaged over `SMOOTHED` seconds to both sides, about a straight line."""
+    step = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / 2000.0)
+    grid = np.arange(time[0], time[-1] + step, step)
+    rows = interpolated(grid, time, values)
+    reach = max(1, min(round(3.0 * SMOOTHED / step), (len(grid) - 1) // 2))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step / SMOOTHED) ** 2)
+    padded = np.pad(rows, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
+    smooth = np.stack(
+        [np.convolve(axis, kernel / kernel.sum(), mode="valid") for axis in padded.T], axis=1
+    )
+    return interpolated(time, grid, smooth)
+
+
+def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
+    """Return the priors of a window in which not all axes of the gyro live.
+
+    About a dead axis the robot turns by what belongs to its turn about the axis that lives, and
+    sways.
+    """
+    if all(living):
+        return priors
+    scale, spread = priors.scale.copy(), {**priors.spread, "gyro_matrix": 0.0}
+    dead = ~np.array(living)
+    scale[AT["gyro_bias"]][dead] = 0.0
+    scale[AT["gyro_matrix"]].reshape(3, 3)[dead] = AXIS
+    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": SWAY["gyro"]})
+
+
+def without_rates(priors: Priors, systematics: Systematics) -> Priors:
+    """Return the priors of a window that has no gyro."""
+    priors = with_dead_axes(priors, (False, False, False))
+    scale = priors.scale.copy()
+    # The accelerometer's own up is what the answer leads to: its offset is part of the roll.
+    scale[AT["latency"]] = scale[AT["force_offset"]][:2] = 0.0
+    if not systematics.are_none:
+        scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
+    if priors.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
+        scale[AT["shielding"]] = 0.0
+    return replace(priors, scale=scale, sizes={**priors.sizes, **SWAY})
+
+
+def in_a_circle(priors: Priors) -> Priors:
+    """Return the priors of a robot that may drive a small circle: its pivot is far aside."""
+    scale = priors.scale.copy()
+    scale[AT["lever_arm"]][:2] *= CIRCLE / UNKNOWNS["lever_arm"].sigma[0]
+    return replace(priors, scale=scale)
+
+
+def at_height(priors: Priors, height: float) -> Priors:
+    """Return the priors of a robot whose accelerometer is so many metres above its sway's pivot."""
+    scale, mean = priors.scale.copy(), priors.mean.copy()
+    mean[AT["height"]], scale[AT["height"]] = height, UNKNOWNS["height"].sigma
+    return replace(priors, mean=mean, scale=scale)
+
+
+def guesses(nodes: Nodes, priors: Priors, reference: ReferenceField) -> list[tuple[State, Priors]]:
+    """Return starts: every way in which the axis, the field's circle and the dip fit together."""
+    level, down = priors.mean[EARTH]
+    scale = float(np.hypot(level, down))
+    up = unit(_smooth(nodes.time, nodes.mean_force))
+    samples = Samples(up, nodes.field / scale, np.eye(3))
+    found = starts(samples, reference, scale / MICROTESLA, 1.0)
+    return [_as_state(guess, nodes, priors, scale) for guess in found]
+
+
+def apart(one: State, other: State) -> float:
+    """Return the largest difference in installation (radians) and hard iron over the field."""
+    off = np.abs(one.shared - other.shared)
+    field = float(np.linalg.norm(one.shared[EARTH]))
+    return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
+
+
+def _as_state(guess: Guess, nodes: Nodes, priors: Priors, scale: float) -> tuple[State, Priors]:
+    own = guess.shared
+    attitude = own.body_axis @ guess.attitude @ own.world_axis.T
+    shared = priors.mean.copy()
+    shared[AT["iron"]] = own.hard_iron * scale
+    shared[ROLL_PITCH] = own.roll, own.pitch
+    strength = own.strength * scale
+    about = priors.about(shared[AT["iron"]], strength * math.cos(own.inclination))
+    if about.earth[0, 0] < priors.earth[0, 0] + 1.0:
+        shared[EARTH] = strength * np.array([math.cos(own.inclination), math.sin(own.inclination)])
+    local = np.zeros((len(attitude), LOCAL))
+    assert nodes.tied_to is not None
+    local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
+    return State(attitude, local, shared), about

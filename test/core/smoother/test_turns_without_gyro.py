@@ -1,0 +1,132 @@
+"""What the smoother recovers of turns without a gyro, or with one of which an axis is dead."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.knowledge import Knowledge, Systematics
+from magcal_ros.core.methods.smoother_one import fit
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import (
+    DEGREE,
+    LEVEL_TILT,
+    Motion,
+    Robot,
+    heading_errors,
+    measure,
+    smooth_wobble,
+    turn,
+)
+from magcal_ros.core.smoother.without_gyro import living_axes
+
+ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
+
+
+def known(robot: Robot) -> Knowledge:
+    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+
+
+def error_of(estimate, robot: Robot) -> float:
+    return math.sqrt(float(np.mean(heading_errors(estimate.correction, robot)[:, LEVEL_TILT] ** 2)))
+
+
+def error_on_slopes(estimate, robot: Robot) -> float:
+    errors = heading_errors(estimate.correction, robot)
+    return math.sqrt(float(np.mean(np.delete(errors, LEVEL_TILT, axis=1) ** 2)))
+
+
+@pytest.mark.parametrize("sense", [-1.0, 1.0])
+@pytest.mark.parametrize(
+    ("axis", "start"),
+    [((0.0, 0.0, 1.0), (0.0, 0.0, 0.3)), ((0.0, 0.9, 0.9), (0.0, 0.0, 0.3)),
+     ((0.0, 0.0, 1.0), (0.2, 0.0, 0.3))],
+    ids=["level", "tilted axis", "slope"],
+)  # fmt: skip
+def test_a_turn_is_recovered_about_any_axis_in_either_sense(axis, start, sense):
+    motion = turn(arc=sense * math.tau, axis=np.array(axis), start_rpy=start)
+    window = measure(ROBOT, motion, np.random.default_rng(1))
+    estimate = fit(window, known(ROBOT))
+    error = error_of(estimate, ROBOT)
+    assert error < 0.5 * DEGREE
+    assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
+    assert predicted_heading_sigma(estimate, 0.0) < 1.8 * DEGREE
+    assert estimate.arc > 0.95 * math.tau
+    assert estimate.swing is None
+    assert Figure.GYRO_CARRIED not in estimate.figures
+
+
+def test_a_board_that_is_mounted_upside_down_is_recovered():
+    flip = np.diag([1.0, -1.0, -1.0])
+    window = measure(ROBOT, turn(), np.random.default_rng(2))
+    turned = Window(window.time, window.field @ flip, window.specific_force @ flip)
+    estimate = fit(turned, known(ROBOT))
+    upright = fit(window, known(ROBOT))
+    np.testing.assert_allclose(
+        flip @ estimate.correction.matrix @ flip, upright.correction.matrix, atol=0.03
+    )
+    np.testing.assert_allclose(
+        estimate.correction.hard_iron @ flip, upright.correction.hard_iron, atol=0.5e-6
+    )
+
+
+def swaying(height: float, seed: int) -> Window:
+    """Return a turn whose sway moves an accelerometer that is so many metres above the pivot."""
+    rng = np.random.default_rng(seed)
+    sway = smooth_wobble(rng, 600, 20.0, 2.0 * DEGREE, (0.2, 1.0))
+    motion = turn(samples=600, duration=20.0, wobble=sway)
+    window = measure(ROBOT, motion, rng)
+    moved = np.gradient(height * motion.attitude[:, 2], motion.time, axis=0)
+    shaken = np.gradient(moved, motion.time, axis=0)
+    pull = np.einsum("nij,nj->ni", motion.attitude, shaken)
+    return replace(window, specific_force=window.specific_force + pull)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
+    """Taken for lean, the shaking would shrink the field: the heading on slopes would be wrong."""
+    estimate = fit(swaying(height, 3), Knowledge())
+    error = error_on_slopes(estimate, ROBOT)
+    assert error < 3.0 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
+    assert error < 3.0 * DEGREE
+
+
+def test_a_dead_axis_is_not_believed():
+    """On a slope the body leans all round, which the dead axes say it does not."""
+    motion = turn(start_rpy=(0.15, 0.0, 0.3))
+    window = measure(ROBOT, motion, np.random.default_rng(4), gyro=True)
+    rate = window.angular_rate * [0.0, 0.0, 1.0]
+    assert living_axes(rate) == (False, False, True)
+    estimate = fit(replace(window, angular_rate=rate), known(ROBOT))
+    error = error_of(estimate, ROBOT)
+    assert error < 0.5 * DEGREE
+    assert error < 3.0 * predicted_heading_sigma(estimate, 0.0)
+
+
+def test_a_gyro_that_is_all_zeros_is_none():
+    window = measure(ROBOT, turn(), np.random.default_rng(5))
+    silent = replace(window, angular_rate=np.zeros((len(window), 3)))
+    one, other = (fit(each, known(ROBOT)) for each in (window, silent))
+    np.testing.assert_array_equal(one.correction.matrix, other.correction.matrix)
+
+
+@pytest.mark.parametrize(
+    ("motion", "reason"),
+    [
+        (turn(arc=30.0 * DEGREE), Reason.ARC_TOO_SHORT),
+        (turn(arc=1e-6), Reason.NO_MOTION),
+        (turn(axis=np.array([0.0, math.cos(1.047), -math.sin(1.047)])), Reason.AXIS_ALONG_FIELD),
+    ],
+    ids=["short", "still", "along the field"],
+)  # fmt: skip
+def test_turns_that_show_too_little_are_refused_in_words(motion: Motion, reason: Reason):
+    window = measure(ROBOT, motion, np.random.default_rng(6))
+    with pytest.raises(Refusal) as refused:
+        fit(window, known(ROBOT))
+    assert refused.value.reason is reason
