@@ -127,10 +127,12 @@ def calibrate(
         from magcal_ros.core.smoothing.log import log_of
 
         log = log_of(window)
-    if by_smoother is not None and log is not None:
-        # The robot turned on the spot: a drive would take its motors for places that were left.
-        return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or by_smoother
-    return drive_instead(turn, log, knowledge) if log else turn
+    if log is None:
+        return turn
+    if by_smoother is None:
+        return drive_instead(turn, log, knowledge)
+    # The robot turned on the spot: a drive would take its motors for places that were left.
+    return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or by_smoother
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -237,9 +239,11 @@ def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
 
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:
     """Return what a turn is without its gyro, where that alone was bad; None if it is none."""
-    from magcal_ros.core.turn_or_drive import turned_with_a_bad_gyro
+    from magcal_ros.core.turn_or_drive import may_be_a_drive, turned_with_a_bad_gyro
 
     if turn.window is None or not turned_with_a_bad_gyro(turn, log):
+        return None
+    if not may_be_a_drive(turn, log, knowledge):
         return None
     window = replace(turn.window, angular_rate=None)
     alone = calibrate_by(window, knowledge, METHODS[0])

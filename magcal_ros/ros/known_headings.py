@@ -34,12 +34,12 @@ TICK = 0.2
 """Seconds between looks while samples are collected."""
 NO_HEADING = (
     "no known heading: set known_heading.yaw_deg (ENU: 0 to the east, 90 to the north, positive to "
-    "the left) and known_heading.north (true or magnetic), or publish a sensor_msgs/Imu with an "
-    "orientation on "
+    "the left) and known_heading.north (true_north or magnetic_north), or publish a "
+    "sensor_msgs/Imu with an orientation on "
 )
 NO_NORTH = (
-    "say which north known_heading.yaw_deg is to: set known_heading.north to true (maps, walls in "
-    "plans, two antennas) or magnetic (a compass)"
+    "say which north known_heading.yaw_deg is to: set known_heading.north to true_north (maps, "
+    "walls in plans, two antennas) or magnetic_north (a compass)"
 )
 
 

@@ -12,7 +12,7 @@ from magcal_ros.core.knowledge import (
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.ros.spec import UNSET, Later, Spec
+from magcal_ros.ros.spec import MAGNETIC_NORTH, TRUE_NORTH, UNSET, Later, Spec
 
 MAY_BE_ENABLED = "rotate.may_be_enabled"
 
@@ -208,7 +208,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "known_heading.north",
         "",
         "Which north known_heading.yaw_deg is to; there is no default",
-        choices=("", "true", "magnetic"),
+        choices=("", TRUE_NORTH, MAGNETIC_NORTH),
     ),
     Spec(
         "known_heading.sigma_deg",
@@ -220,9 +220,9 @@ PARAMETERS: tuple[Spec, ...] = (
     ),
     Spec(
         "known_heading.topic_north",
-        "true",
+        TRUE_NORTH,
         "Which north the topic heading is to; that of two antennas is true",
-        choices=("true", "magnetic"),
+        choices=(TRUE_NORTH, MAGNETIC_NORTH),
     ),
     Spec(
         "window.timeout_s",

@@ -113,6 +113,8 @@ def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
         except Exception:  # rclpy raises its own kinds while the node is not discovered yet
             found = []
         imus = [topic for topic, kinds in found if kinds[0] == IMU_TYPE]
+        # A known heading has the same type and is optional.
+        imus.sort(key=lambda topic: ("heading" in topic, not node.count_publishers(topic)))
         fields = sorted((topic for topic, kinds in found if kinds[0] == FIELD_TYPE), key=len)
         if imus and fields:
             # A further magnetometer that nobody publishes is not there.

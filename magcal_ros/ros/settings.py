@@ -14,6 +14,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.told_heading import ToldHeading
+from magcal_ros.ros.spec import TRUE_NORTH
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class Settings:
             None if math.isnan(by_hand) else math.radians(by_hand),
             _told(values),
             not (math.isnan(values["known_heading.yaw_deg"]) or values["known_heading.north"]),
-            values["known_heading.topic_north"] == "true",
+            values["known_heading.topic_north"] == TRUE_NORTH,
         )
 
 
@@ -137,7 +138,7 @@ def _told(values: Mapping[str, Any]) -> ToldHeading | None:
     if math.isnan(yaw) or not north:
         return None
     sigma = math.radians(values["known_heading.sigma_deg"])
-    return ToldHeading(math.radians(yaw), sigma, north == "true")
+    return ToldHeading(math.radians(yaw), sigma, north == TRUE_NORTH)
 
 
 def _pose(rpy_deg: tuple[float, float, float]) -> FloatArray | None:

@@ -18,6 +18,9 @@ LONGEST_TEXT = 4096
 MOST_SHOWN = 20
 """Items of a list that are shown where it is refused."""
 
+TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
+"""Choices of a north; plain `true` would be no text in YAML."""
+
 UNSET = math.nan
 """Stands for a number that is not known; in YAML it is written .nan or left out."""
 

@@ -31,7 +31,7 @@ def tell(actor, **values):
         assert result.successful, result.reason
 
 
-def dock(actor, heading, told=lambda yaw: yaw, north="magnetic"):
+def dock(actor, heading, told=lambda yaw: yaw, north="magnetic_north"):
     """Turn to about a heading (degrees) and tell the node of it; returns the answer."""
     way = math.remainder(math.radians(heading) - actor.ride.magnetic_yaw, math.tau)
     goal = actor.ride.magnetic_yaw + way
@@ -61,7 +61,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
     assert "roughly from one known heading" in first.message
     assert "One more known heading" in first.message
     # True north is told for the second: 10° less, as the magnetic one lies to the east of it.
-    second = dock(actor, DOCKS[1], lambda yaw: yaw - DECLINATION, "true")
+    second = dock(actor, DOCKS[1], lambda yaw: yaw - DECLINATION, "true_north")
     assert second.success, second.message
     third = dock(actor, DOCKS[2])
     assert third.success, third.message
@@ -102,7 +102,7 @@ def test_a_heading_that_contradicts_the_calibration_in_force_is_refused(loaded):
 
 def test_a_robot_that_turns_meanwhile_is_refused(stage):
     actor = stage(parameters=REFERENCE, speed=SPEED)
-    tell(actor, yaw_deg=10.0, north="magnetic")
+    tell(actor, yaw_deg=10.0, north="magnetic_north")
     future = actor.call("calibrate_at_heading")
     actor.run(PATIENCE, 0.3, future.done)
     assert not future.result().success

@@ -30,7 +30,7 @@ def test_what_comes_with_the_movement_is_measured_and_said(course):
     assert figures[Figure.MOTOR_FIELD] == pytest.approx(np.linalg.norm(FIELD), rel=0.2)
     told = [check for check in outcome.verdict.checks if check.figure is Figure.MOTOR_FIELD]
     assert "between rest and turn the field changes" in told[0].words
-    assert "route the power wires away, or calibrate with them on" in told[0].words
+    assert "it is taken off while the robot moves" in told[0].words
     iron = outcome.estimate.correction.hard_iron - ROBOT.hard_iron
     sigma = np.sqrt(np.diag(outcome.estimate.covariance)[9:])
     assert (np.abs(iron) < 2.0 * sigma).all()
