@@ -10,8 +10,10 @@ import pytest
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 
 CHECKOUT = Path(__file__).resolve().parents[1]
-PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "doc").glob("*.md"))]
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "doc").rglob("*.md"))]
+every_page = pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: str(page.relative_to(CHECKOUT))
+)
 
 SET_UP = (CHECKOUT / "setup.py").read_text()
 TARGETS = set(re.findall(r"(?m)^([a-z]+):", (CHECKOUT / "Makefile").read_text()))
@@ -51,9 +53,11 @@ def test_every_link_leads_to_something_that_is_there(page):
             assert anchor in anchors(target), f"{page.name} links to {link}"
 
 
-def test_every_page_is_linked_from_the_first():
-    readme = PAGES[0].read_text()
-    assert [page.name for page in PAGES[1:] if f"(doc/{page.name})" not in readme] == []
+def test_every_page_is_linked_from_the_first_or_from_the_index_of_its_folder():
+    for page in PAGES[1:]:
+        folder = page.parent
+        index = PAGES[0] if folder.name == "doc" else folder.with_suffix(".md")
+        assert f"({folder.name}/{page.name})" in index.read_text()
 
 
 def test_the_readme_is_read_in_three_minutes():
@@ -101,7 +105,7 @@ def test_nothing_is_said_twice():
 
 LONGEST_SENTENCE, MEAN_SENTENCE = 40, 25.0
 
-STILL_LONGER = {"estimator.md": 128, "measured.md": 111}
+STILL_LONGER = {"estimator.md": 128}
 """Words of the longest sentence of pages that are not rewritten yet: only ever lower these."""
 
 STILL_LONGER_ON_THE_MEAN = {"estimator.md": 27.0}
