@@ -166,7 +166,7 @@ class Systematics:
 
     They repeat from sample to sample, so that no number of samples averages them out. The
     defaults are a MEMS set on a robot that turns in the open: with them the squared error over
-    the variance is about one where all typical errors come together (doc/measured.md).
+    the variance is about one where all typical errors come together (doc/measured/turns.md).
 
     Parameters
     ----------

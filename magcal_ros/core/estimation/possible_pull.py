@@ -1,7 +1,7 @@
-"""How far a turn may be pulled to one side although nothing shows it (doc/estimator.md, section 9).
+"""Linear acceleration of a turn that nothing shows (doc/estimator.md, section 10).
 
-A gyro's mean axis tells of a pull by as much as its bias allows; without one only the jolts tell
-that a robot drives.
+The mean axis by the gyro shows a linear acceleration only as well as the gyro's bias is known.
+Without a gyro only vibration shows that a robot drives.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A calibration by the one smoother (doc/estimator.md), for turns and drives alike."""
+"""A calibration by the one smoother (doc/smoother.md), for turns and drives alike."""
 
 from __future__ import annotations
 

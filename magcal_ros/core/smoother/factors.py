@@ -116,7 +116,7 @@ def distortion(shared: FloatArray) -> FloatArray:
 
 
 def magnetic(course: Course, state: State, places: Places) -> Linear:
-    """Return what the field says at the nodes (doc/estimator.md, the field)."""
+    """Return what the field says at the nodes (doc/smoother.md, the model)."""
     nodes, shared = course.nodes, state.shared
     late = exp_rotations(nodes.rate * shared[AT["latency"]][0])
     attitude = late @ state.attitude
