@@ -119,9 +119,9 @@ def calibrate(
     """
     if method != METHODS[0]:
         return calibrate_by(window, knowledge, method)
-    by_smoother = turn_by_smoother(window, knowledge)
-    if by_smoother is not None and by_smoother.verdict.accepted:
-        return by_smoother
+    stays = turn_by_smoother(window, knowledge)
+    if stays and stays.verdict.accepted and _heading_sigma(stays) <= VERDICT.rough:
+        return stays
     turn = calibrate_by(window, knowledge, method)
     if log is None and window.angular_rate is not None and len(window):
         from magcal_ros.core.smoothing.log import log_of
@@ -129,10 +129,10 @@ def calibrate(
         log = log_of(window)
     if log is None:
         return turn
-    if by_smoother is None:
+    if stays is None:
         return drive_instead(turn, log, knowledge)
     # The robot turned on the spot: a drive would take its motors for places that were left.
-    return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or by_smoother
+    return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or stays
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -219,8 +219,8 @@ def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
     """Return what the smoother makes of a turn on the spot; None where it has no answer.
 
     That is so without a gyro, for a drive, where the body weakens the level field, where the
-    answer is rough, and where the sensors are taken to be free of systematic errors, for which
-    the turn's model is exact.
+    answer is rough and no rest says that the robot stayed, and for sensors without systematic
+    errors, for which the turn's model is exact.
     """
     from magcal_ros.core.methods.smoother_one import fit_turn
 
@@ -232,7 +232,7 @@ def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
         return None
     if estimate is None or Figure.LEVEL_SHARE in estimate.figures:
         return None
-    if predicted_heading_sigma(estimate, 0.0) > VERDICT.rough:
+    if not window.rests and predicted_heading_sigma(estimate, 0.0) > VERDICT.rough:
         return None
     return _judged_by_axes_too(estimate, knowledge, window)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from realistic import heading_error
 from side_by_side import with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
@@ -30,12 +31,17 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(size, by_rate):
     assert "between rest and turn the field changes" in outcome.verdict.summary
 
 
-def test_a_drive_does_not_answer_for_a_turn_on_the_spot_whose_motors_switch():
-    """The turn is refused; the drive was 17 degrees wrong, said 1.9 and was accepted."""
-    scene, knowledge = with_motors("switching", 10e-6)(3000)
+@pytest.mark.parametrize(
+    ("shape", "size", "number"), [("switching", 10e-6, 3000), ("in step", 20e-6, 504)]
+)
+def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(shape, size, number):
+    """The drives were 17 and 65 degrees wrong, said 1.9 and .5, and were accepted."""
+    scene, knowledge = with_motors(shape, size)(number)
     outcome = calibrate(collected(scene.window), knowledge)
-    assert not outcome.verdict.accepted
     assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
+    sigma = predicted_heading_sigma(outcome.estimate)
+    error = heading_error(scene, outcome.estimate.correction)
+    assert not outcome.verdict.accepted or error < 3.0 * sigma
 
 
 @pytest.mark.parametrize("by_rate", [False, True])
