@@ -25,7 +25,7 @@ from magcal_ros.core.doctor.course import CourseSeen
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.doctor.health import TUNING
 from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         heard = listen(options)
         if _too_little(heard.log):
             return _nothing(options, heard.log, heard.more)
-        page = heard.page_with(examine(heard.log, heard.knowledge, heard.told))
+        page = heard.page_with(examine(heard.log, heard.knowledge, heard.answers))
         return _tell(options, page, heard.knowledge.mounting.gains)
     return _recorded(options)
 
@@ -107,13 +107,13 @@ def _recorded(options: argparse.Namespace) -> int:
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()
-    told = Told(None if options.turned is None else options.turned == "left")
+    answers = UserAnswers(None if options.turned is None else options.turned == "left")
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = [looked_at("recording", "recording", words, words) for words in complaints]
     log = SensorLog.of(kept.samples)
     if _too_little(log):
         return _nothing(options, log, more)
-    page = examine(log, Knowledge(reference.field, mounting), told).with_more(more)
+    page = examine(log, Knowledge(reference.field, mounting), answers).with_more(more)
     if travel and page.used is not None:
         course = recorded_course(page.used.compass, kept.samples, travel)
         page = page.with_course(_course_seen(course, reference.field))

@@ -146,10 +146,10 @@ def doubt_of_drive(
         doubted = TUNING.doubted * gap
         is_surer = math.hypot(by_drive, doubted) < TUNING.surer * by_turn
         return doubted if is_alike and is_surer else None
-    from magcal_ros.core.smoothing.fit import favour
+    from magcal_ros.core.smoothing.fit import likelihood_ratio
 
     nodes = log.nodes(knowledge.mounting.to_body)
-    gain = favour(nodes, turn.correction, drive.correction, knowledge).gain
+    gain = likelihood_ratio(nodes, turn.correction, drive.correction, knowledge).gain
     return 0.0 if gain > TUNING.clearly else None
 
 

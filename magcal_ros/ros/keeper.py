@@ -11,9 +11,9 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.backups import keep_backup
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.former import keep_former
-from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as, numbered
+from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import promptly
 
@@ -172,14 +172,14 @@ class Keeper:
         where = f" in {plain(origin.node)}" if origin.node else ""
         return f"loaded {loaded.path} (made {made}{where})"
 
-    def store(self, find_path: Callable[[], Path], keeps_former: bool = True) -> Callable[[], str]:
+    def store(self, find_path: Callable[[], Path], with_backup: bool = True) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread.
 
         Parameters
         ----------
         find_path : callable
             Returns the file.
-        keeps_former : bool
+        with_backup : bool
             Whether another calibration that the file holds is kept beside it.
         """
         calibration, origin = self.calibration, self.origin
@@ -193,13 +193,13 @@ class Keeper:
                 nonlocal lost
                 # What is in force now matters more than what was.
                 try:
-                    keep_former(path, calibration)
+                    keep_backup(path, calibration)
                 except (FileTrouble, OSError, ValueError) as error:
                     lost = f" What it held before is not kept: {error}"
 
             try:
                 path = find_path()
-                told = (path, calibration, origin, keep if keeps_former else None)
+                told = (path, calibration, origin, keep if with_backup else None)
                 promptly(lambda: write_calibration(*told), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)

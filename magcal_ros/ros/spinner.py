@@ -17,7 +17,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from magcal_ros.ros.fair import FairLock
-from magcal_ros.ros.straight import StraightGroup, StraightLoop
+from magcal_ros.ros.sensor_loop import SensorGroup, SensorLoop
 
 
 class Spinner:
@@ -34,7 +34,7 @@ class Spinner:
     subscriptions : sequence of Subscription
         Those of its subscriptions that bring nearly all messages; their callbacks are plain
         functions.
-    group : StraightGroup
+    group : SensorGroup
         The callback group that they were made with.
     note : callable
         Told each error that a callback raises, before another callback runs.
@@ -46,7 +46,7 @@ class Spinner:
         self,
         node: Node,
         subscriptions: Sequence[Subscription],
-        group: StraightGroup,
+        group: SensorGroup,
         note: Callable[[Exception], None],
         unhurried: Sequence[Subscription] = (),
     ) -> None:
@@ -57,7 +57,7 @@ class Spinner:
         self._waiting: set[Future] = set()
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        self._loop = StraightLoop(
+        self._loop = SensorLoop(
             node, subscriptions, group, self._lock, self._note, self._say_and_go_on, unhurried
         )
 

@@ -13,7 +13,7 @@ from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.drive_model import turned_into
-from magcal_ros.core.smoothing.fit import Favour, corrected, favour_of
+from magcal_ros.core.smoothing.fit import LikelihoodRatio, corrected, likelihood_ratio_of
 from magcal_ros.core.smoothing.nodes import Nodes
 
 
@@ -49,17 +49,18 @@ def prove(
         squares += tuning.pseudo_turns * tuning.turn_spread**2
         spread = math.sqrt(squares / (turns - 1 + tuning.pseudo_turns))
         score = gain / (spread / math.sqrt(turns))
-    speaks, halves = Favour(), (0.0, 0.0)
+    ratio, halves = LikelihoodRatio(), (0.0, 0.0)
     if seconds >= tuning.shortest_proof:
-        speaks = favour_of(before, after, knowledge)
-        if speaks.gain > min(tuning.iron_proof, tuning.likelihood_proof):
+        ratio = likelihood_ratio_of(before, after, knowledge)
+        if ratio.gain > min(tuning.iron_proof, tuning.likelihood_proof):
             middle = len(road) // 2
             parts = np.arange(middle), np.arange(middle, len(road))
             first, second = (
-                favour_of(before.take(part), after.take(part), knowledge).gain for part in parts
+                likelihood_ratio_of(before.take(part), after.take(part), knowledge).gain
+                for part in parts
             )
             halves = first, second
-    likelihood = speaks.gain, halves, speaks.elsewhere, speaks.against
+    likelihood = ratio.gain, halves, ratio.elsewhere, ratio.against
     return Proof(seconds, turns, score, gain, *likelihood)
 
 

@@ -230,8 +230,8 @@ def _held(
 
 
 @dataclass(frozen=True, eq=False)
-class Favour:
-    """By how much likelier nodes are under a new calibration than under an old one.
+class LikelihoodRatio:
+    """The log likelihood ratio of nodes between a new calibration and an old one.
 
     Parameters
     ----------
@@ -256,14 +256,14 @@ class Favour:
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 
 
-def favour(
+def likelihood_ratio(
     nodes: Nodes,
     old: Correction,
     new: Correction,
     knowledge: Knowledge,
     tuning: SmootherTuning = TUNING,
-) -> Favour:
-    """Return by how much likelier the nodes are under a new calibration than under an old one.
+) -> LikelihoodRatio:
+    """Return the log likelihood ratio of the nodes between a new calibration and an old one.
 
     Parameters
     ----------
@@ -275,24 +275,24 @@ def favour(
 
     Returns
     -------
-    Favour
+    LikelihoodRatio
         Nothing where one of them cannot be followed.
     """
     before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
-    return favour_of(before, after, knowledge, tuning)
+    return likelihood_ratio_of(before, after, knowledge, tuning)
 
 
-def favour_of(
+def likelihood_ratio_of(
     old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> Favour:
-    """Return the same as `favour` of nodes that are corrected already."""
+) -> LikelihoodRatio:
+    """Return the same as `likelihood_ratio` of nodes that are corrected already."""
     fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
-        return Favour()
+        return LikelihoodRatio()
     gain = fits[0].here.cost - fits[1].here.cost
     by_node = fits[0].here.node_costs - fits[1].here.node_costs
     by_sector = np.bincount(_sector(fits[1].unknowns.yaw), by_node, SECTORS)
-    return Favour(gain / tuning.counts, by_sector / tuning.counts)
+    return LikelihoodRatio(gain / tuning.counts, by_sector / tuning.counts)
 
 
 def aligned(start: Unknowns, inside: Nodes) -> Unknowns:

@@ -19,33 +19,33 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
+from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros.calibration_loader import CalibrationLoader
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.control import Control
-from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.meetings import Meetings
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.reporter import Reporter
+from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.shelf import Shelf
-from magcal_ros.ros.straight import SENSOR_DATA
-from magcal_ros.ros.walk import Walk
 from magcal_ros.ros.wire.incoming import Unreadable, read_field
 
 
-class Told(NamedTuple):
-    """Who hears of what happens to a further magnetometer.
+class Listeners(NamedTuple):
+    """What a further magnetometer calls when something happens to it.
 
     Parameters
     ----------
     meet : callable
-        Told when it is heard for the first time.
+        Called with it when its first message arrives.
     changed : callable
         Called when another calibration is in force.
     note_error : callable
-        Told of an error that ends a turn.
+        Called with an error that ends a turn.
     """
 
     meet: Callable[[FurtherMagnetometer], None]
@@ -61,9 +61,9 @@ class FurtherMagnetometer:
     Parameters
     ----------
     node : rclpy.node.Node
-        Where the subscription lives.
-    walk : Walk
-        What it shares with the others.
+        The node that subscribes.
+    pipeline : HeadingPipeline
+        Computes the heading from all magnetometers.
     number : int
         2 for `imu/mag_2`.
     beside : Inputs
@@ -71,23 +71,23 @@ class FurtherMagnetometer:
     chosen : callable
         The parameter calibration_file of the moment.
     fits, files : Runner
-        Compute and store elsewhere.
-    told : Told
-        Who hears of what happens to it.
+        Compute and store in other threads.
+    listeners : Listeners
+        What it calls when something happens to it.
     """
 
     def __init__(
         self,
         node: Node,
-        walk: Walk,
+        pipeline: HeadingPipeline,
         number: int,
         beside: Inputs,
         chosen: Callable[[], str],
-        fits: Errands,
-        files: Errands,
-        told: Told,
+        fits: BackgroundThread,
+        files: BackgroundThread,
+        listeners: Listeners,
     ) -> None:
-        self.number, self._node, self._walk, self._told = number, node, walk, told
+        self.number, self._node, self._pipeline, self._listeners = number, node, pipeline, listeners
         self._name, self._chosen = f"imu/mag_{number}", chosen
         sensor = Sensor(node.resolve_topic_name(self._name))
         streams = Streams(beside.streams.max_gap)
@@ -95,8 +95,8 @@ class FurtherMagnetometer:
         namespace, name = node.get_namespace(), node.get_name()
         self.keeper = Keeper(namespace, name, self._apply, chosen(), number)
         log = node.get_logger()
-        self._meetings = Meetings(self.keeper, files, chosen, log.info, log.error)
-        self.shelf = Shelf(self.keeper, files, self._path, self._sensor_file)
+        self._loader = CalibrationLoader(self.keeper, files, chosen, log.info, log.error)
+        self.store = CalibrationStore(self.keeper, files, self._path, self._sensor_file)
         self.control = Control(streams, self, SelfTurn(), fits, files)
         self._reporter, self._files, self._say = Reporter(log.error), files, log.info
         self._compass: Compass | None = None
@@ -115,7 +115,7 @@ class FurtherMagnetometer:
     def start(self, gyro: GyroAtRest | None) -> None:
         """Collect the turn that begins; the robot is turned by whoever turns the first."""
         self._note_sensors()
-        settings = self._walk.settled(self.number, self.inputs.field.frame)
+        settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         self.control.start(
             replace(settings, rotation=replace(settings.rotation, enabled=False)), gyro
         )
@@ -147,7 +147,7 @@ class FurtherMagnetometer:
     def reset(self) -> None:
         """Use no calibration any more."""
         self.control.forget_turns()
-        self._meetings.forget()
+        self._loader.forget()
         if self.keeper.calibration is not None:
             self.keeper.reset()
 
@@ -158,14 +158,14 @@ class FurtherMagnetometer:
 
     def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
-        origin = self._walk.origin_of(self.inputs.field.frame)
+        origin = self._pipeline.origin_of(self.inputs.field.frame)
         self.keeper.put_in_force(calibration, origin)
         return self.keeper.store(self._path)
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
         sensor, by = self.inputs.field, self._reporter
-        return self._walk.report(sensor, by, window, settings, outcome)
+        return self._pipeline.report(sensor, by, window, settings, outcome)
 
     def describe_silence(self) -> str:
         """Say what is missing, and what to look at."""
@@ -189,11 +189,11 @@ class FurtherMagnetometer:
         self._compass = None if calibration is None else Compass(calibration)
         if self._out is not None:
             self._out.put_in_force(self._compass, magnetometer_frame)
-        self._told.changed()
+        self._listeners.changed()
 
     def note_error(self, error: Exception) -> None:
         """Take note of an error that ends a turn."""
-        self._told.note_error(error)
+        self._listeners.note_error(error)
 
     def _note_sensors(self) -> None:
         frames = self.inputs.field.frame, self.inputs.imu.frame
@@ -215,14 +215,14 @@ class FurtherMagnetometer:
         if sensor.heard(arrived.frame):
             if self._out is None:
                 self._out = FieldOutput(self._node, self._name)
-                self._told.meet(self)
+                self._listeners.meet(self)
             self._note_sensors()
-            self._meetings.meet(arrived.frame)
+            self._loader.meet(arrived.frame)
         if not streams.add_field(arrived.sample):
             return
         if self._compass is not None and self._out is not None:
-            moment = self._walk.moment_of(self._compass, arrived.sample)
-            self._out.publish(moment.field, arrived, self._walk.body_frame())
-            self._walk.take(self.number, moment, arrived)
+            moment = self._pipeline.moment_of(self._compass, arrived.sample)
+            self._out.publish(moment.field, arrived, self._pipeline.body_frame())
+            self._pipeline.take(self.number, moment, arrived)
         if not streams.is_repeated:
-            self._walk.remember(self.control, arrived.sample)
+            self._pipeline.remember(self.control, arrived.sample)

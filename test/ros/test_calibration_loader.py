@@ -8,9 +8,9 @@ from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros import keeper as keeper_module
+from magcal_ros.ros.calibration_loader import CalibrationLoader
 from magcal_ros.ros.inputs import Sensor
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.meetings import Meetings
 
 pytestmark = pytest.mark.faults
 
@@ -49,15 +49,15 @@ def reads(monkeypatch):
 
 @pytest.fixture
 def met(ros_home, reads):
-    """Return meetings, their runner, keeper and log; the file of left is there, no other."""
+    """Return loader, their runner, keeper and log; the file of left is there, no other."""
     store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
     keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
-    return Meetings(keeper, files, lambda: "", log.append, log.append), files, keeper, log
+    return CalibrationLoader(keeper, files, lambda: "", log.append, log.append), files, keeper, log
 
 
 def test_what_is_met_is_loaded_from_its_file_and_said(met):
-    meetings, files, keeper, log = met
-    meetings.meet("left")
+    loader, files, keeper, log = met
+    loader.meet("left")
     assert keeper.calibration is None
     files.go()
     assert keeper.origin.magnetometer_frame == "left"
@@ -65,10 +65,10 @@ def test_what_is_met_is_loaded_from_its_file_and_said(met):
 
 
 def test_alternating_names_read_each_file_once(met, reads):
-    meetings, files, keeper, _ = met
+    loader, files, keeper, _ = met
     for _ in range(20):
         for frame in ("right", "left", ""):
-            meetings.meet(frame)
+            loader.meet(frame)
         while files.waiting:
             files.go()
     assert reads == ["calibrator.left.yaml"]
@@ -76,10 +76,10 @@ def test_alternating_names_read_each_file_once(met, reads):
 
 
 def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
-    meetings, files, keeper, _ = met
+    loader, files, keeper, _ = met
     for k in range(200):
-        meetings.meet(f"name_{k}")
-    meetings.meet("left")
+        loader.meet(f"name_{k}")
+    loader.meet("left")
     assert len(files.waiting) == 1
     while files.waiting:
         files.go()
@@ -88,58 +88,58 @@ def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
 
 
 def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
-    meetings, files, keeper, _ = met
-    meetings.meet("left")
-    meetings.meet("right")
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    loader.meet("right")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
-    meetings.meet("left")
+    loader.meet("left")
     assert keeper.calibration is not None
     assert reads == ["calibrator.left.yaml"]
 
 
 def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
-    meetings, files, keeper, _ = met
-    meetings.meet("left")
+    loader, files, keeper, _ = met
+    loader.meet("left")
     files.go()
-    meetings.forget()
+    loader.forget()
     keeper.reset()
-    meetings.meet("right")
+    loader.meet("right")
     while files.waiting:
         files.go()
-    meetings.meet("left")
+    loader.meet("left")
     assert keeper.calibration is None
 
 
 def test_what_is_reset_while_it_is_read_is_not_used(met):
-    meetings, files, keeper, _ = met
-    meetings.meet("left")
-    meetings.forget()
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    loader.forget()
     files.go()
     assert keeper.calibration is None
-    meetings.meet("")
-    meetings.meet("left")
+    loader.meet("")
+    loader.meet("left")
     assert keeper.calibration is None
 
 
 def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     keeper, files = Keeper("/", "calibrator", lambda *_: None), Elsewhere()
-    meetings = Meetings(keeper, files, lambda: str(chosen), print, print)
-    meetings.begin()
+    loader = CalibrationLoader(keeper, files, lambda: str(chosen), print, print)
+    loader.begin()
     files.go()
-    meetings.forget()
+    loader.forget()
     keeper.reset()
-    meetings.meet("left")
+    loader.meet("left")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
 
 
 def test_a_turn_that_is_faster_than_the_disk_wins(met):
-    meetings, files, keeper, _ = met
-    meetings.meet("left")
+    loader, files, keeper, _ = met
+    loader.meet("left")
     loaded = keeper.read("", "left")
     keeper.use(loaded)
     before = keeper.calibration
@@ -158,9 +158,9 @@ def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
 
 
 def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
-    meetings, files, keeper, log = met
+    loader, files, keeper, log = met
     (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
-    meetings.meet("bad")
+    loader.meet("bad")
     files.go()
     assert "Running uncalibrated" in log[0]
     assert "bad.yaml" in keeper.trouble
@@ -169,11 +169,11 @@ def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
 def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
     keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
-    meetings = Meetings(keeper, files, lambda: str(chosen), log.append, log.append)
-    meetings.begin()
+    loader = CalibrationLoader(keeper, files, lambda: str(chosen), log.append, log.append)
+    loader.begin()
     files.go()
     assert keeper.calibration is not None
-    meetings.meet("right")
+    loader.meet("right")
     assert keeper.calibration is None
     assert "made for the magnetometer 'left'" in keeper.trouble
 

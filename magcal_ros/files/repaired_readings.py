@@ -1,4 +1,4 @@
-"""Recordings whose stamps come in bursts, spread evenly, and those of a slow IMU, filled up."""
+"""Recordings with stamps in bursts, spread evenly, and of a slow IMU, interpolated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.sources import Source
 
 LOOKED_AT = 20_000
-"""Messages by which it is told whether stamps come in bursts, and how fast the IMU is."""
+"""Messages from which bursts of stamps and the rate of the IMU are recognised."""
 
 SLOWEST = 1.5
 """Seconds between IMU samples beyond which nothing is known of what lies between."""
@@ -26,8 +26,8 @@ TURN_WITHIN = math.radians(20.0)
 """Radians within one sample of a slow IMU: its mean of the level field is 0.5% too small then."""
 
 
-class MendedReadings:
-    """What the sensors of a recording said, with even stamps in place of those in bursts.
+class RepairedReadings:
+    """The readings of a recording, with even stamps in place of those in bursts.
 
     A recording is read once, and twice more where its stamps come in bursts. An IMU of 1 to 5 Hz,
     whose samples are too far apart to be joined, is interpolated where it turns slowly.
@@ -37,12 +37,12 @@ class MendedReadings:
     source : Source
         The recording.
     for_drive : bool
-        Whether a drive is to be told of it, for which its field may be too slow.
+        Whether it is read as a drive, for which its field may be too slow.
 
     Attributes
     ----------
     notes : list of str
-        What was mended, in words; complete when everything has been read.
+        What was repaired, in words; complete when everything has been read.
     """
 
     def __init__(self, source: Source, for_drive: bool = False) -> None:
@@ -124,7 +124,7 @@ class MendedReadings:
         )
 
     def _note(self, stamps: Sequence[FloatArray], even: Sequence[FloatArray | None]) -> None:
-        """Say which topics were mended; those of one driver in one line."""
+        """Say which topics were repaired; those of one driver in one line."""
         topics: dict[str, list[str]] = {}
         names = self._source.imu_topic, self._source.field_topic
         for name, old, new in zip(names, stamps, even, strict=True):

@@ -1,8 +1,7 @@
-"""A process beside the node, for what computes long.
+"""A worker process for computations that take long.
 
-A fit in a thread of the node's own takes turns with the messages that arrive meanwhile, and they
-come late. A process of its own does not hold them up, can be ended at any moment, and takes the
-memory that it used with it.
+A fit in a thread of the node competes with the messages that arrive meanwhile, and delays them. A
+process of its own does not delay them, can be ended at any moment, and its memory is freed then.
 """
 
 from __future__ import annotations
@@ -27,30 +26,30 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LOOK = 1.0
-"""Seconds between two looks whether a process that computes is still allowed to."""
+"""Seconds between two checks whether the process has been stopped by a signal."""
 
 ENDING = 1.0
-"""Seconds after its last word in which a process that ends is gone."""
+"""Seconds to wait for the end of a process that has closed its output."""
 
 SIZE = 8
-"""Bytes before each message on the line, which say how long it is."""
+"""Bytes of the length that precedes each message."""
 
 
 class Lost(MagcalError):
-    """The process beside the node is gone, or could not be started; the text says why."""
+    """The worker process has ended, or could not be started; the text says why."""
 
 
 class Stopped(Lost):
-    """The node itself has ended it."""
+    """The node itself has ended the worker process."""
 
     def __init__(self) -> None:
         super().__init__("the node has ended the process that fits")
 
 
-class Aside:
-    """Runs functions in a process that is there only while it is needed.
+class WorkerProcess:
+    """Runs functions in a process that is started when it is needed.
 
-    All but `stop` and `end` wait, so they belong into a thread other than that of the messages.
+    All methods but `stop` and `end` block: call them from another thread than that of the messages.
     """
 
     def __init__(self) -> None:
@@ -59,13 +58,13 @@ class Aside:
         self._is_over = False
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start the process, if it is not there; returns it.
+        """Start the process, if it does not run, and return it.
 
         Raises
         ------
         Lost
-            If there is no room for it, or if it was ended for good: a process that is begun while
-            this one ends finds nobody.
+            If the system cannot start it, or after `end`: a process that is started while the node
+            ends would have nobody to serve.
         """
         import subprocess
 
@@ -156,7 +155,7 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
 
 
 def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
-    """Whether somebody keeps the process from running, and so the node waiting."""
+    """Whether the process is stopped by a signal, so that the node would wait for it."""
     try:
         found = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
@@ -165,7 +164,7 @@ def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
 
 
 def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
-    """Say why there was no answer; from then on the process is surely gone."""
+    """Say why there was no answer, and make sure that the process has ended."""
     import subprocess
 
     if _is_stopped(process):
@@ -183,18 +182,18 @@ def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
 
 
 def main() -> int:
-    """Answer calls on standard input until nobody is there any more; returns 0."""
+    """Answer calls on standard input until it is closed; returns 0."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     memory_limit.unbound()
     back = os.dup(sys.stdout.fileno())
-    # What a library prints is no answer.
+    # Output that a library prints must not be taken for an answer.
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     with contextlib.suppress(EOFError, OSError), open(back, "wb") as line:
         while size := sys.stdin.buffer.read(SIZE):
             function, arguments = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "big")))
             try:
                 answer = (True, function(*arguments))
-            except Exception as error:  # whatever it is, the caller is told
+            except Exception as error:  # any error is passed on to the caller
                 answer = (False, error)
             reply = pickle.dumps(answer)
             line.write(len(reply).to_bytes(SIZE, "big") + reply)

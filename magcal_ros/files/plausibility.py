@@ -1,4 +1,4 @@
-"""Whether what a calibration file claims can be true of any magnetometer on Earth."""
+"""Whether the numbers of a calibration file are possible for a magnetometer on Earth."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magcal_ros.core.samples.streams import STREAMS
 
 @dataclass(frozen=True)
 class Bounds:
-    """What numbers a calibration can hold.
+    """Bounds of the numbers of a calibration.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ BOUNDS = Bounds()
 
 
 def require_possible(calibration: Calibration) -> None:
-    """Refuse what no turn can have found.
+    """Refuse numbers that no turn can have found.
 
     Parameters
     ----------

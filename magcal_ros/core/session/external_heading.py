@@ -1,4 +1,4 @@
-"""A heading that somebody tells, and what a node keeps of it while its robot goes on."""
+"""A heading from outside (typed in, or on a topic), and its comparison with the gyro."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ TUNING = DockingTuning()
 
 @dataclass(frozen=True)
 class LogTuning:
-    """What is kept of a way on which the heading is told.
+    """What is kept of a drive along which external headings arrive.
 
     Parameters
     ----------
     sectors, each : int
-        Directions that are told apart, and how many means are kept of each.
+        Number of directions, and how many means are kept of each.
     block, pause : float
         Seconds of a mean, and between those of one direction: streets bend the field over 30 m.
     fewest : int
@@ -88,8 +88,8 @@ LOG = LogTuning()
 
 
 @dataclass(frozen=True)
-class ToldHeading:
-    """A heading that somebody tells.
+class ExternalHeading:
+    """A heading from outside, such as a dock's or an antenna pair's.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class TurnSince:
 
 
 class HeadingAgainstGyro:
-    """Whether a heading that is told again and again turns as the gyro does.
+    """Whether a stream of external headings turns as the gyro does.
 
     Attributes
     ----------
@@ -176,12 +176,12 @@ class HeadingAgainstGyro:
             return
         if abs(self._turned) < AGAINST.turn:
             return
-        told, turned = wrapped(yaw - last[1]), self._turned
+        given, turned = wrapped(yaw - last[1]), self._turned
         self._last, self._turned = (stamp, yaw), 0.0
-        if abs(wrapped(told - turned)) < AGAINST.apart:
+        if abs(wrapped(given - turned)) < AGAINST.apart:
             self._wrong, self.fault = [], ""
             return
-        self._wrong = [*self._wrong, (told, turned)][-AGAINST.times :]
+        self._wrong = [*self._wrong, (given, turned)][-AGAINST.times :]
         if len(self._wrong) == AGAINST.times:
             self.fault = self._in_words()
 
@@ -189,9 +189,9 @@ class HeadingAgainstGyro:
         for factor, words in TURNS_AS.items():
             if all(abs(wrapped(t - factor * g)) < AGAINST.apart for t, g in self._wrong):
                 return words
-        told, turned = self._wrong[-1]
+        given, turned = self._wrong[-1]
         return (
-            f"it turned by {told * DEGREES:.0f}° while the gyro turned by "
+            f"it turned by {given * DEGREES:.0f}° while the gyro turned by "
             f"{wrapped(turned) * DEGREES:.0f}° (to the left): see whether it is the robot's "
             "heading, and whether its stamps are those of the measurement"
         )
@@ -208,7 +208,7 @@ TURNS_AS = {
 
 @dataclass(frozen=True)
 class AgainstTuning:
-    """When a told heading turns otherwise than the gyro.
+    """When an external heading turns otherwise than the gyro.
 
     Parameters
     ----------

@@ -12,9 +12,9 @@ from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from support import PATIENCE, wait_until
 
-from magcal_ros.ros import straight
+from magcal_ros.ros import sensor_loop
+from magcal_ros.ros.sensor_loop import MOST_AT_ONCE, SensorGroup
 from magcal_ros.ros.spinner import Spinner
-from magcal_ros.ros.straight import MOST_AT_ONCE, StraightGroup
 
 
 class Served:
@@ -22,7 +22,7 @@ class Served:
 
     def __init__(self):
         self.node = rclpy.create_node("served")
-        self.group, self.heard, self.errors = StraightGroup(), [], []
+        self.group, self.heard, self.errors = SensorGroup(), [], []
         self.subscription = self.node.create_subscription(
             Float64, "number", self.hear, 100, callback_group=self.group
         )
@@ -175,7 +175,7 @@ def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
         def __exit__(self, *_):
             pass
 
-    loop = straight.StraightLoop(
+    loop = sensor_loop.SensorLoop(
         served.node, [served.subscription], served.group, Lock(), served.errors.append, print
     )
     number(*range(90))

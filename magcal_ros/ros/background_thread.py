@@ -1,4 +1,4 @@
-"""Work that may take long, off the executor's thread, and its results back in it."""
+"""A thread for work that may take long; its results return to the executor's thread."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ T = TypeVar("T")
 Done = Callable[[], object]
 
 
-class Errands:
-    """Runs one piece of work after another in a thread; what follows runs in the executor.
+class BackgroundThread:
+    """Runs one job after another in a thread; what follows runs in the executor.
 
-    The thread is there from the first errand on, and holds nobody up at the end: a disk that does
-    not answer may keep it for ever. Where the machine has no room for a thread, the work fails as
-    if it had raised that error itself.
+    The thread is started with the first job. It does not delay the end of the process: a disk that
+    does not answer may block it for ever. Where the machine has no room for a thread, the work fails
+    as if it had raised that error itself.
 
     Parameters
     ----------
     node : rclpy.node.Node
         Whose executor takes the results.
     name : str
-        The thread's.
+        Name of the thread.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -58,10 +58,10 @@ class Errands:
             Is given what it raised.
         """
 
-        def errand() -> Done:
+        def job() -> Done:
             try:
                 result = work()
-            except Exception as error:  # whoever asked judges it
+            except Exception as error:  # the caller handles it
                 fault = error
                 return lambda: otherwise(fault)
             return lambda: then(result)
@@ -79,7 +79,7 @@ class Errands:
         with self._lock:
             self._open += 1
             self._idle.clear()
-        self._waiting.put(errand)
+        self._waiting.put(job)
 
     def deliver(self) -> None:
         """Hand over what is done; the executor calls it, and a heartbeat may."""

@@ -5,7 +5,7 @@ import pytest
 from drives import drive, write_bag, write_csv
 
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.files.mended import MendedReadings
+from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.files.sources import open_recording
 
 PERIOD = 0.8
@@ -27,7 +27,7 @@ def stamps(samples, of_imu):
 
 def read(path):
     with open_recording(path) as source:
-        readings = MendedReadings(source)
+        readings = RepairedReadings(source)
         return list(readings), readings.notes
 
 

@@ -1,4 +1,4 @@
-"""What a calibration file held before, beside it."""
+"""Backups of a calibration file's former content, beside it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from magcal_ros.files.calibration_file import LARGEST_FILE, is_free_or_ours, rea
 from magcal_ros.files.reading import read_small
 
 
-def former_files(path: Path, kept: int = 3) -> list[Path]:
-    """Return where the calibrations before a file's lie, the newest first; they need not exist."""
+def backup_files(path: Path, kept: int = 3) -> list[Path]:
+    """Return the paths of a file's backups, the newest first; they need not exist."""
     return [path.with_name(f"{path.stem}.before_{k}{path.suffix}") for k in range(1, kept + 1)]
 
 
-def keep_former(path: Path, successor: Calibration) -> None:
+def keep_backup(path: Path, successor: Calibration) -> None:
     """Copy what a file holds to the newest of its former files; older ones move on.
 
     Nothing is done where the file holds no calibration that can be loaded, the successor's
@@ -41,7 +41,7 @@ def keep_former(path: Path, successor: Calibration) -> None:
         held, _ = read_calibration(path)
     except (OSError, ValueError, FileTrouble):
         return
-    files = [file for file in former_files(path) if is_free_or_ours(file) and not file.is_symlink()]
+    files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
     if not files:
         raise FileTrouble("all names for it belong to files that are not ours")
     kept = next((k for k, file in enumerate(files) if _holds(file, held)), None)

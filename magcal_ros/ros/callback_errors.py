@@ -1,4 +1,4 @@
-"""Errors that come out of callbacks: said once, counted, survived."""
+"""Errors raised in callbacks: each kind is logged once, and all are counted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ LONGEST = 300
 """Characters of an error's own words that go into the log; some quote a whole message."""
 
 
-class Mishaps:
+class CallbackErrors:
     """Counts the errors of all callbacks and logs each kind of them once.
 
     A kind is a type of error at a line of code.

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.places import (
+from magcal_ros.files.default_paths import (
     LONGEST_FRAME,
     RESERVED,
     SensorFile,

@@ -1,4 +1,4 @@
-"""Where and when the robot is, and with that the reference field in use."""
+"""The reference field in use, by parameters, place and date."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ FIX_PAUSE = 0.2
 """Seconds after a look within which another fix brings no new one."""
 
 
-class Whereabouts:
+class ReferenceSource:
     """Listens to gps/fix and keeps the reference field up to date.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Where the subscription lives.
+        The node, for its clock and log.
     table : Parameters
-        What the user gave; it wins over fix and model.
+        What the user gave; it has priority over fix and model.
     """
 
     def __init__(self, node: Node, table: Parameters) -> None:
@@ -66,7 +66,7 @@ class Whereabouts:
         self.refresh()
 
     def refresh(self) -> None:
-        """Look at parameters, place and date again, and say what is new."""
+        """Evaluate parameters, place and date again, and log what is new."""
         self._looked = time.monotonic()
         before, self._reference = self._reference, self._resolve()
         say = self._announcer
@@ -99,8 +99,8 @@ class Whereabouts:
         return round(year_of((self._fixes.stamp, clock), time.time()), 1)
 
     def on_fix(self, fix: Fix) -> None:
-        """Take what a receiver says of the place."""
+        """Take a fix of a receiver."""
         news = self._fixes.add(fix)
-        # The heartbeat looks again: a receiver gone mad costs no model a message.
+        # The heartbeat looks again, so that a faulty receiver cannot cost a model for each message.
         if news and time.monotonic() - self._looked >= FIX_PAUSE:
             self.refresh()

@@ -1,4 +1,4 @@
-"""The walk of a field message, from whichever magnetometer: to one heading, and out."""
+"""The steps from a field message of any magnetometer to the published heading."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
+from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
@@ -23,20 +24,19 @@ from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import HeadingOutput
+from magcal_ros.ros.reference_source import ReferenceSource
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import FieldArrival
 
 FIRST = 1
 """Number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`."""
 
 
-class Walk:
-    """What all magnetometers share: the IMU's up, the heading's outputs, where and on what.
+class HeadingPipeline:
+    """Computes and publishes the heading from the messages of all magnetometers.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Walk:
         Has taken each IMU message.
     inputs : Inputs
         The IMU and the first magnetometer.
-    seat, whereabouts, travel : Seat, Whereabouts, Travel
+    frames, reference_source, travel : SensorFrames, ReferenceSource, Travel
         How the sensors sit, where the robot is, and what it drives on.
 
     Attributes
@@ -68,15 +68,15 @@ class Walk:
         node: Node,
         up: UpFollower,
         inputs: Inputs,
-        seat: Seat,
-        whereabouts: Whereabouts,
+        frames: SensorFrames,
+        reference_source: ReferenceSource,
         travel: Travel,
     ) -> None:
         self._node, self._up, self._inputs = node, up, inputs
-        self._seat, self._whereabouts, self._travel = seat, whereabouts, travel
+        self._frames, self._reference, self._travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
-        self.headings = HeadingOutput(node, seat)
-        self.fused = FusedOutput(node, up, seat)
+        self.headings = HeadingOutput(node, frames)
+        self.fused = FusedOutput(node, up, frames)
         self.several = SeveralCompasses()
         self.are_several = False
         self.lead: Calibration | None = None
@@ -99,21 +99,21 @@ class Walk:
             self.lead = lead
             self.headings.begin_anew(lead)
             self.fused.begin_anew(lead)
-            self._whereabouts.use(lead)
+            self._reference.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, settings: Settings, keeper: Keeper, shelf: Shelf) -> None:
+    def follow(self, settings: Settings, keeper: Keeper, store: CalibrationStore) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
         learnt = self.motors.follow(Mode(settings.self_calibration))
         if learnt is not None and keeper.keep_motors(learnt):
-            shelf.save(lambda _: None)
+            store.save(lambda _: None)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
         if self.known is not None and self.known.follows:
             self.known.on_imu(seconds)
-        reference = self._whereabouts.reference.field
+        reference = self._reference.reference.field
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
     def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
@@ -131,7 +131,7 @@ class Walk:
             if joined is None:
                 return
             moment = joined
-        reference = self._whereabouts.reference.field
+        reference = self._reference.reference.field
         self.headings.publish(moment, arrived.stamp, self.body_frame(), reference)
         self.fused.on_field(moment)
         self._travel.on_moment(moment)
@@ -146,10 +146,10 @@ class Walk:
 
     def settled(self, number: int, frame: str) -> Settings:
         """Return the parameters as they hold for a turn of one magnetometer."""
-        settings = self._whereabouts.settings
+        settings = self._reference.settings
         if number == FIRST:
-            return self._seat.settled(settings)
-        return self._seat.settled_for(settings, number, frame)
+            return self._frames.settled(settings)
+        return self._frames.settled_for(settings, number, frame)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""

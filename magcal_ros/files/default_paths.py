@@ -1,4 +1,4 @@
-"""Where files go unless the user says otherwise."""
+"""Paths of files that the user has not named."""
 
 from __future__ import annotations
 

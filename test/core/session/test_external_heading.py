@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.session.told_heading import HeadingAgainstGyro, TurnSince
+from magcal_ros.core.session.external_heading import HeadingAgainstGyro, TurnSince
 
 
 @pytest.mark.parametrize(

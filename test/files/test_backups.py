@@ -9,8 +9,8 @@ import pytest
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.backups import backup_files, keep_backup
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.former import former_files, keep_former
 
 pytestmark = pytest.mark.faults
 
@@ -36,7 +36,7 @@ def irons(path, found):
     def save(microtesla):
         correction = replace(found.correction, hard_iron=[microtesla * 1e-6, 0.0, 0.0])
         calibration = replace(found, correction=correction)
-        write_calibration(path, calibration, ORIGIN, lambda: keep_former(path, calibration))
+        write_calibration(path, calibration, ORIGIN, lambda: keep_backup(path, calibration))
 
     return save
 
@@ -46,7 +46,7 @@ def iron_of(path):
 
 
 def kept(path):
-    return [iron_of(file) for file in former_files(path)]
+    return [iron_of(file) for file in backup_files(path)]
 
 
 def test_the_last_three_lie_beside_the_file(path, irons):
@@ -99,7 +99,7 @@ def test_a_full_disk_moves_nothing(path, irons, monkeypatch):
 @pytest.mark.parametrize("slot", [0, 1, 2])
 @pytest.mark.parametrize("kind", ["text", "folder", "link"])
 def test_what_is_not_ours_stays_and_the_rest_goes_on(path, irons, slot, kind, tmp_path):
-    theirs = former_files(path)[slot]
+    theirs = backup_files(path)[slot]
     if kind == "folder":
         theirs.mkdir()
     elif kind == "link":
@@ -110,7 +110,7 @@ def test_what_is_not_ours_stays_and_the_rest_goes_on(path, irons, slot, kind, tm
         theirs.write_text("mine")
     for number in range(6):
         irons(number)
-    rest = [file for file in former_files(path) if file != theirs]
+    rest = [file for file in backup_files(path) if file != theirs]
     assert [iron_of(file) for file in rest] == [4, 3]
     assert theirs.is_dir() if kind == "folder" else theirs.read_text() == "mine"
     assert theirs.is_symlink() is (kind == "link")
@@ -118,18 +118,18 @@ def test_what_is_not_ours_stays_and_the_rest_goes_on(path, irons, slot, kind, tm
 
 def test_that_there_is_no_name_left_is_said(path, irons, found):
     irons(1)
-    for file in former_files(path):
+    for file in backup_files(path):
         file.mkdir()
     with pytest.raises(FileTrouble, match="not ours"):
-        keep_former(path, found)
+        keep_backup(path, found)
 
 
 def test_a_link_to_a_calibration_of_ours_is_no_place(path, irons, tmp_path):
     irons(1)
     backup = tmp_path / "backup.yaml"
     backup.write_bytes(path.read_bytes())
-    former_files(path)[0].symlink_to(backup)
+    backup_files(path)[0].symlink_to(backup)
     for number in (2, 3):
         irons(number)
     assert iron_of(backup) == 1
-    assert [iron_of(file) for file in former_files(path)[1:]] == [2, 1]
+    assert [iron_of(file) for file in backup_files(path)[1:]] == [2, 1]

@@ -1,4 +1,4 @@
-"""A sensor is met: its calibration is looked for, off the executor's thread, and once."""
+"""Loads the calibration of a sensor when its first message arrives, in the background."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from magcal_ros.ros.control import Runner
 from magcal_ros.ros.keeper import Keeper, Loaded, require_sensor
 
 MOST_KNOWN = 100
-"""Names of sensors that are remembered; beyond, the one that was met first is forgotten."""
+"""Names of sensors that are remembered; beyond that the oldest one is dropped."""
 
 
-class Meetings:
-    """Loads the calibration of the sensor that is there, or checks that the loaded one is its own.
+class CalibrationLoader:
+    """Loads the calibration of the sensor, or checks that the loaded one was made for it.
 
     Parameters
     ----------
     keeper : Keeper
         Holds the calibration in force.
     files : Runner
-        Reads elsewhere.
+        Reads files in another thread.
     chosen : callable
-        The parameter calibration_file of the moment.
+        Returns the parameter calibration_file.
     info, error : callable
-        Told what was loaded, and what went wrong.
+        Called with what was loaded, and what went wrong.
     """
 
     def __init__(
@@ -48,12 +48,12 @@ class Meetings:
         self._resets = 0
 
     def begin(self) -> None:
-        """Load a file that was chosen by its name, before any sensor is met."""
+        """Load a file that was chosen by its name, before any sensor is heard."""
         if self._chosen():
             self._read("", is_met=False)
 
     def meet(self, frame: str) -> None:
-        """Take note of the sensor that the field comes from now; it may be an old acquaintance."""
+        """Take note of the sensor that the field comes from now; it may have been heard before."""
         self._current = frame
         if frame in self._found:
             self._use(self._found[frame])
@@ -70,7 +70,7 @@ class Meetings:
             self._check(frame)
 
     def forget(self) -> None:
-        """Load nothing by itself any more that was found, or begun to be read, so far."""
+        """Do not use any more what was found, or began to be read, so far."""
         self._found = OrderedDict.fromkeys(self._found)
         self._dismissed = self._used
         self._resets += 1

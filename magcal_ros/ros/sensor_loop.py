@@ -1,4 +1,4 @@
-"""The sensors' messages, handed on straight away.
+"""A loop of its own for the sensors' messages.
 
 For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
 makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
@@ -30,7 +30,7 @@ MOST_AT_ONCE = 16
 FOR_EVER = -1
 
 
-class StraightGroup(CallbackGroup):
+class SensorGroup(CallbackGroup):
     """Keeps subscriptions from rclpy's executor for as long as somebody else serves them.
 
     Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
@@ -39,7 +39,7 @@ class StraightGroup(CallbackGroup):
     Attributes
     ----------
     is_open : bool
-        Whether rclpy's executor serves them, as it does until a `StraightLoop` takes over.
+        Whether rclpy's executor serves them, as it does until a `SensorLoop` takes over.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class StraightGroup(CallbackGroup):
         """Nothing has to be noted: one thread calls back at a time."""
 
 
-class StraightLoop:
+class SensorLoop:
     """A thread that takes the messages of chosen subscriptions and calls back.
 
     Parameters
@@ -67,7 +67,7 @@ class StraightLoop:
         The node that owns the subscriptions.
     subscriptions : sequence of Subscription
         Made in the group; their callbacks are plain functions.
-    group : StraightGroup
+    group : SensorGroup
         Closed while the thread serves them.
     lock : context manager
         Held while callbacks run.
@@ -83,7 +83,7 @@ class StraightLoop:
         self,
         node: Node,
         subscriptions: Sequence[Subscription],
-        group: StraightGroup,
+        group: SensorGroup,
         lock: AbstractContextManager[None],
         note: Callable[[Exception], None],
         give_up: Callable[[Exception], None],

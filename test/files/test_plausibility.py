@@ -14,7 +14,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.claims import require_possible
+from magcal_ros.files.plausibility import require_possible
 
 pytestmark = pytest.mark.faults
 

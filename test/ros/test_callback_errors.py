@@ -7,7 +7,7 @@ from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
 from support import PATIENCE, REFERENCE, goes_on
 
-from magcal_ros.ros.mishaps import LONGEST, Mishaps
+from magcal_ros.ros.callback_errors import LONGEST, CallbackErrors
 
 
 def raised(fail, *arguments):
@@ -28,13 +28,13 @@ def look_up(name):
 
 def test_a_kind_is_logged_once_with_its_place_and_counted_each_time():
     lines = []
-    mishaps = Mishaps(lines.append)
+    callback_errors = CallbackErrors(lines.append)
     for _ in range(3):
-        mishaps.note(raised(divide, 0))
-        mishaps.note(raised(look_up, "a\nb" * 1000))
-    assert mishaps.total == 6
+        callback_errors.note(raised(divide, 0))
+        callback_errors.note(raised(look_up, "a\nb" * 1000))
+    assert callback_errors.total == 6
     assert len(lines) == 2
-    place = f"test_mishaps.py, line {divide.__code__.co_firstlineno + 1}"
+    place = f"test_callback_errors.py, line {divide.__code__.co_firstlineno + 1}"
     assert "ZeroDivisionError" in lines[0]
     assert place in lines[0]
     assert "KeyError" in lines[1]
@@ -43,10 +43,10 @@ def test_a_kind_is_logged_once_with_its_place_and_counted_each_time():
 
 def test_the_same_type_of_error_elsewhere_is_another_kind():
     lines = []
-    mishaps = Mishaps(lines.append)
-    mishaps.note(raised(divide, 0))
-    mishaps.note(raised(lambda: 1 // 0))
-    mishaps.note(ZeroDivisionError("never raised"))
+    callback_errors = CallbackErrors(lines.append)
+    callback_errors.note(raised(divide, 0))
+    callback_errors.note(raised(lambda: 1 // 0))
+    callback_errors.note(ZeroDivisionError("never raised"))
     assert len(lines) == 3
 
 
@@ -109,7 +109,7 @@ def test_an_error_in_the_sensors_own_callback_is_counted_and_survived(graph, loa
         sound(frame)
 
     node._inputs.imu.heard = fail
-    robot.run(PATIENCE, stop=lambda: node._mishaps.total >= 5)
+    robot.run(PATIENCE, stop=lambda: node._callback_errors.total >= 5)
     robot.run(0.2)
-    assert node._mishaps.total == 5
+    assert node._callback_errors.total == 5
     goes_on(robot)

@@ -1,4 +1,4 @@
-"""Saving and loading when somebody asks for it."""
+"""The services `save` and `load`."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from pathlib import Path
 
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.services import Tell
 
 
-class Shelf:
-    """Does what the services `save` and `load` ask for.
+class CalibrationStore:
+    """Saves and loads the calibration when a service asks for it.
 
     Parameters
     ----------
     keeper : Keeper
-        Has what is in force.
-    files : Errands
-        Does the disk's work.
+        Has the calibration in force.
+    files : BackgroundThread
+        Reads and writes the files.
     find_path : callable
         Returns the file to save to.
     of_sensor : callable
@@ -30,7 +30,7 @@ class Shelf:
     def __init__(
         self,
         keeper: Keeper,
-        files: Errands,
+        files: BackgroundThread,
         find_path: Callable[[], Path],
         of_sensor: Callable[[], tuple[str, str]],
     ) -> None:
@@ -38,7 +38,7 @@ class Shelf:
         self._find_path, self._of_sensor = find_path, of_sensor
 
     def save(self, tell: Tell) -> None:
-        """Save what is in force."""
+        """Save the calibration in force."""
         try:
             work = self._keeper.store(self._find_path)
         except FileTrouble as error:
@@ -51,7 +51,7 @@ class Shelf:
         )
 
     def load(self, tell: Tell) -> None:
-        """Put in force what the file has."""
+        """Put the calibration of the file in force."""
         chosen, frame = self._of_sensor()
 
         def fail(error: Exception) -> None:

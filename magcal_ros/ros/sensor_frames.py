@@ -1,4 +1,4 @@
-"""How the sensors sit on the robot: the parameters' word, else the robot's description."""
+"""The poses of the sensors on the robot, from the parameters or the robot's description."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.heading.mended_pose import MendedPose, mend
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.description import Description
 from magcal_ros.ros.settings import Settings
 
@@ -29,15 +29,15 @@ FAR_OFF = 0.26
 """Radians between a described and a found pose from which the description is doubted (15°)."""
 
 
-class Seat:
-    """Knows how magnetometer and IMU sit, and in whose frame attitudes are published.
+class SensorFrames:
+    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Where the robot's description is heard.
+        The node that subscribes to the robot's description.
     settings : callable
-        The parameters of the moment.
+        Returns the parameters in use.
     """
 
     def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
@@ -53,7 +53,7 @@ class Seat:
         self._mended = MendedPose(None)
 
     def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
-        """Take the frames that the sensors name."""
+        """Take the frames that the sensors' messages name."""
         self._imu_frame, self._magnetometer_frame = (
             known_as(imu_frame),
             known_as(magnetometer_frame),
@@ -62,14 +62,14 @@ class Seat:
 
     @property
     def poses(self) -> SensorPoses:
-        """How the sensors sit, by the parameters of this moment."""
+        """The poses of the sensors, by the parameters in use."""
         if self._settings() is not self._used:
             self._look()
         return self._poses
 
     @property
     def view(self) -> BaseView | None:
-        """Turns the IMU's attitude into the base's; None while its pose is not known."""
+        """Converts the IMU's attitude to the base's; None while its pose is not known."""
         if self._settings() is not self._used:
             self._look()
         return self._view
@@ -79,12 +79,12 @@ class Seat:
         return self._settings().base_frame or imu_frame
 
     def settled(self, settings: Settings) -> Settings:
-        """Return parameters in which the magnetometer's pose is the described one, if any."""
+        """Return the parameters with the described pose of the magnetometer, if there is one."""
         mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
         return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
 
     def settled_for(self, settings: Settings, number: int, frame: str) -> Settings:
-        """Return parameters as they hold for a further magnetometer, by its number and frame."""
+        """Return the parameters for a further magnetometer, by its number and frame."""
         frames = replace(self._frames, magnetometer=frame)
         given = settings.second_mount if number == 2 else None
         pose = sensor_poses(frames, self._description.tree, given).magnetometer
@@ -92,18 +92,18 @@ class Seat:
         return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
 
     def note_up(self, follower: UpFollower) -> None:
-        """Hold the description against gravity while the robot stands."""
+        """Compare the description with gravity while the robot stands."""
         up = follower.newest
         if follower.is_at_rest and up is not None:
             self._contradiction = self._poses.contradiction(np.array(up), self._frames)
 
     def note_outcome(self, outcome: Outcome | None) -> None:
-        """Hold it against what the last turn has found."""
+        """Compare the description with the result of the last turn."""
         estimate = None if outcome is None else outcome.estimate
         self._found = None if estimate is None else estimate.installation
 
     def note_vehicle_yaw(self, yaw: VehicleYaw | None) -> None:
-        """Take how the IMU sits in the vehicle, as drives show it."""
+        """Take the yaw of the IMU in the vehicle that was found while driving."""
         if yaw != self._vehicle_yaw:
             self._vehicle_yaw = yaw
             self._look()

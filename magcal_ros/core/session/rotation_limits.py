@@ -9,8 +9,8 @@ from magcal_ros.core.session.rotation_plan import Seen, planned_duration
 
 
 @dataclass(frozen=True)
-class LeashTuning:
-    """How far a robot that turns itself may go.
+class RotationLimitsTuning:
+    """Limits of a robot that turns itself.
 
     Attributes
     ----------
@@ -26,10 +26,10 @@ class LeashTuning:
     farthest_beyond: float = math.radians(45.0)
 
 
-TUNING = LeashTuning()
+TUNING = RotationLimitsTuning()
 
 
-class Leash:
+class RotationLimits:
     """Measures a robot's turn by the gyro, and by the commands times their time.
 
     Whichever of the two reaches its end first ends the motion.

@@ -1,4 +1,4 @@
-"""What wheels and receiver tell along a recording, beside its sensors."""
+"""A recording's wheels and receiver, replayed together with its sensors."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from magcal_ros.core.up import UpFollower
 NOTHING: Triple = (0.0, 0.0, 0.0)
 
 
-class Companion:
-    """Goes along with a recording's sensors; without travel and streams it costs nothing.
+class TravelReplay:
+    """Merges travel samples into a recording's readings, and follows up and speed along it.
 
     Parameters
     ----------
     travel : iterable
-        What receiver and wheels said, by stamp.
+        Samples of receiver and wheels, by stamp.
     streams : Streams, optional
         Drop what they do, as a node would.
 
@@ -39,10 +39,10 @@ class Companion:
         self.travelling, self.up = Travelling(), UpFollower()
         self.own = NOTHING
 
-    def along(
+    def readings(
         self, readings: Iterable[ImuSample | FieldSample | None]
     ) -> Iterator[ImuSample | FieldSample | None]:
-        """Yield the readings in their order; what is known belongs to the newest one."""
+        """Yield the readings in their order; the attributes belong to the newest one."""
         if not self._travel and self._streams is None:
             yield from readings
             return
@@ -71,6 +71,6 @@ class Companion:
 
     @property
     def speed(self) -> float:
-        """The newest speed, m/s; NaN where nobody tells it."""
+        """The newest speed, m/s; NaN without a source."""
         track = self.travelling.speedometer.track
         return math.nan if track is None else track.last
