@@ -19,8 +19,8 @@ class BackgroundThread:
     """Runs one job after another in a thread; what follows runs in the executor.
 
     The thread is started with the first job. It does not delay the end of the process: a disk that
-    does not answer may block it for ever. Where the machine has no room for a thread, the work fails
-    as if it had raised that error itself.
+    does not answer may block it for ever. If no thread can be started, the work fails as if it had
+    raised that error itself.
 
     Parameters
     ----------
