@@ -22,11 +22,10 @@ from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.calibration_loader import CalibrationLoader
-from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.sensor_loop import SENSOR_DATA

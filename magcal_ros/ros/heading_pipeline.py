@@ -16,11 +16,10 @@ from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import HeadingOutput

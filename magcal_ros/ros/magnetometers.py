@@ -14,11 +14,10 @@ from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
-from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer
 from magcal_ros.ros.heading_pipeline import FIRST
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings

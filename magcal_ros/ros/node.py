@@ -28,13 +28,12 @@ from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.calibration_loader import CalibrationLoader
-from magcal_ros.ros.calibration_store import CalibrationStore
 from magcal_ros.ros.callback_errors import CallbackErrors
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer, Listeners
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.markers import TurnMarkers

@@ -1,4 +1,4 @@
-"""What calls the node back: rclpy's executor, and beside it the sensors' own loop."""
+"""Runs the callbacks: rclpy's executor, and beside it the loop of the sensors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,25 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from magcal_ros.ros.fair import FairLock
 from magcal_ros.ros.sensor_loop import SensorGroup, SensorLoop
+
+
+class FairLock:
+    """A lock that two threads have by turns whenever both want it.
+
+    With a plain one, who releases it and wants it again at once usually gets it again, and under a
+    flood of messages a service would never be answered.
+    """
+
+    def __init__(self) -> None:
+        self._held, self._next = Lock(), Lock()
+
+    def __enter__(self) -> None:
+        with self._next:
+            self._held.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._held.release()
 
 
 class Spinner:

@@ -1,9 +1,9 @@
-"""A lock that two threads have by turns."""
+"""The lock that the executor and the loop of the sensors share."""
 
 import threading
 import time
 
-from magcal_ros.ros.fair import FairLock
+from magcal_ros.ros.spinner import FairLock
 
 
 def test_who_lets_go_and_wants_it_again_at_once_lets_the_other_in_between():

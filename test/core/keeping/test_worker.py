@@ -8,7 +8,7 @@ import pytest
 
 from magcal_ros.core.keeping.candidates import Kind
 from magcal_ros.core.keeping.jobs import Contest, Step
-from magcal_ros.core.keeping.proving import prove
+from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.drive import Fence, Vehicle, simulated_drive

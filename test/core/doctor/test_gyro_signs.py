@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.gyro_signs import gyro_contradicts
+from magcal_ros.core.doctor.refusal import gyro_contradicts
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
 
