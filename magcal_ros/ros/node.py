@@ -165,7 +165,7 @@ class Calibrator(Node):
 
     def spinner(self) -> Spinner:
         """Return what serves this node, its sensors with the least effort; one at a time."""
-        # Wheels tell nothing without the IMU, and need not wake the node between its messages.
+        # Wheels are of no use without the IMU, and need not wake the node between its messages.
         wheels, *receiver = self._travel.subscriptions
         subscriptions = [*self._sensor_subscriptions, *receiver, self._known.antenna.subscription]
         return Spinner(self, subscriptions, self._sensor_group, self._on_callback_error, [wheels])

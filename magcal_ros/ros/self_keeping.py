@@ -100,7 +100,7 @@ class SelfKeeping:
         self._machine.put_in_force(calibration)
 
     def meet(self, sensors: str) -> None:
-        """Take note of which sensors are heard: what others did on the drive is no witness."""
+        """Take note of the sensors that are heard: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
         self._sensors = sensors

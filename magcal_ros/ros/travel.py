@@ -25,8 +25,8 @@ from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.course_check import (
     CourseCheckTuning,
-    accusation,
     check_by_course,
+    course_fault,
 )
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
@@ -116,13 +116,13 @@ class Travel:
 
     @property
     def speed(self) -> float:
-        """The newest speed, m/s; NaN where nobody tells it."""
+        """The newest speed, m/s; NaN where it is unknown."""
         track = self._travelling.speedometer.track
         return math.nan if track is None else track.last
 
     @property
     def speed_from(self) -> str | None:
-        """The topic whose speed is used; None where nobody tells one."""
+        """The topic whose speed is used; None where there is none."""
         source = self._travelling.source
         return None if source is None else self._topics[source]
 
@@ -135,7 +135,7 @@ class Travel:
         return math.isfinite(track.newest) and not track.is_slow
 
     def speed_near(self, stamp: float) -> float:
-        """Return what wheels say, m/s; NaN where they tell nothing near a stamp, seconds."""
+        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
         track = self._travelling.speedometer.tracks[SpeedSource.ODOMETRY]
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
@@ -212,9 +212,9 @@ class Travel:
     def verdict(self) -> str:
         """What course says against the calibration in force; empty if nothing."""
         if self._travelling.known_mounting is None:
-            # What does not go where it looks accuses every compass.
+            # A vehicle that moves sideways would make every compass look wrong.
             return ""
-        return accusation(check_by_course(self._travelling.course))
+        return course_fault(check_by_course(self._travelling.course))
 
     def facts(self) -> dict[str, Any] | None:
         """Return what `~/status` tells of the drive; None where no speed and no fix came."""

@@ -100,7 +100,7 @@ def prove(
 ) -> Proof:
     """Compare two calibrations on road that neither was fitted to.
 
-    Of a new one that is fitted anew now and then each stretch is foretold by the fit before it
+    Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
     (prequential; Dawid, 1984), so that all road since the first fit counts.
 
     Parameters

@@ -1,4 +1,4 @@
-"""How sure the smoother's calibration is: roads are counted, not samples."""
+"""The covariance of the smoother's calibration, clustered by road segment."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def _travels(smoothed: Smoothed) -> bool:
 def _repeated(smoothed: Smoothed) -> float:
     """Return how often the road went through the same places, at least one.
 
-    A street that is driven again tells what it told before.
+    Repeated passes of a street add no independent information.
     """
     again = float(smoothed.problem.nodes.metres.sum()) / new_metres(smoothed)
     return min(max(1.0, again), smoothed.problem.tuning.most_repeated)
@@ -148,7 +148,7 @@ def _least_sigma(smoothed: Smoothed) -> float:
 def _lean(smoothed: Smoothed) -> float:
     """Return how far up may lean all along, with the robot, radians per axis, one sigma.
 
-    In steady bends nobody tells a gyro's bias from what pulls.
+    In steady bends gyro bias and centripetal acceleration cannot be separated.
     """
     about_up = abs(float(smoothed.unknowns.shared[GYRO_BIAS]))
     return smoothed.problem.nodes.lean.sigma(about_up)
@@ -209,13 +209,13 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     is not there yet, x is zero: such places only tell what their streets are.
 
     In a small place the calibration takes the bend for its own, so what was found of the street's
-    size counts by its witnesses, two reaches of new road each, beside the usual size.
+    size counts by its observations, two reaches of new road each, beside the usual size.
     """
     tuning, sizes = smoothed.problem.tuning, smoothed.problem.sizes
-    witnesses = new_metres(smoothed) / (2.0 * tuning.reach)
+    observations = new_metres(smoothed) / (2.0 * tuning.reach)
     found = (tuning.street * sizes.street) ** 2
-    street = (witnesses * found + tuning.usual_witnesses * tuning.street**2) / (
-        witnesses + tuning.usual_witnesses
+    street = (observations * found + tuning.usual_observations * tuning.street**2) / (
+        observations + tuning.usual_observations
     )
     small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
     count = len(smoothed.unknowns.yaw)
