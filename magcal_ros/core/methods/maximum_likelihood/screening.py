@@ -192,8 +192,8 @@ def check_gyro(deviation: float) -> None:
     if deviation > SCREENING.worst_deviation:
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"gyro and compass differ by {math.degrees(deviation):.0f} degrees over the turn; turn"
-            " on the spot and away from iron; if they differ there, `magcal doctor` says which errs",
+            f"gyro and compass differ by {math.degrees(deviation):.0f} degrees over the turn; turn "
+            "on the spot and away from iron; if they differ there, `magcal doctor` says which errs",
         )
 
 
