@@ -20,7 +20,7 @@ import numpy as np
 from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
 from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 
 CANNOT_SHOW = {
     "turn": (
@@ -45,7 +45,7 @@ class Row:
     blamed: Counter[str] = field(default_factory=Counter)
 
     def add(self, wanted: set[str], case: Case) -> None:
-        page = examine(case.log, case.knowledge, Told(case.turned_left))
+        page = examine(case.log, case.knowledge, UserAnswers(case.turned_left))
         lines = [f for f in page.findings if f.is_wrong]
         self.runs += 1
         keys = {f.key for f in lines}

@@ -38,7 +38,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.antenna import HeadingLog, fit_log
-from magcal_ros.core.session.told_heading import ToldHeading
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.simulation.drive import Drive, Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, slope_rpy
@@ -208,11 +208,11 @@ class Follower:
                     next_ += 0.2
                     self._on_heading(sample.stamp, self._told(k))
 
-    def _told(self, k: int) -> ToldHeading:
+    def _told(self, k: int) -> ExternalHeading:
         """Return what the antennas say, to true north."""
         attitude = self._drive.truth.attitude[k]
         yaw = math.atan2(attitude[0, 1], attitude[0, 0])
-        return ToldHeading(yaw + DEGREE * self._rng.standard_normal(), DEGREE, True)
+        return ExternalHeading(yaw + DEGREE * self._rng.standard_normal(), DEGREE, True)
 
     def _on_imu(self, sample: ImuSample) -> None:
         self._up.add(sample)
@@ -248,7 +248,7 @@ class Follower:
                 self._fused = FusedYaw(outcome.calibration, PATIENCE)
             self._fused.use(outcome.calibration, PATIENCE)
 
-    def _on_heading(self, stamp: float, told: ToldHeading) -> None:
+    def _on_heading(self, stamp: float, told: ExternalHeading) -> None:
         if self._fused is not None:
             x, y, z = self._forward.tolist()
             yaw = told.yaw + (self._knowledge.reference.declination or 0.0)

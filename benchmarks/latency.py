@@ -21,8 +21,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, MagneticField
 from std_srvs.srv import Trigger
 
+from magcal_ros.ros.sensor_loop import SensorGroup
 from magcal_ros.ros.spinner import Spinner
-from magcal_ros.ros.straight import StraightGroup
 
 RATES = ((100, 50), (400, 200))
 ROUNDS = 4
@@ -43,7 +43,7 @@ class Probe:
         for load in (self.relay, self.calibrator, self._both):
             load.on_field = self._note_sent
         of_relay, of_calibrator = partial(self._note, APART), partial(self._note, "")
-        group = StraightGroup()
+        group = SensorGroup()
         answers = [
             node.create_subscription(kind, topic, note, 10, raw=True, callback_group=group)
             for kind, topic, note in (

@@ -17,8 +17,8 @@ from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
-from magcal_ros.files.mended import MendedReadings
 from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.report import Subject, write_report
 
 
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         gathered = gather(options, Mounting(), source)
         north = gathered.reference.field.declination
-        travel, readings = source.travel(), MendedReadings(source)
+        travel, readings = source.travel(), RepairedReadings(source)
         course = recorded_course(calibration, readings, travel, north) if travel else None
         own = against_own_yaw(calibration, readings, source.yaw(), north)
     folder = new_or_named(options.output, "magcal_check")

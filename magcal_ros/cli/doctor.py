@@ -1,4 +1,4 @@
-"""`magcal doctor`: what is wrong with the sensors, live or recorded, and the line that mends it."""
+"""`magcal doctor`: faults of the sensors, live or recorded, and the remedy of each."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.cli.common import Exit, document
-from magcal_ros.cli.doctor_page import page_as_facts, page_in_words, write_parameters
+from magcal_ros.cli.common import Exit, bullets, document
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
@@ -21,11 +20,12 @@ from magcal_ros.cli.recorded import (
     watched,
 )
 from magcal_ros.cli.reference import reference_in_use
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.course import CourseSeen
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.doctor.health import TUNING
 from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
@@ -33,8 +33,8 @@ from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import Gathering, Reading
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain_lines
+from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.plain import plain, plain_lines
 
 MOST = 500_000
 """Samples kept of each stream: more than an hour at 100 Hz."""
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         heard = listen(options)
         if _too_little(heard.log):
             return _nothing(options, heard.log, heard.more)
-        page = heard.page_with(examine(heard.log, heard.knowledge, heard.told))
+        page = heard.page_with(examine(heard.log, heard.knowledge, heard.answers))
         return _tell(options, page, heard.knowledge.mounting.gains)
     return _recorded(options)
 
@@ -107,13 +107,13 @@ def _recorded(options: argparse.Namespace) -> int:
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()
-    told = Told(None if options.turned is None else options.turned == "left")
+    answers = UserAnswers(None if options.turned is None else options.turned == "left")
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
     more = [looked_at("recording", "recording", words, words) for words in complaints]
     log = SensorLog.of(kept.samples)
     if _too_little(log):
         return _nothing(options, log, more)
-    page = examine(log, Knowledge(reference.field, mounting), told).with_more(more)
+    page = examine(log, Knowledge(reference.field, mounting), answers).with_more(more)
     if travel and page.used is not None:
         course = recorded_course(page.used.compass, kept.samples, travel)
         page = page.with_course(_course_seen(course, reference.field))
@@ -155,3 +155,51 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
         words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
     print(plain_lines(words))
     return status
+
+
+MARKS = {Grade.EXCELLENT: "ok", Grade.GOOD: "-", Grade.WARN: "look", Grade.REFUSED: "wrong"}
+
+
+def page_in_words(page: Page) -> str:
+    """Return the page for a terminal: a line for each finding, then what to do."""
+    lines = [f"  {MARKS[f.grade]:<6}{f.name:<27}{plain(f.evidence, 300)}" for f in page.findings]
+    worst_first = sorted(page.findings, key=lambda finding: -finding.grade.rank)
+    # One cause may show in several lines.
+    remedies = {f.remedy: f.name for f in reversed(worst_first) if f.remedy}
+    todo = [f"{name}: {plain(words, 1000)}" for words, name in reversed(remedies.items())]
+    return "\n".join(lines) + bullets("\nWhat to do:", todo).rstrip("\n")
+
+
+def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, Any]:
+    """Return the page for programs."""
+    return {
+        "findings": [
+            {
+                "key": f.key,
+                "name": f.name,
+                "grade": f.grade.value,
+                "evidence": f.evidence,
+                "remedy": f.remedy,
+            }
+            for f in page.findings
+        ],
+        "mount_rpy_deg": page.mount_rpy_deg,
+        "written": written,
+        "exit": int(status),
+    }
+
+
+def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
+    """Leave what parameters can mend, and the gains that were given; returns the path.
+
+    Nothing is written where no mounting alone mends the axes: what a driver does wrong is mended
+    there, and never here.
+    """
+    if path is None or not page.parameters:
+        return None
+    lines = [page.parameters]
+    if gains is not None:
+        lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
+    text = "\n".join(["/**:", "  ros__parameters:", *(f"    {line}" for line in lines)])
+    write_atomically(path, text + "\n", "Choose a writable folder, or mend its permissions.")
+    return str(path)

@@ -18,7 +18,7 @@ from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
 from magcal_ros.core.doctor.page import Page
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.sensor_poses import pose_in_words
@@ -64,7 +64,7 @@ class Heard:
         All samples.
     knowledge : Knowledge
         What the user gave, and how the robot's description says the magnetometer sits.
-    told : Told
+    answers : UserAnswers
         What the person was seen to do.
     more : tuple of Finding
         What the graph shows beside the samples.
@@ -74,7 +74,7 @@ class Heard:
 
     log: SensorLog
     knowledge: Knowledge
-    told: Told
+    answers: UserAnswers
     more: tuple[Finding, ...]
     described: str
 
@@ -239,5 +239,5 @@ def gathered(
             described = ""
     more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
     more += [wrong("publishers", "publishers", words, CROWD) for words in listener.crowded]
-    told = Told(guide.turned_left)
-    return Heard(log, Knowledge(reference.field, mounting), told, tuple(more), described)
+    answers = UserAnswers(guide.turned_left)
+    return Heard(log, Knowledge(reference.field, mounting), answers, tuple(more), described)

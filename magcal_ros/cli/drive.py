@@ -21,8 +21,8 @@ from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recorded_course import recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.mended import MendedReadings
 from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 CALIBRATION = "calibration.yaml"
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
-        mended = MendedReadings(source, for_drive=True)
+        mended = RepairedReadings(source, for_drive=True)
         travel = source.travel()
         with at_work(lambda: f"fitting the drive, {100.0 * mended.share:.0f} % of it", sys.stderr):
             teller.take(mended, travel)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
-from magcal_ros.cli.compare import compare_methods
 from magcal_ros.cli.recorded import (
     Gathered,
     add_knowledge_options,
@@ -20,7 +19,7 @@ from magcal_ros.cli.recorded import (
     mounting_from,
     opened,
 )
-from magcal_ros.core.calibrate import METHODS, Outcome
+from magcal_ros.core.calibrate import METHODS, Outcome, calibrate_by
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
@@ -272,3 +271,31 @@ def _found(estimate: Estimate) -> list[tuple[str, str, str, str]]:
     ratio = 100.0 * figures[Figure.RESIDUAL_RATIO]
     rows.append(("residual_percent", "residual against the level field", f"{ratio:.1f}", "%"))
     return rows
+
+
+HEADER = (
+    f"{'method':20s}{'verdict':>10s}{'hard iron x, y, z (µT)':>28s}{'heading ±':>11s}"
+    f"{'residual':>10s}"
+)
+
+
+def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
+    """Return a table of what each method makes of a window, and why some make nothing."""
+    if window is None:
+        return "no method has anything to work on: the recording holds no usable turn"
+    outcomes = {method: calibrate_by(window, knowledge, method) for method in METHODS}
+    rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items()), ""]
+    rows += [f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items()]
+    return "\n".join(rows)
+
+
+def _row(method: str, outcome: Outcome) -> str:
+    accepted = "accepted" if outcome.verdict.accepted else "refused"
+    estimate = outcome.estimate
+    if estimate is None:
+        return f"{method:20s}{accepted:>10s}{'-':>28s}{'-':>11s}{'-':>10s}"
+    iron = ", ".join(f"{value * 1e6:.2f}" for value in estimate.correction.hard_iron)
+    figures = common_figures(estimate) | dict(estimate.figures)
+    sigma = f"{math.degrees(figures[Figure.HEADING_SIGMA]):.2f}°"
+    residual = f"{100.0 * figures[Figure.RESIDUAL_RATIO]:.1f}%"
+    return f"{method:20s}{accepted:>10s}{iron:>28s}{sigma:>11s}{residual:>10s}"

@@ -20,7 +20,7 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting, knowledge_of
 from magcal_ros.core.session.recorded import Gathering, Reading
-from magcal_ros.files.mended import MendedReadings
+from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.files.sources import Source, open_recording
 
 LOOK_EVERY = 2000
@@ -183,7 +183,7 @@ def gather(options: argparse.Namespace, mounting: Mounting, source: Source) -> G
         If its IMU is too slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-    mended = MendedReadings(source)
+    mended = RepairedReadings(source)
     gathering.take(watched(mended, mended, sys.stderr), source.travel())
     return Gathered(
         gathering,

@@ -13,9 +13,8 @@ import numpy as np
 from magcal_ros.core.assessment.verdict import TUNING as VERDICT
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.estimate import Estimate, in_doubt
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_doubt import in_doubt
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge

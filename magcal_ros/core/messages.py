@@ -111,7 +111,7 @@ def speed_from(
         return "its twist is marked absent (covariance -1)"
     if not math.isfinite(x + y):
         return "its twist is not finite"
-    # What lies across belongs to the way as well: frames sit askew by little.
+    # The sideways part counts as well: frames are misaligned a little.
     return SpeedSample(stamp, math.copysign(math.hypot(x, y), x))
 
 
@@ -140,7 +140,7 @@ def velocity_from(
     east, north : float
         m/s.
     of_east, of_north : float
-        Variance of each, (m/s)²; zero where nobody tells it.
+        Variance of each, (m/s)²; zero where it is unknown.
     """
     if of_east == ABSENT:
         return "its velocity is marked absent (covariance -1)"

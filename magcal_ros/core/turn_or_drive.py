@@ -1,7 +1,7 @@
 """Whether a window was a turn on the spot or a drive (doc/estimator.md, section 9).
 
 Both models answer many windows. A turn's knows that the robot came back to the same place; a
-drive's knows streets, and what pulls in bends.
+drive's knows streets, and centripetal acceleration.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class TurnOrDriveTuning:
         Times the turn's sigma that such a drive's has to be at most.
     alike : float
         Of their sigmas together, how far such a drive may be from the turn: beyond it one of the
-        two is wrong, and it is the drive that takes a gyro's bias for what pulls in bends.
+        two is wrong, and it is the drive that takes a gyro's bias for centripetal acceleration.
     doubted : float
         Of the heading between the two, what stays in doubt of the drive; one sigma.
     clearly : float
@@ -113,7 +113,7 @@ def turned_with_a_bad_gyro(turn: Turned, log: DriveLog) -> bool:
 def leans_more(drive: Verdict, turn: Verdict) -> bool:
     """Return whether a drive has a sensor or an axis lean too far which does not in the turn.
 
-    What the turn shows better is then not its own: a bias of the gyro has passed for a pull.
+    What the turn shows better is then not its own: gyro bias was taken for linear acceleration.
     """
     return not (_blamed(drive) - _blamed(turn)).isdisjoint(ROBOTS_OWN)
 
@@ -146,10 +146,10 @@ def doubt_of_drive(
         doubted = TUNING.doubted * gap
         is_surer = math.hypot(by_drive, doubted) < TUNING.surer * by_turn
         return doubted if is_alike and is_surer else None
-    from magcal_ros.core.smoothing.fit import favour
+    from magcal_ros.core.smoothing.fit import likelihood_ratio
 
     nodes = log.nodes(knowledge.mounting.to_body)
-    gain = favour(nodes, turn.correction, drive.correction, knowledge).gain
+    gain = likelihood_ratio(nodes, turn.correction, drive.correction, knowledge).gain
     return 0.0 if gain > TUNING.clearly else None
 
 
@@ -159,7 +159,7 @@ def rests_differ(turn: Verdict) -> bool:
 
 
 def _stayed(log: DriveLog) -> bool:
-    # Only a rest tells a pull from a gyro's bias; else who is not jolted is not driven.
+    # Only a rest separates linear acceleration from gyro bias; else no jolts means no drive.
     return log.stays or (math.isinf(log.bias_sigma) and not _jolts(log))
 
 

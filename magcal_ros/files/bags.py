@@ -24,7 +24,7 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import damage_in_words
 from magcal_ros.files.ros_reader import RosReader
-from magcal_ros.files.travel_wire import fix_in, speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.wire import fix_in, speed_in, sure_velocity_in, velocity_in
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

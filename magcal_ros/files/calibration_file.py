@@ -18,8 +18,8 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.claims import require_possible
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.plausibility import require_possible
 from magcal_ros.files.reading import NotOrdinary, read_small
 
 FORMAT = "magcal_ros/calibration"

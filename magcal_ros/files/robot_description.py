@@ -9,7 +9,7 @@ from xml.parsers import expat
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import FrameJoint
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 
 LARGEST = 4_000_000
 """Bytes. The largest humanoid's description has a quarter of that."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Iterable, Sequence
 from datetime import datetime
@@ -15,10 +16,10 @@ from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.page import Page
+from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.figures.gallery import Picture
 from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
-from magcal_ros.report.recipe import recipe
 from magcal_ros.report.style import CSS
 from magcal_ros.report.subject import Subject
 from magcal_ros.report.turn import Turn
@@ -242,3 +243,44 @@ def _repeat(subject: Subject) -> str:
         f"sample{note} in SI units; these lines fit it again{alone}.</p>"
         f"<pre><code>{escape(recipe(subject.knowledge, subject.answered_by))}</code></pre>"
     )
+
+
+def recipe(knowledge: Knowledge, method: str) -> str:
+    """Return a program that reads `samples.csv` and prints the verdict again.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        What the method was told; every number is given in full precision.
+    method : str
+        Its name.
+    """
+    reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
+    declination = None if reference.declination is None else float(reference.declination)
+    return f"""\
+from pathlib import Path
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
+from magcal_ros.files.samples import read_samples
+
+knowledge = Knowledge(
+    ReferenceField(
+        {_belief(reference.strength)},
+        {_belief(reference.inclination)},
+        {declination!r}, {float(reference.declination_sigma)!r},
+    ),
+    Mounting(
+        {mounting.gains.tolist()!r},
+        {mounting.pose.tolist()!r},
+    ),
+    SoftIron({float(iron.sigma_diagonal)!r}, {float(iron.sigma_cross)!r}, {bool(iron.always)!r}),
+)
+outcome = calibrate(read_samples(Path("samples.csv")), knowledge, {method!r})
+print(outcome.verdict.summary)
+"""
+
+
+def _belief(belief: Belief) -> str:
+    if math.isinf(belief.sigma):
+        return "Belief.unknown()"
+    return f"Belief({float(belief.value)!r}, {float(belief.sigma)!r})"

@@ -19,17 +19,17 @@ from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample
 from magcal_ros.core.samples.travel_samples import HeadingSample
-from magcal_ros.core.session.told_heading import LOG, HeadingAgainstGyro, ToldHeading
+from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.aside import Aside, Stopped
-from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.straight import SENSOR_DATA
 from magcal_ros.ros.wire.incoming import Unreadable, by_rclpy
+from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
@@ -50,7 +50,7 @@ NO_DECLINATION = (
 class Owner(Protocol):
     """What the node does for it."""
 
-    def put_in_force(self, calibration: Calibration, tell: Tell, keeps_former: bool = True) -> None:
+    def put_in_force(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
 
 
@@ -67,13 +67,13 @@ class Antenna:
         Has what is in force.
     settled : callable
         Returns the parameters as they hold for a turn.
-    seat : Seat
+    frames : SensorFrames
         Whose heading is told.
     follower : UpFollower
         Has taken each IMU message.
     fused : FusedOutput
         Whose yaw the heading corrects.
-    fits : Errands
+    fits : BackgroundThread
     group : CallbackGroup
         Of the subscription.
 
@@ -91,16 +91,16 @@ class Antenna:
         owner: Owner,
         keeper: Keeper,
         settled: Callable[[], Settings],
-        seat: Seat,
+        frames: SensorFrames,
         follower: UpFollower,
         fused: FusedOutput,
-        fits: Errands,
+        fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._seat = owner, keeper, settled, seat
+        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
         self._follower, self._fused, self._fits = follower, fused, fits
         self._say = node.get_logger().info
-        self._aside = Aside()
+        self._worker = WorkerProcess()
         self.topic = node.resolve_topic_name(TOPIC)
         self.is_heard = False
         self.collected: list[HeadingSample] | None = None
@@ -118,7 +118,7 @@ class Antenna:
 
     def end(self) -> None:
         """End the process that fits for good."""
-        self._aside.end()
+        self._worker.end()
 
     def forget(self) -> None:
         """Begin anew."""
@@ -172,7 +172,7 @@ class Antenna:
         if since > FRESH:
             self.is_heard = False
             return
-        up, settings, view = follower.at(sample.stamp, 0.0), self._settled(), self._seat.view
+        up, settings, view = follower.at(sample.stamp, 0.0), self._settled(), self._frames.view
         shift = _shift(settings)
         if self._check.fault or view is None or up is None or shift is None or since > LOG.block:
             return
@@ -182,7 +182,7 @@ class Antenna:
             from magcal_ros.core.session.antenna import HeadingLog
 
             self._log, self._view = HeadingLog(view.pose[0]), view
-        told = ToldHeading(heading.yaw, heading.sigma, settings.heading_is_true)
+        told = ExternalHeading(heading.yaw, heading.sigma, settings.heading_is_true)
         seen = sample.stamp, sample.field, up.direction, follower.rate
         if self._log.add(*seen, told, shift, follower.is_at_rest) and not self._is_fitting:
             self._fit(settings, self._log)
@@ -199,7 +199,7 @@ class Antenna:
         if self.collected is not None:
             self.collected.append(sample)
         self._check.add(sample.stamp, sample.yaw)
-        settings, view = self._settled(), self._seat.view
+        settings, view = self._settled(), self._frames.view
         shift = _shift(settings)
         self._odd = NO_DECLINATION if shift is None else ""
         if self._check.fault or shift is None or view is None:
@@ -220,7 +220,7 @@ class Antenna:
         def work() -> Outcome:
             from magcal_ros.core.session.antenna import fit_log
 
-            return self._aside.run(fit_log, standings, settings.knowledge)
+            return self._worker.run(fit_log, standings, settings.knowledge)
 
         self._fits.run(work, lambda outcome: self._note(outcome, log), self._lost)
 
@@ -230,7 +230,7 @@ class Antenna:
             self._answer = f"the fit failed: {error}"
 
     def _note(self, outcome: Outcome, log: HeadingLog) -> None:
-        self._aside.stop()
+        self._worker.stop()
         self._is_fitting = False
         if log is not self._log:
             return

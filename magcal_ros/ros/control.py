@@ -24,8 +24,8 @@ from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.smoothing.recorder import DriveRecorder
-from magcal_ros.ros.aside import Aside
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.worker_process import WorkerProcess
 
 SAVING_PATIENCE = 1.5
 """Seconds that a disk may take to store a calibration while the node is being ended."""
@@ -45,7 +45,7 @@ def _broken_off(error: Exception) -> str:
 
 
 class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.errands.Errands` is one."""
+    """Does work elsewhere; `magcal_ros.ros.background_thread.BackgroundThread` is one."""
 
     def run(
         self,
@@ -117,7 +117,7 @@ class Control:
         self._pairer = Pairer(streams)
         self._drive = DriveRecorder()
         self._own, self._speed = NOTHING, math.nan
-        self._aside = Aside()
+        self._worker = WorkerProcess()
         self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
         self._listeners: list[Callable[[ev.Conclusion], None]] = []
@@ -225,7 +225,7 @@ class Control:
         """Drop a turn under way; what is in force already is saved before this returns."""
         if self.state is TurnState.SAVING:
             self._files.finish_within(SAVING_PATIENCE)
-        self._aside.end()
+        self._worker.end()
 
     def _collect(self) -> None:
         if self.state is TurnState.COLLECTING:
@@ -265,7 +265,7 @@ class Control:
         if isinstance(command, ev.MoveBase):
             self._house.move(command.rate)
         elif isinstance(command, ev.Prepare):
-            self._fits.run(self._aside.start, lambda _: None, lambda _: None)
+            self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         elif isinstance(command, ev.Preview):
             self._preview(command)
         elif isinstance(command, ev.FitTurn):
@@ -279,7 +279,7 @@ class Control:
 
     def _preview(self, asked: ev.Preview) -> None:
         self._fits.run(
-            lambda: self._aside.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
+            lambda: self._worker.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
             lambda sigma: self._tell(ev.PreviewFitted(asked.turn, sigma)),
             # A preview that failed predicts nothing; the fit will tell.
             lambda _: self._tell(ev.PreviewFitted(asked.turn, math.inf)),
@@ -289,7 +289,7 @@ class Control:
         told = (asked.knowledge, asked.method, asked.accumulate)
         turn = (asked.kept, asked.window, *told, self._drive.log())
         self._fits.run(
-            lambda: self._aside.run(take_turn, *turn),
+            lambda: self._worker.run(take_turn, *turn),
             lambda found: self._tell(ev.FitDone(asked.turn, *found)),
             lambda error: self._tell(ev.FitFailed(asked.turn, in_words(error))),
         )
@@ -317,5 +317,5 @@ class Control:
         with contextlib.ExitStack() as at_last:
             for listener in listeners:
                 at_last.callback(listener, conclusion)
-            self._aside.stop()
+            self._worker.stop()
             self._house.turn_ended()

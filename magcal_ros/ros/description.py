@@ -14,10 +14,10 @@ from std_msgs.msg import String
 
 from magcal_ros.core.geometry.frame_tree import FIXED, FrameJoint, FrameTree
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.control import in_words
-from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.wire.incoming import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -43,7 +43,7 @@ class Description:
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
         self._node, self._changed = node, changed
-        self._errands = Errands(node, "magcal-description")
+        self._thread = BackgroundThread(node, "magcal-description")
         self._tree = FrameTree()
         self._unread = 0
         self._is_listening = False
@@ -53,7 +53,7 @@ class Description:
     @property
     def tree(self) -> FrameTree:
         """What is described."""
-        self._errands.deliver()
+        self._thread.deliver()
         return self._tree
 
     def listen(self) -> None:
@@ -97,7 +97,7 @@ class Description:
             self._unread -= len(data)
             self._complain(in_words(error))
 
-        self._errands.run(lambda: list(joints_in(by_rclpy(data, kind))), keep, fail)
+        self._thread.run(lambda: list(joints_in(by_rclpy(data, kind))), keep, fail)
 
     def _complain(self, trouble: str) -> None:
         self.trouble = trouble

@@ -16,7 +16,7 @@ from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.outputs import RELIABLE
-from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate
 
 TOPIC = "compass/fused/enu/imu"
@@ -31,12 +31,12 @@ class FusedOutput:
         Where the publisher lives.
     follower : UpFollower
         Has taken each IMU message before it comes here.
-    seat : Seat
+    frames : SensorFrames
         Tells whose attitude is published.
     """
 
-    def __init__(self, node: Node, follower: UpFollower, seat: Seat) -> None:
-        self._seat = seat
+    def __init__(self, node: Node, follower: UpFollower, frames: SensorFrames) -> None:
+        self._frames = frames
         self.patience = PATIENCE
         self.is_needed = False
         """Whether the yaw is propagated although nobody listens."""
@@ -85,11 +85,11 @@ class FusedOutput:
         fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
         if not is_heard:
             return
-        heading, view = fused.heading(), self._seat.view
+        heading, view = fused.heading(), self._frames.view
         if heading is not None and view is not None:
             declination = reference.declination
             sigma = 0.0 if declination is None else reference.declination_sigma
-            seen, frame = view.heading(heading), self._seat.frame(frame)
+            seen, frame = view.heading(heading), self._frames.frame(frame)
             message = self._attitude.fill(stamp, frame, seen, declination or 0.0, sigma)
             self._out.publish(message)
 

@@ -11,7 +11,7 @@ from dataclasses import field as member
 
 from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import Streams
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 
 SILENT_AFTER = 2.0
 """Seconds without a message after which a sensor is called silent."""

@@ -1,4 +1,4 @@
-"""Which calibration is in force, and the file it lives in."""
+"""The calibration in force, its file, and the services that save and load it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from typing import TypeAlias
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.driving.front import VehicleYaw
+from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.backups import keep_backup
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.former import keep_former
-from magcal_ros.files.places import SensorFile, chosen_path, is_missing, known_as, numbered
+from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import promptly
+from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros.services import Tell
 
 Key: TypeAlias = tuple[Path, int, int]
 """Path, time of change and size of a file that was read."""
@@ -172,14 +175,14 @@ class Keeper:
         where = f" in {plain(origin.node)}" if origin.node else ""
         return f"loaded {loaded.path} (made {made}{where})"
 
-    def store(self, find_path: Callable[[], Path], keeps_former: bool = True) -> Callable[[], str]:
+    def store(self, find_path: Callable[[], Path], with_backup: bool = True) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread.
 
         Parameters
         ----------
         find_path : callable
             Returns the file.
-        keeps_former : bool
+        with_backup : bool
             Whether another calibration that the file holds is kept beside it.
         """
         calibration, origin = self.calibration, self.origin
@@ -193,13 +196,13 @@ class Keeper:
                 nonlocal lost
                 # What is in force now matters more than what was.
                 try:
-                    keep_former(path, calibration)
+                    keep_backup(path, calibration)
                 except (FileTrouble, OSError, ValueError) as error:
                     lost = f" What it held before is not kept: {error}"
 
             try:
                 path = find_path()
-                told = (path, calibration, origin, keep if keeps_former else None)
+                told = (path, calibration, origin, keep if with_backup else None)
                 promptly(lambda: write_calibration(*told), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)
@@ -234,4 +237,57 @@ def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "
             f"{there!r}. Calibrate this sensor, or name its own file in "
             "calibration_file."
+        )
+
+
+class CalibrationStore:
+    """Saves and loads the calibration when a service asks for it.
+
+    Parameters
+    ----------
+    keeper : Keeper
+        Has the calibration in force.
+    files : BackgroundThread
+        Reads and writes the files.
+    find_path : callable
+        Returns the file to save to.
+    of_sensor : callable
+        Returns the file that the user named (or nothing) and the magnetometer's frame.
+    """
+
+    def __init__(
+        self,
+        keeper: Keeper,
+        files: BackgroundThread,
+        find_path: Callable[[], Path],
+        of_sensor: Callable[[], tuple[str, str]],
+    ) -> None:
+        self._keeper, self._files = keeper, files
+        self._find_path, self._of_sensor = find_path, of_sensor
+
+    def save(self, tell: Tell) -> None:
+        """Save the calibration in force."""
+        try:
+            work = self._keeper.store(self._find_path)
+        except FileTrouble as error:
+            tell(Conclusion(False, str(error)))
+            return
+        self._files.run(
+            work,
+            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
+            lambda error: tell(Conclusion(False, f"not saved: {error!r}")),
+        )
+
+    def load(self, tell: Tell) -> None:
+        """Put the calibration of the file in force."""
+        chosen, frame = self._of_sensor()
+
+        def fail(error: Exception) -> None:
+            self._keeper.trouble = str(error)
+            tell(Conclusion(False, str(error)))
+
+        self._files.run(
+            lambda: self._keeper.read(chosen, frame),
+            lambda loaded: tell(Conclusion(True, self._keeper.use(loaded))),
+            fail,
         )

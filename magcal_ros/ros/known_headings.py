@@ -12,19 +12,19 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer, Streams
-from magcal_ros.core.session.told_heading import TUNING, ToldHeading, TurnSince
+from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.antenna import Antenna, Owner
-from magcal_ros.ros.aside import Aside, Stopped
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.control import in_words
-from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.services import Tell, Turns
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.session.dockings import Docked
@@ -55,13 +55,13 @@ class KnownHeadings:
         Has what is in force.
     settled : callable
         Returns the parameters as they hold for a turn.
-    seat : Seat
+    frames : SensorFrames
         Whose heading is published, and so is told.
     follower : UpFollower
         Has taken each IMU message.
     streams : Streams
     fused : FusedOutput
-    fits : Errands
+    fits : BackgroundThread
     group : CallbackGroup
         Of the subscription.
 
@@ -77,25 +77,25 @@ class KnownHeadings:
         owner: Owner,
         keeper: Keeper,
         settled: Callable[[], Settings],
-        seat: Seat,
+        frames: SensorFrames,
         follower: UpFollower,
         streams: Streams,
         fused: FusedOutput,
-        fits: Errands,
+        fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._seat = owner, keeper, settled, seat
+        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
         self._follower, self._streams, self._fits = follower, streams, fits
-        heard = node, owner, keeper, settled, seat, follower, fused
+        heard = node, owner, keeper, settled, frames, follower, fused
         self.antenna = Antenna(*heard, fits, group)
-        self._aside = Aside()
+        self._worker = WorkerProcess()
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._sensors = ""
         self._since: TurnSince | None = None
         self._pairs: list[Pair] = []
         self._pairer = Pairer(streams)
-        self._told: ToldHeading | None = None
+        self._told: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
         self._is_collecting = False
@@ -111,7 +111,7 @@ class KnownHeadings:
 
     def end(self) -> None:
         """End the processes that fit for good."""
-        self._aside.end()
+        self._worker.end()
         self.antenna.end()
 
     def forget(self) -> None:
@@ -149,7 +149,7 @@ class KnownHeadings:
         elif told is None and not self.antenna.is_fresh:
             words = f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
             tell(Conclusion(False, words))
-        elif self._seat.view is None:
+        elif self._frames.view is None:
             tell(
                 Conclusion(
                     False,
@@ -219,7 +219,7 @@ class KnownHeadings:
         self._is_collecting = False
         settings = self._settled()
         told = self._told or self._told_by_topic(settings)
-        view = self._seat.view
+        view = self._frames.view
         if told is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
             return
@@ -234,11 +234,11 @@ class KnownHeadings:
             from magcal_ros.core.session.dockings import Stood, dock_stood
 
             stood = Stood(pairs, told, knowledge, forward, since, bias)
-            return self._aside.run(dock_stood, before, stood, in_force)
+            return self._worker.run(dock_stood, before, stood, in_force)
 
         self._fits.run(work, lambda docked: self._note(docked, epoch), self._lost)
 
-    def _told_by_topic(self, settings: Settings) -> ToldHeading | None:
+    def _told_by_topic(self, settings: Settings) -> ExternalHeading | None:
         """Return the mean of the topic's headings while the robot stood."""
         heard, self.antenna.collected = self.antenna.collected, None
         if not heard:
@@ -247,14 +247,14 @@ class KnownHeadings:
         north = sum(math.sin(each.yaw) for each in heard)
         # What is wrong in one message of a receiver is wrong in the next, too.
         sigma = max(each.sigma for each in heard)
-        return ToldHeading(math.atan2(north, east), sigma, settings.heading_is_true)
+        return ExternalHeading(math.atan2(north, east), sigma, settings.heading_is_true)
 
     def _lost(self, error: Exception) -> None:
         words = "the node ends" if isinstance(error, Stopped) else in_words(error)
         self._conclude(Conclusion(False, f"nothing was found: {words}"))
 
     def _note(self, docked: Docked, epoch: int) -> None:
-        self._aside.stop()
+        self._worker.stop()
         if epoch != self._epoch:
             words = "~/reset was called, or another sensor met, meanwhile: call again"
             self._conclude(Conclusion(False, words))

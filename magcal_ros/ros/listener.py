@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.messages import field_sample, imu_sample
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.description import Description
 from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE

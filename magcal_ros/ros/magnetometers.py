@@ -15,13 +15,12 @@ from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.ros.control import Control
-from magcal_ros.ros.further import FurtherMagnetometer
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.further_magnetometer import FurtherMagnetometer
+from magcal_ros.ros.heading_pipeline import FIRST
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.shelf import Shelf
-from magcal_ros.ros.walk import FIRST
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""
@@ -53,18 +52,18 @@ class Magnetometers:
         """Take note of one that is heard for the first time."""
         self.heard = sorted([*self.heard, met], key=lambda each: each.number)
 
-    def save(self, first: Shelf, tell: Tell) -> None:
+    def save(self, first: CalibrationStore, tell: Tell) -> None:
         """Save what is in force."""
         asked: dict[str, Ask] = {
-            e.topic: e.shelf.save for e in self.heard if e.keeper.calibration is not None
+            e.topic: e.store.save for e in self.heard if e.keeper.calibration is not None
         }
         if self._keeper.calibration is not None or not asked:
             asked = {self._topic: first.save} | asked
         told_together(asked, tell)
 
-    def load(self, first: Shelf, tell: Tell) -> None:
+    def load(self, first: CalibrationStore, tell: Tell) -> None:
         """Put in force what the files have."""
-        further = {each.topic: each.shelf.load for each in self.heard}
+        further = {each.topic: each.store.load for each in self.heard}
         told_together({self._topic: first.load} | further, tell)
 
     def accept(self, first: Callable[[Tell], None] | None, tell: Tell) -> None:

@@ -24,27 +24,29 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.announcer import Announcer
+from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros.calibration_loader import CalibrationLoader
+from magcal_ros.ros.callback_errors import CallbackErrors
 from magcal_ros.ros.control import Control
-from magcal_ros.ros.errands import Errands
-from magcal_ros.ros.further import FurtherMagnetometer, Told
+from magcal_ros.ros.further_magnetometer import FurtherMagnetometer, Listeners
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
 from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import CalibrationStore, Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.markers import TurnMarkers
-from magcal_ros.ros.meetings import Meetings
-from magcal_ros.ros.mishaps import Mishaps
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, FieldOutput
 from magcal_ros.ros.parameters import Parameters
+from magcal_ros.ros.reference_source import ReferenceSource
 from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.rotator import PERIOD, Rotator
-from magcal_ros.ros.seat import Seat
 from magcal_ros.ros.self_keeping import SelfKeeping
+from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.sensor_loop import SENSOR_DATA, SensorGroup
 from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.shelf import Shelf
 from magcal_ros.ros.spinner import Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
@@ -55,10 +57,7 @@ from magcal_ros.ros.status import (
     status_json,
     watch_diagnostic,
 )
-from magcal_ros.ros.straight import SENSOR_DATA, StraightGroup
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.walk import FIRST, Walk
-from magcal_ros.ros.whereabouts import Whereabouts
 from magcal_ros.ros.wire.incoming import Unreadable, read_field, read_imu
 
 TICK = 0.1
@@ -80,36 +79,38 @@ class Calibrator(Node):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)
         self._status = ""
-        self._mishaps = Mishaps(self.get_logger().error)
+        self._callback_errors = CallbackErrors(self.get_logger().error)
         self._announcer = Announcer(self.get_logger())
         self._up = UpFollower()
         self._compass: Compass | None = None
         self._watch: Watch | None = None
         self._table = Parameters(self)
-        self._whereabouts = Whereabouts(self, self._table)
-        self._seat = Seat(self, lambda: self._table.settings)
+        self._reference = ReferenceSource(self, self._table)
+        self._frames = SensorFrames(self, lambda: self._table.settings)
         self._outputs = FieldOutput(self, "imu/mag")
-        self._fits, self._files = Errands(self, "magcal-fit"), Errands(self, "magcal-files")
-        self._sensor_group = StraightGroup()
-        self._travel = Travel(self, self._fits, self._sensor_group, self._whereabouts.on_fix)
+        self._fits, self._files = (BackgroundThread(self, f"magcal-{n}") for n in ("fit", "files"))
+        self._sensor_group = SensorGroup()
+        self._travel = Travel(self, self._fits, self._sensor_group, self._reference.on_fix)
         self._keeper = Keeper(self.get_namespace(), self.get_name(), self._apply, self._chosen())
         log = self.get_logger()
-        self._meetings = Meetings(self._keeper, self._files, self._chosen, log.info, log.error)
-        self._shelf = Shelf(self._keeper, self._files, self._path, self._sensor_file)
+        disk = self._keeper, self._files
+        self._loader = CalibrationLoader(*disk, self._chosen, log.info, log.error)
+        self._store = CalibrationStore(*disk, self._path, self._sensor_file)
         self._keeping = SelfKeeping(self, self, self._keeper, self._files, log.info)
         streams = Streams(self._table.settings.max_gap)
         imu, field = (Sensor(self.resolve_topic_name(t)) for t in ("imu/data_raw", "imu/mag"))
         self._inputs = Inputs(imu, field, streams)
-        self._walk = Walk(self, self._up, self._inputs, self._seat, self._whereabouts, self._travel)
-        told = self, self._keeping, self._keeper, partial(self._walk.settled, FIRST, "")
-        heard = *told, self._seat, self._up, streams, self._walk.fused
-        self._known = self._walk.known = KnownHeadings(*heard, self._fits, self._sensor_group)
+        where = self._frames, self._reference, self._travel
+        self._pipeline = HeadingPipeline(self, self._up, self._inputs, *where)
+        told = self, self._keeping, self._keeper, partial(self._pipeline.settled, FIRST, "")
+        heard = *told, self._frames, self._up, streams, self._pipeline.fused
+        self._known = self._pipeline.known = KnownHeadings(*heard, self._fits, self._sensor_group)
         self._reporter = Reporter(log.error)
         self._rotator = Rotator(self)
         topics = Topics(imu.topic, field.topic, self.resolve_topic_name("cmd_vel"))
         self._control = Control(streams, self, SelfTurn(topics), self._fits, self._files)
         own = self._control, topics.field, self._keeper
-        self._magnetometers = Magnetometers(*own, self._walk.several)
+        self._magnetometers = Magnetometers(*own, self._pipeline.several)
         self._status_out = self.create_publisher(String, "~/status", LATCHED)
         self._diagnostics_out = self.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
         self._markers = TurnMarkers(self)
@@ -131,25 +132,25 @@ class Calibrator(Node):
         for timer in (self._tick, self._look):
             timer.cancel()
         self.create_timer(HEARTBEAT, self._on_heartbeat, clock=steady)
-        self._meetings.begin()
+        self._loader.begin()
         self._publish_status()
 
     def _offer_services(self) -> None:
         slow: dict[str, Callable[[Tell], None]] = {
             "accept": self._accept,
-            "save": partial(self._magnetometers.save, self._shelf),
-            "load": partial(self._magnetometers.load, self._shelf),
+            "save": partial(self._magnetometers.save, self._store),
+            "load": partial(self._magnetometers.load, self._store),
             "calibrate_at_heading": partial(self._known.calibrate, self._magnetometers),
         }
         cancel = self._magnetometers.cancel
         quick = {"start": self._start, "cancel": cancel, "reset": self._reset}
-        Services(self, self._magnetometers, quick, slow, self._on_mishap)
+        Services(self, self._magnetometers, quick, slow, self._on_callback_error)
 
     def _listen_to_further(self) -> None:
         for number in range(FIRST + 1, self._table.settings.magnetometers + 1):
-            told = Told(self._magnetometers.meet, self._follow, self.note_error)
+            listeners = Listeners(self._magnetometers.meet, self._follow, self.note_error)
             shared = self._inputs, self._chosen, self._fits, self._files
-            FurtherMagnetometer(self, self._walk, number, *shared, told)
+            FurtherMagnetometer(self, self._pipeline, number, *shared, listeners)
 
     def close(self) -> None:
         """Drop a turn under way; a calibration is on disk since the moment it was accepted."""
@@ -164,18 +165,18 @@ class Calibrator(Node):
 
     def spinner(self) -> Spinner:
         """Return what serves this node, its sensors with the least effort; one at a time."""
-        # Wheels tell nothing without the IMU, and need not wake the node between its messages.
+        # Wheels are of no use without the IMU, and need not wake the node between its messages.
         wheels, *receiver = self._travel.subscriptions
         subscriptions = [*self._sensor_subscriptions, *receiver, self._known.antenna.subscription]
-        return Spinner(self, subscriptions, self._sensor_group, self._on_mishap, [wheels])
+        return Spinner(self, subscriptions, self._sensor_group, self._on_callback_error, [wheels])
 
-    def _on_mishap(self, error: Exception) -> None:
+    def _on_callback_error(self, error: Exception) -> None:
         # What failed may be what watches the turn.
-        self._control.give_up(self._mishaps.note(error))
+        self._control.give_up(self._callback_errors.note(error))
 
     def note_error(self, error: Exception) -> None:
         """Take note of an error that ends a turn."""
-        self._mishaps.note(error)
+        self._callback_errors.note(error)
 
     def _on_imu(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -193,7 +194,7 @@ class Calibrator(Node):
             self._control.hear(sample)
             if self._magnetometers.heard:
                 self._magnetometers.on_imu(sample)
-            self._walk.on_imu(sample.stamp, stamp)
+            self._pipeline.on_imu(sample.stamp, stamp)
 
     def _on_field(self, data: bytes) -> None:
         streams = self._inputs.streams
@@ -208,17 +209,17 @@ class Calibrator(Node):
         if not streams.add_field(sample):
             return
         self._up.add_field(sample.stamp, sample.field)
-        at_rest = self._walk.motors.take(self._compass, sample)
+        at_rest = self._pipeline.motors.take(self._compass, sample)
         self._keeping.on_field(at_rest, streams.newest_imu, self._travel)
         self._known.on_field(at_rest)
         if self._compass is not None:
-            moment = self._walk.moment_of(self._compass, sample)
-            self._outputs.publish(moment.field, arrived, self._walk.body_frame())
-            self._walk.take(FIRST, moment, arrived)
+            moment = self._pipeline.moment_of(self._compass, sample)
+            self._outputs.publish(moment.field, arrived, self._pipeline.body_frame())
+            self._pipeline.take(FIRST, moment, arrived)
             if self._watch is not None:
                 self._watch.take(moment)
         if not streams.is_repeated:
-            self._walk.remember(self._control, sample)
+            self._pipeline.remember(self._control, sample)
 
     def _chosen(self) -> str:
         return self._table.settings.calibration_file
@@ -229,12 +230,12 @@ class Calibrator(Node):
         self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")
         self._known.meet(f"{field.frame} {imu.frame}")
-        self._seat.meet(imu.frame, field.frame)
+        self._frames.meet(imu.frame, field.frame)
         if field.last_heard is not None:
-            self._meetings.meet(field.frame)
+            self._loader.meet(field.frame)
 
     def _start(self) -> Conclusion:
-        settings, state = self._walk.settled(FIRST, ""), self._magnetometers.state
+        settings, state = self._pipeline.settled(FIRST, ""), self._magnetometers.state
         if state is not TurnState.IDLE and self._control.state is TurnState.IDLE:
             return Conclusion(False, f"already {state.value} another magnetometer's turn: wait")
         opened = self._control.start(settings, self._up.gyro_at_rest)
@@ -256,15 +257,13 @@ class Calibrator(Node):
 
     def _follow(self) -> None:
         """Let the heading follow what is in force."""
-        self._walk.use(self._magnetometers.keepers)
+        self._pipeline.use(self._magnetometers.keepers)
         self._publish_status()
 
-    def put_in_force(
-        self, calibration: Calibration, keeps_former: bool = True
-    ) -> Callable[[], str]:
+    def put_in_force(self, calibration: Calibration, with_backup: bool = True) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
-        self._keeper.put_in_force(calibration, self._walk.origin_of(self._inputs.field.frame))
-        return self._keeper.store(self._path, keeps_former)
+        self._keeper.put_in_force(calibration, self._pipeline.origin_of(self._inputs.field.frame))
+        return self._keeper.store(self._path, with_backup)
 
     def _sensor_file(self) -> tuple[str, str]:
         return self._chosen(), self._inputs.field.frame
@@ -291,12 +290,12 @@ class Calibrator(Node):
     def drive_knowledge(self) -> Knowledge | None:
         """Return what is known beforehand of a drive; None while a turn is under way."""
         is_idle = self._control.state is TurnState.IDLE
-        return self._walk.settled(FIRST, "").knowledge if is_idle else None
+        return self._pipeline.settled(FIRST, "").knowledge if is_idle else None
 
     def _reset(self) -> Conclusion:
         self._known.forget()
         self._control.forget_turns()
-        self._meetings.forget()
+        self._loader.forget()
         were_several = self._magnetometers.reset()
         if self._keeper.calibration is None and not were_several:
             return Conclusion(True, "there was no calibration in force")
@@ -308,7 +307,7 @@ class Calibrator(Node):
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
         sensor, by = self._inputs.field, self._reporter
-        return self._walk.report(sensor, by, window, settings, outcome)
+        return self._pipeline.report(sensor, by, window, settings, outcome)
 
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
@@ -327,7 +326,7 @@ class Calibrator(Node):
 
     def turn_ended(self) -> None:
         """Tell the world how a turn ended, before those who wait for it are told."""
-        self._seat.note_outcome(self._control.turn.last_outcome)
+        self._frames.note_outcome(self._control.turn.last_outcome)
         self._publish_status()
         self._draw()
 
@@ -345,8 +344,8 @@ class Calibrator(Node):
         self._draw()
 
     def _draw(self) -> None:
-        to_body = self._seat.settled(self._table.settings).knowledge.mounting.to_body
-        self._markers.draw(self._control, to_body, self._walk.body_frame())
+        to_body = self._frames.settled(self._table.settings).knowledge.mounting.to_body
+        self._markers.draw(self._control, to_body, self._pipeline.body_frame())
 
     def _on_heartbeat(self) -> None:
         self._fits.deliver()
@@ -357,15 +356,15 @@ class Calibrator(Node):
         if not self._table.settings.accumulate:
             self._control.forget_turns()
         settings, swing = self._table.settings, self._travel.swing
-        self._walk.follow(settings, self._keeper, self._shelf)
-        self._whereabouts.refresh()
-        self._seat.note_up(self._up)
+        self._pipeline.follow(settings, self._keeper, self._store)
+        self._reference.refresh()
+        self._frames.note_up(self._up)
         self._keeping.follow(settings.self_calibration, settings.report_folder, swing)
-        news = self._travel.follow(self._whereabouts.reference.field, self._seat, self._announcer)
+        news = self._travel.follow(self._reference.reference.field, self._frames, self._announcer)
         if news is not None and self._keeper.keep_vehicle_yaw(news):
-            self._shelf.save(lambda _: None)
-        complaints = self._inputs.complaints() + self._seat.complaints + self._travel.complaints
-        complaints += [*self._known.complaints, *filter(None, [self._walk.headings.rivals()])]
+            self._store.save(lambda _: None)
+        complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
+        complaints += [*self._known.complaints, *filter(None, [self._pipeline.headings.rivals()])]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         self._outputs.repeat_bias(now)
@@ -374,14 +373,14 @@ class Calibrator(Node):
         statuses = [
             calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
             field_diagnostic(
-                name, self._walk.headings.moment, self._walk.lead, self._whereabouts.reference
+                name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
-            self._walk.fused.diagnostic(name),
+            self._pipeline.fused.diagnostic(name),
             watch_diagnostic(name, self._watch, self._keeping),
             *self._travel.diagnostics(name),
             *self._magnetometers.diagnostics(name),
             inputs_diagnostic(
-                name, self._inputs, complaints + self._table.complaints, self._mishaps.total
+                name, self._inputs, complaints + self._table.complaints, self._callback_errors.total
             ),
         ]
         self._diagnostics_out.publish(diagnostic_array(statuses, self._inputs.field.frame, now))
@@ -391,10 +390,10 @@ class Calibrator(Node):
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
-        reference, turns = self._whereabouts.reference, self._table.settings.rotation.enabled
-        told = self._control, self._keeper, self._inputs, reference, self._watch, turns
-        extra = self._walk.motors.facts(self._compass), self._known
-        status = status_json(*told, self._travel, self._keeping, self._magnetometers, *extra)
+        turn = self._control, self._keeper, self._inputs, self._reference.reference, self._watch
+        turns, motors = self._table.settings.rotation.enabled, self._pipeline.motors
+        drive = self._travel, self._keeping, self._magnetometers, motors.facts(self._compass)
+        status = status_json(*turn, turns, *drive, self._known)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

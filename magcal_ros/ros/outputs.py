@@ -1,4 +1,4 @@
-"""The walk of a field message: corrected, turned into a yaw, published."""
+"""The outputs of a field message: the corrected field, and the yaw."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.messages import azimuth_message, bias_message
-from magcal_ros.ros.seat import Seat
+from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.wire.incoming import FieldArrival
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
 
@@ -95,12 +95,12 @@ class HeadingOutput:
     ----------
     node : rclpy.node.Node
         Where the publishers live.
-    seat : Seat
+    frames : SensorFrames
         Tells whose attitude is published.
     """
 
-    def __init__(self, node: Node, seat: Seat) -> None:
-        self._node, self._seat = node, seat
+    def __init__(self, node: Node, frames: SensorFrames) -> None:
+        self._node, self._frames = node, frames
         self._magnetic_out = node.create_publisher(Imu, "compass/mag/enu/imu", RELIABLE)
         self._true_out = node.create_publisher(Imu, "compass/true/enu/imu", RELIABLE)
         self._yaw_out = node.create_publisher(Float64, "compass/yaw", RELIABLE)
@@ -153,10 +153,10 @@ class HeadingOutput:
         """
         moment, declination = self._doubted(moment), reference.declination
         self.moment = moment
-        view = self._seat.view
+        view = self._frames.view
         if moment.heading is None or view is None:
             return
-        frame, heading = self._seat.frame(frame), view.heading(moment.heading)
+        frame, heading = self._frames.frame(frame), view.heading(moment.heading)
         if _is_wanted(self._magnetic_out):
             self._magnetic_out.publish(self._attitude.fill(stamp, frame, heading))
         if declination is not None and _is_wanted(self._true_out):

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.places import chosen_path, lies_within, own_folder
+from magcal_ros.files.default_paths import chosen_path, lies_within, own_folder
 from magcal_ros.ros.parameter_table import MAY_BE_ENABLED, PARAMETERS
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.spec import Later, Spec, Value

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.places import chosen_path, known_as, own_folder
+from magcal_ros.files.default_paths import chosen_path, known_as, own_folder
 from magcal_ros.processes import start
 from magcal_ros.ros.inputs import Sensor
 from magcal_ros.ros.settings import Settings

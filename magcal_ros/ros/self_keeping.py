@@ -22,13 +22,13 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.smoothing.log import DriveLog
-from magcal_ros.ros.aside import Aside, Stopped
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.control import in_words
-from magcal_ros.ros.errands import Errands
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.keeping.story import DriveStory
@@ -42,9 +42,7 @@ IDLE_LOOKS = 300
 class Owner(Protocol):
     """What the node does for it."""
 
-    def put_in_force(
-        self, calibration: Calibration, keeps_former: bool = True
-    ) -> Callable[[], str]:
+    def put_in_force(self, calibration: Calibration, with_backup: bool = True) -> Callable[[], str]:
         """Apply a calibration at once; returns the work of storing it, which says what it did."""
 
     def drive_knowledge(self) -> Knowledge | None:
@@ -61,7 +59,7 @@ class SelfKeeping:
     owner : Owner
     keeper : Keeper
         Has what is in force, and its file.
-    files : Errands
+    files : BackgroundThread
         Does the disk's work.
     say : callable
         Takes one line for the log.
@@ -72,13 +70,13 @@ class SelfKeeping:
         node: Node,
         owner: Owner,
         keeper: Keeper,
-        files: Errands,
+        files: BackgroundThread,
         say: Callable[[str], object],
     ) -> None:
         self._owner, self._keeper, self._files, self._say = owner, keeper, files, say
         self._machine = SelfCalibration()
-        self._jobs = Errands(node, "magcal-keep")
-        self._aside = Aside()
+        self._jobs = BackgroundThread(node, "magcal-keep")
+        self._worker = WorkerProcess()
         self._sensors = ""
         self._idle = 0
         self.lost = 0
@@ -102,7 +100,7 @@ class SelfKeeping:
         self._machine.put_in_force(calibration)
 
     def meet(self, sensors: str) -> None:
-        """Take note of which sensors are heard: what others did on the drive is no witness."""
+        """Take note of the sensors that are heard: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
         self._sensors = sensors
@@ -125,7 +123,7 @@ class SelfKeeping:
             self._machine.mode = Mode(mode)
             self._machine.forget()
         if self._idle == IDLE_LOOKS:
-            self._aside.stop()
+            self._worker.stop()
 
     @property
     def proposal(self) -> Calibration | None:
@@ -159,7 +157,7 @@ class SelfKeeping:
 
     def end(self) -> None:
         """End the process for good."""
-        self._aside.end()
+        self._worker.end()
 
     def _look(self) -> None:
         knowledge = self._owner.drive_knowledge()
@@ -167,7 +165,7 @@ class SelfKeeping:
             return
         self._idle = 0
         job = self._machine.job(knowledge)
-        self._jobs.run(lambda: self._aside.run(run_kindly, job), self._note, self._lost)
+        self._jobs.run(lambda: self._worker.run(run_kindly, job), self._note, self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._machine.fail()
@@ -211,15 +209,15 @@ class SelfKeeping:
         )
         log, reports = machine.log(), self._reports
         self._jobs.run(
-            lambda: self._aside.run(write_page, reports_of(reports), story, log),
+            lambda: self._worker.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),
             lambda error: self._tell(f"no report: {in_words(error)}"),
         )
 
-    def put_in_force(self, calibration: Calibration, tell: Tell, keeps_former: bool = True) -> None:
+    def put_in_force(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
         """Apply a calibration and store it; only what is stored as well is a success."""
         self._files.run(
-            self._owner.put_in_force(calibration, keeps_former),
+            self._owner.put_in_force(calibration, with_backup),
             lambda words: tell(Conclusion(not self._keeper.trouble, words)),
             lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
         )

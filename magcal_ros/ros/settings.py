@@ -12,8 +12,8 @@ from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits
-from magcal_ros.core.session.told_heading import ToldHeading
 from magcal_ros.ros.spec import TRUE_NORTH
 
 
@@ -71,7 +71,7 @@ class Settings:
     magnetometers: int
     self_calibration: str
     vehicle_yaw: float | None
-    known_heading: ToldHeading | None
+    known_heading: ExternalHeading | None
     north_is_missing: bool
     heading_is_true: bool
 
@@ -132,13 +132,13 @@ class Settings:
         )
 
 
-def _told(values: Mapping[str, Any]) -> ToldHeading | None:
+def _told(values: Mapping[str, Any]) -> ExternalHeading | None:
     """Return the heading typed in; None without one, or while its north is not said."""
     yaw, north = values["known_heading.yaw_deg"], values["known_heading.north"]
     if math.isnan(yaw) or not north:
         return None
     sigma = math.radians(values["known_heading.sigma_deg"])
-    return ToldHeading(math.radians(yaw), sigma, north == TRUE_NORTH)
+    return ExternalHeading(math.radians(yaw), sigma, north == TRUE_NORTH)
 
 
 def _pose(rpy_deg: tuple[float, float, float]) -> FloatArray | None:

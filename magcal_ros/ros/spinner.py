@@ -1,4 +1,4 @@
-"""What calls the node back: rclpy's executor, and beside it the sensors' own loop."""
+"""Runs the callbacks: rclpy's executor, and beside it the loop of the sensors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,25 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from magcal_ros.ros.fair import FairLock
-from magcal_ros.ros.straight import StraightGroup, StraightLoop
+from magcal_ros.ros.sensor_loop import SensorGroup, SensorLoop
+
+
+class FairLock:
+    """A lock that two threads have by turns whenever both want it.
+
+    With a plain one, who releases it and wants it again at once usually gets it again, and under a
+    flood of messages a service would never be answered.
+    """
+
+    def __init__(self) -> None:
+        self._held, self._next = Lock(), Lock()
+
+    def __enter__(self) -> None:
+        with self._next:
+            self._held.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._held.release()
 
 
 class Spinner:
@@ -34,7 +51,7 @@ class Spinner:
     subscriptions : sequence of Subscription
         Those of its subscriptions that bring nearly all messages; their callbacks are plain
         functions.
-    group : StraightGroup
+    group : SensorGroup
         The callback group that they were made with.
     note : callable
         Told each error that a callback raises, before another callback runs.
@@ -46,7 +63,7 @@ class Spinner:
         self,
         node: Node,
         subscriptions: Sequence[Subscription],
-        group: StraightGroup,
+        group: SensorGroup,
         note: Callable[[Exception], None],
         unhurried: Sequence[Subscription] = (),
     ) -> None:
@@ -57,7 +74,7 @@ class Spinner:
         self._waiting: set[Future] = set()
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(node)
-        self._loop = StraightLoop(
+        self._loop = SensorLoop(
             node, subscriptions, group, self._lock, self._note, self._say_and_go_on, unhurried
         )
 

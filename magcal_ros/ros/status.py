@@ -17,7 +17,7 @@ from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_states import TurnState
-from magcal_ros.files.places import known_as
+from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.inputs import Inputs

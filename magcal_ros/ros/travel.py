@@ -25,17 +25,17 @@ from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.course_check import (
     CourseCheckTuning,
-    accusation,
     check_by_course,
+    course_fault,
 )
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.errands import Errands
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.messages import diagnostic, key_values
-from magcal_ros.ros.seat import Seat
-from magcal_ros.ros.straight import SENSOR_DATA
+from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
@@ -51,7 +51,7 @@ class Travel:
     ----------
     node : rclpy.node.Node
         Where the subscriptions live.
-    errands : Errands
+    thread : BackgroundThread
         Does the fits beside the messages.
     group : CallbackGroup
         Of the subscriptions.
@@ -65,9 +65,13 @@ class Travel:
     """
 
     def __init__(
-        self, node: Node, errands: Errands, group: CallbackGroup, on_fix: Callable[[Fix], None]
+        self,
+        node: Node,
+        thread: BackgroundThread,
+        group: CallbackGroup,
+        on_fix: Callable[[Fix], None],
     ) -> None:
-        self._node, self._errands, self._tell_fix = node, errands, on_fix
+        self._node, self._thread, self._tell_fix = node, thread, on_fix
         self._plane = LocalPlane()
         self._odd: dict[str, str] = {}
         self._topics = {
@@ -112,13 +116,13 @@ class Travel:
 
     @property
     def speed(self) -> float:
-        """The newest speed, m/s; NaN where nobody tells it."""
+        """The newest speed, m/s; NaN where it is unknown."""
         track = self._travelling.speedometer.track
         return math.nan if track is None else track.last
 
     @property
     def speed_from(self) -> str | None:
-        """The topic whose speed is used; None where nobody tells one."""
+        """The topic whose speed is used; None where there is none."""
         source = self._travelling.source
         return None if source is None else self._topics[source]
 
@@ -131,7 +135,7 @@ class Travel:
         return math.isfinite(track.newest) and not track.is_slow
 
     def speed_near(self, stamp: float) -> float:
-        """Return what wheels say, m/s; NaN where they tell nothing near a stamp, seconds."""
+        """Return what wheels say, m/s; NaN without a measurement near a stamp, seconds."""
         track = self._travelling.speedometer.tracks[SpeedSource.ODOMETRY]
         if abs(stamp + track.delay - track.newest) > track.gap or not self.has_wheels:
             return math.nan
@@ -179,11 +183,11 @@ class Travel:
         return found
 
     def follow(
-        self, reference: ReferenceField, seat: Seat, announcer: Announcer
+        self, reference: ReferenceField, frames: SensorFrames, announcer: Announcer
     ) -> VehicleYaw | None:
         """Use what is known, once a second, and say what is new; returns what is to be kept."""
         news = self.look(reference)
-        seat.note_vehicle_yaw(self.yaw)
+        frames.note_vehicle_yaw(self.yaw)
         if self.verdict:
             announcer.tell("course", self.verdict, wrong=True)
         if news is not None:
@@ -208,9 +212,9 @@ class Travel:
     def verdict(self) -> str:
         """What course says against the calibration in force; empty if nothing."""
         if self._travelling.known_mounting is None:
-            # What does not go where it looks accuses every compass.
+            # A vehicle that moves sideways would make every compass look wrong.
             return ""
-        return accusation(check_by_course(self._travelling.course))
+        return course_fault(check_by_course(self._travelling.course))
 
     def facts(self) -> dict[str, Any] | None:
         """Return what `~/status` tells of the drive; None where no speed and no fix came."""
@@ -249,7 +253,7 @@ class Travel:
             self._travelling.give_up_fit()
             self._node.get_logger().error(f"a fit of the drive has failed: {error!r}")
 
-        self._errands.run(work, then, fail)
+        self._thread.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
         if not self._travelling.wants_speed(read_stamp(data)):

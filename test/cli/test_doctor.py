@@ -4,7 +4,7 @@ import numpy as np
 import yaml
 from axes_cases import wrong_case
 
-from magcal_ros.cli.doctor_page import write_parameters
+from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.geometry.signed_axes import signed_permutations

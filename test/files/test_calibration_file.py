@@ -23,7 +23,7 @@ from magcal_ros.files.calibration_file import (
     read_calibration,
     write_calibration,
 )
-from magcal_ros.files.claims import BOUNDS
+from magcal_ros.files.plausibility import BOUNDS
 
 pytestmark = pytest.mark.faults
 

@@ -11,7 +11,7 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.messages import fix_of
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.sources import open_recording
-from magcal_ros.files.travel_wire import fix_in
+from magcal_ros.files.wire import fix_in
 
 FIX = "sensor_msgs/msg/NavSatFix"
 

@@ -12,7 +12,7 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.samples import read_samples, write_samples
 from magcal_ros.report import new_folder, write_report
-from magcal_ros.report.recipe import recipe
+from magcal_ros.report.page import recipe
 
 
 @pytest.fixture

@@ -52,8 +52,8 @@ def topics_of_outputs():
         )
 
     view = SimpleNamespace(heading=lambda heading: heading)
-    seat = SimpleNamespace(view=view, frame=lambda frame: frame)
-    return HeadingOutput(SimpleNamespace(create_publisher=create), seat), kinds, published
+    sensor_frames = SimpleNamespace(view=view, frame=lambda frame: frame)
+    return HeadingOutput(SimpleNamespace(create_publisher=create), sensor_frames), kinds, published
 
 
 def arrived(outputs, reference):

@@ -13,7 +13,7 @@ from magcal_ros.core.session.self_turn import SelfTurn
 from magcal_ros.core.session.session import Session
 from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.ros import aside
+from magcal_ros.ros import worker_process
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.settings import Settings
@@ -96,7 +96,7 @@ def turn_in(house):
 
 
 def test_no_room_for_the_process_that_fits(monkeypatch):
-    monkeypatch.setattr(aside, "start", no_room)
+    monkeypatch.setattr(worker_process, "start", no_room)
     answer = turn_in(House())
     assert not answer.success
     assert "cannot be started: Too many open files" in answer.message

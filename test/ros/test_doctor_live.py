@@ -129,7 +129,7 @@ def looked(graph):
         parser = argparse.ArgumentParser()
         doctor.add_to(parser.add_subparsers())
         heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
-        return heard.page_with(examine(heard.log, heard.knowledge, heard.told))
+        return heard.page_with(examine(heard.log, heard.knowledge, heard.answers))
 
     yield run
     for each in (node, other):

@@ -8,7 +8,7 @@ import pytest
 
 import magcal_ros.ros
 from magcal_ros.ros.node import Calibrator
-from magcal_ros.ros.straight import StraightGroup
+from magcal_ros.ros.sensor_loop import SensorGroup
 
 DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit"}
 """Public in spite of their names: those of named tuples, and of `os`."""
@@ -53,7 +53,7 @@ def test_no_private_name_is_read_of_another_object():
     assert {name: reads for name, reads in found.items() if reads} == {}
 
 
-@pytest.mark.parametrize("kind", [Calibrator, StraightGroup])
+@pytest.mark.parametrize("kind", [Calibrator, SensorGroup])
 def test_no_private_name_of_ours_is_one_of_rclpys(kind):
     """Neither used by way of `self` nor overwritten."""
     assert not private_names_on_self(inspect.getsource(kind)) & names_of_rclpy(kind)
@@ -66,7 +66,7 @@ def test_these_are_all_the_classes_that_inherit_from_rclpy():
             bases = node.bases if isinstance(node, ast.ClassDef) else []
             if {ast.unparse(base) for base in bases} & {"Node", "CallbackGroup", "Executor"}:
                 found.add(node.name)
-    assert found == {Calibrator.__name__, StraightGroup.__name__}
+    assert found == {Calibrator.__name__, SensorGroup.__name__}
 
 
 def test_only_what_wait_for_message_imports_is_imported_of_the_inside():

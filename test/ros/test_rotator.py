@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from support import AT_ONCE, PATIENCE, REFERENCE
 
-from magcal_ros.core.session import leash, self_turn
+from magcal_ros.core.session import rotation_limits, self_turn
 from magcal_ros.ros import guard
 from magcal_ros.ros.end_signals import SIGNALS
 
@@ -28,7 +28,9 @@ def leisure(monkeypatch):
     patient = replace(self_turn.TUNING, stands_first=0.0, **dict.fromkeys(names, PATIENCE))
     monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
-    monkeypatch.setattr(leash, "TUNING", replace(leash.TUNING, farthest_beyond=math.pi))
+    monkeypatch.setattr(
+        rotation_limits, "TUNING", replace(rotation_limits.TUNING, farthest_beyond=math.pi)
+    )
 
 
 @pytest.fixture

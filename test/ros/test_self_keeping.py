@@ -17,10 +17,10 @@ from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.core.simulation.travel import travel
+from magcal_ros.files.backups import backup_files
 from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.files.former import former_files
-from magcal_ros.ros.aside import Stopped
 from magcal_ros.ros.status import watch_diagnostic
+from magcal_ros.ros.worker_process import Stopped
 
 
 def no_space(_):
@@ -63,7 +63,7 @@ class TestInTheNode:
         assert answer.success
         assert "saved" in answer.message
         kept = [before, None, None]
-        assert [file.read_bytes() if file.exists() else None for file in former_files(path)] == kept
+        assert [file.read_bytes() if file.exists() else None for file in backup_files(path)] == kept
         assert read_calibration(path)[0].evidence.accepted_by_user
         stage.run(PATIENCE, stop=lambda: stage.status["self_calibration"]["proposal"] is None)
         assert stage.status["self_calibration"]["proposal"] is None
@@ -82,10 +82,10 @@ class TestInTheNode:
                 assert not refused.success
                 assert "In force, but not saved" in refused.message
         assert path.read_bytes() == before
-        assert not any(file.exists() for file in former_files(path))
+        assert not any(file.exists() for file in backup_files(path))
         for _ in range(4):
             assert robot.answer(robot.call("accept")).success
-        kept = [file.read_bytes() if file.exists() else None for file in former_files(path)]
+        kept = [file.read_bytes() if file.exists() else None for file in backup_files(path)]
         assert kept == [before, None, None]
 
     def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):

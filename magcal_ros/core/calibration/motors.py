@@ -41,7 +41,7 @@ class Running(NamedTuple):
     moving : float
         Probability that it moves.
     turn_rate : float
-        rad/s about the body's z; NaN where nobody tells, as of the others.
+        rad/s about the body's z; NaN where it is unknown, as of the others.
     speed : float
         m/s, negative backwards.
     current : float
@@ -75,7 +75,7 @@ class MotorField:
     beside : array_like, shape (12, 3 n)
         Covariance with the twelve numbers of the calibration.
     ripple : float
-        Tesla per axis that the field strays by while the robot moves, beside K u.
+        Tesla per axis that the field deviates by while the robot moves, beside K u.
     usual : tuple of float
         Root mean square of each input while the robot moves: what is expected of an input that
         nobody tells.
@@ -103,7 +103,7 @@ class MotorField:
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
         """Return the inputs and their variances, each of shape (n,).
 
-        One that nobody tells counts as zero, and varies as usual while the robot moves.
+        An unknown one counts as zero, and varies as usual while the robot moves.
         """
         values = np.array([running[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)

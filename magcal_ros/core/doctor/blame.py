@@ -11,7 +11,7 @@ from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.signed_axes import is_mirrored, rank_of, spoken, swapped
 from magcal_ros.core.knowledge import Knowledge
@@ -77,7 +77,7 @@ class Blame:
     explained: bool
 
 
-def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame:
+def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:
     """Name the sensors whose axes err, or may err.
 
     Parameters
@@ -86,7 +86,7 @@ def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame
         All ways that were weighed.
     knowledge : Knowledge
         For the mounting that is known, and whether the inclination is.
-    told : Told
+    answers : UserAnswers
         What a person did: an explanation that says otherwise is none.
     """
     best = explanations.best
@@ -97,7 +97,7 @@ def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame
     remains = misfit < TUNING.remains
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
-    contrary = _contrary(explanations, told)
+    contrary = _contrary(explanations, answers)
     if misfit[given] < TUNING.wrong:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
@@ -111,13 +111,15 @@ def blame(explanations: Explanations, knowledge: Knowledge, told: Told) -> Blame
     return _accused(explanations, fewest, rank, knowledge)
 
 
-def _contrary(explanations: Explanations, told: Told) -> BoolArray:
+def _contrary(explanations: Explanations, answers: UserAnswers) -> BoolArray:
     """Return which explanations say that the robot turned the other way than it was told to."""
     count = len(explanations.misfit)
-    if told.turned_left is None:
+    if answers.turned_left is None:
         return np.zeros(count, dtype=np.bool_)
     turned = np.array([explanations.turned(k) for k in range(count)])
-    return np.asarray((np.abs(turned) > UPRIGHT.least_turn) & ((turned > 0.0) != told.turned_left))
+    return np.asarray(
+        (np.abs(turned) > UPRIGHT.least_turn) & ((turned > 0.0) != answers.turned_left)
+    )
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ class PlaceTuning:
         Relative standard deviation of the strength beyond which it is not shown.
     motors : float
         Tesla by which the field steps when the robot sets off.
-    turned_too_far, strays_too_far : float
+    turned_too_far, scatter_too_large : float
         Degrees of heading of that step, and by which it differs from one time to another, from
         which moving the sensor is the better cure: half the level field, where a tenth of it in
         the motors' current is three degrees, and the largest error that may stay unsaid.
@@ -52,7 +52,7 @@ class PlaceTuning:
     vague: float = 0.1
     motors: float = 1.5e-6
     turned_too_far: float = 25.0
-    strays_too_far: float = 5.0
+    scatter_too_large: float = 5.0
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
     late: float = 0.05
@@ -167,16 +167,16 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
     size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
     words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
-    turned, stray = (_degrees(each, float(np.median(level))) for each in (size, scatter))
+    turned, scattered = (_degrees(each, float(np.median(level))) for each in (size, scatter))
     evidence = (
         f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
-        f"{turned:.0f}° of heading, and {stray:.0f}° from one time to another"
+        f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
     )
     remedy = (
         "if motors turn it, their current makes a field of its own. A calibration from a turn "
         "that begins and ends at rest knows it, and the node takes it off while the robot moves"
     )
-    if max(turned / TUNING.turned_too_far, stray / TUNING.strays_too_far) > 1.0:
+    if max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0:
         remedy = (
             "if motors turn it, their current makes a field of its own, too large or too uneven "
             "to be taken off well. Moving the sensor is the better cure: away from motors, "

@@ -17,7 +17,7 @@ from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
 from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
-from magcal_ros.core.doctor.upright import Told, upright
+from magcal_ros.core.doctor.upright import UserAnswers, upright
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
@@ -110,7 +110,9 @@ class MotionFound:
     explained: bool = False
 
 
-def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> MotionFound:
+def compare(
+    prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
+) -> MotionFound:
     """Compare accelerometer, gyro and field.
 
     Parameters
@@ -119,29 +121,29 @@ def compare(prepared: CleanLog, knowledge: Knowledge, told: Told = Told()) -> Mo
         The cleaned streams.
     knowledge : Knowledge
         Its mounting is taken off; its inclination helps.
-    told : Told
+    answers : UserAnswers
         What a person did.
     """
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
-        return MotionFound((found, *upright(log, None, None, told).findings))
+        return MotionFound((found, *upright(log, None, None, answers).findings))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
     if part is None or not _field_moves(part.stretch):
-        return _nothing_shown(log, None, told)
+        return _nothing_shown(log, None, answers)
     rest = longest_rest(body)
     factors = rate_factors(part.stretch)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part.stretch, rest)
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
-        return _nothing_shown(log, rest if stands_still else None, told)
+        return _nothing_shown(log, rest if stands_still else None, answers)
     body = replace(body, rate=factor * body.rate)
     # Where gravity points down, its sign may be wrong: then the field seems to point up.
     other = given.with_inclination(_opposite(knowledge.reference.inclination))
-    stands = upright(log, given, other, told)
+    stands = upright(log, given, other, answers)
     explanations = other if stands.sign_wrong else given
-    blamed = blame(explanations, knowledge, told if not stands.sign_wrong else told.opposite)
+    blamed = blame(explanations, knowledge, answers if not stands.sign_wrong else answers.opposite)
     findings = [_unit(factor, factors is None), *stands.findings, *blamed.findings]
     if blamed.explained:
         rest = None if rest is None else replace(rest, rate=factor * rest.rate)
@@ -198,7 +200,7 @@ def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
     return most_turned(alone) >= WEIGHED.least_turn
 
 
-def _nothing_shown(log: SensorLog, rest: Rest | None, told: Told) -> MotionFound:
+def _nothing_shown(log: SensorLog, rest: Rest | None, answers: UserAnswers) -> MotionFound:
     """Return that the sensors were not compared; a rest still shows the gyro's bias."""
     bias = not_shown("gyro_bias", "gyro: bias", FULL_GUIDE)
     if rest is not None:
@@ -209,7 +211,7 @@ def _nothing_shown(log: SensorLog, rest: Rest | None, told: Told) -> MotionFound
         not_shown("rate_scale", "gyro: scale", FULL_GUIDE),
         not_shown("latency", "field: latency", FULL_GUIDE),
     )
-    return MotionFound((*findings, *upright(log, None, None, told).findings))
+    return MotionFound((*findings, *upright(log, None, None, answers).findings))
 
 
 def _unit(factor: float, turns_alike: bool) -> Finding:

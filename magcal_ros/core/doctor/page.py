@@ -16,7 +16,7 @@ from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.noise import noise_findings
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import known_habits
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.window import Window
@@ -71,7 +71,9 @@ class Page:
         return page if mount is None else replace(page, mount_rpy_deg=mount)
 
 
-def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Told()) -> Page:
+def examine(
+    log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
+) -> Page:
     """Look at everything that a log shows of its sensors.
 
     Parameters
@@ -80,14 +82,14 @@ def examine(log: SensorLog, knowledge: Knowledge = Knowledge(), told: Told = Tol
         As published; at best of a robot that stands, turns once and lifts its nose.
     knowledge : Knowledge, optional
         Mounting and reference field.
-    told : Told, optional
+    answers : UserAnswers, optional
         What a person did.
     """
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
-    found = compare(prepared, knowledge, told)
+    found = compare(prepared, knowledge, answers)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
     mount = None

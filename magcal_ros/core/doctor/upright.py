@@ -49,21 +49,21 @@ TELLS_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is 
 
 
 @dataclass(frozen=True)
-class Told:
-    """What a person did, as far as it was asked for.
+class UserAnswers:
+    """What the user answered about the motion.
 
     Parameters
     ----------
     turned_left : bool or None
-        Whether the robot turned to the left; None where nobody said.
+        Whether the robot turned to the left; None where it was not asked.
     """
 
     turned_left: bool | None = None
 
     @property
-    def opposite(self) -> Told:
+    def opposite(self) -> UserAnswers:
         """The same where up is down."""
-        return Told(None if self.turned_left is None else not self.turned_left)
+        return UserAnswers(None if self.turned_left is None else not self.turned_left)
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Upright:
 
 
 def upright(
-    log: SensorLog, given: Explanations | None, other: Explanations | None, told: Told
+    log: SensorLog, given: Explanations | None, other: Explanations | None, answers: UserAnswers
 ) -> Upright:
     """Look at which way gravity points.
 
@@ -93,7 +93,7 @@ def upright(
         The cleaned streams.
     given, other : Explanations or None
         With the inclination as it is, and as it seems where gravity has the wrong sign.
-    told : Told
+    answers : UserAnswers
         What a person did.
     """
     usual = np.median(log.force, axis=0)
@@ -104,7 +104,7 @@ def upright(
         return Upright((looked_at("gravity_sign", name, evidence),))
     if usual[2] > -TUNING.least_upright:
         return Upright((wrong("imu_axes", name, evidence, sideways(usual)),))
-    flipped = _is_flipped(given, other, told)
+    flipped = _is_flipped(given, other, answers)
     if flipped is None:
         either = f"either {SIGN}; or {UPSIDE_DOWN}. {TELLS_GRAVITY}"
         return Upright((wrong("gravity_sign", name, evidence, either),), None)
@@ -123,14 +123,16 @@ def sideways(up: FloatArray) -> str:
     )
 
 
-def _is_flipped(given: Explanations | None, other: Explanations | None, told: Told) -> bool | None:
+def _is_flipped(
+    given: Explanations | None, other: Explanations | None, answers: UserAnswers
+) -> bool | None:
     """Return whether gravity's sign errs rather than the IMU lies upside down."""
     if given is None or other is None:
         return None
     best = given.best
-    if told.turned_left is not None and abs(given.turned(best)) > TUNING.least_turn:
+    if answers.turned_left is not None and abs(given.turned(best)) > TUNING.least_turn:
         # About an up that points down a turn to the left looks like one to the right.
-        return (given.turned(best) > 0.0) is not told.turned_left
+        return (given.turned(best) > 0.0) is not answers.turned_left
     as_given, turned_round = given.field_right, other.field_right
     if abs(as_given - turned_round) < TUNING.clear:
         return None

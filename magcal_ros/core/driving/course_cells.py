@@ -1,4 +1,4 @@
-"""Chords kept by place and course: a street that is driven again is no new witness."""
+"""Chords kept by place and course: repeated passes of a street add no independent information."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ class _Fit:
         """Return the variance if each street counted only the way it was driven first.
 
         What stands on one side of a street bends the field on one way: both ways of a street
-        are one witness.
+        count as one observation.
         """
         again = self._again()
         if not again.any():

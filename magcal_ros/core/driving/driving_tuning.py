@@ -259,7 +259,7 @@ class TripTuning:
 
 @dataclass(frozen=True)
 class FrontTuning:
-    """What is called askew.
+    """When a sensor counts as misaligned.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ class FrontTuning:
     useful : float
         Radians of sigma below which an offset may be applied.
     lost : float
-        Radians of sigma of course beyond which it tells nothing.
+        Radians of sigma of course beyond which it is not used.
     """
 
     clear: float = 3.0

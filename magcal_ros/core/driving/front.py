@@ -1,4 +1,4 @@
-"""Where the vehicle's front is, and what is askew: the IMU, the magnetometer or the declination."""
+"""The vehicle's front, and which is misaligned: IMU, magnetometer, or the declination."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Front:
         Radians: what the compass is off in the IMU's axes, against course; NaN where it cannot
         be told.
     suspicion : str
-        Which is askew beside the IMU, in words; empty if nothing is.
+        Which is misaligned beside the IMU, in words; empty if nothing is.
     """
 
     yaw: VehicleYaw | None = None

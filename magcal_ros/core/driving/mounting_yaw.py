@@ -277,7 +277,7 @@ def _steps(
         weight = 1.0 / (1.0 + np.abs(error) ** 2 / (4.0 * noise**2))
         model = change + lever * swing
         columns = np.array([model, 1j * model, z * swing])
-        # Smoothed rows are not so many witnesses: the prior is weighed against honest ones.
+        # Smoothed rows are correlated: the prior is weighed against independent ones.
         prior = noise**2 * tuning.smooth / tuning.lever_sigma**2
         information = np.real(columns.conj() * weight @ columns.T)
         information += np.diag([1e-9, 1e-9, prior])

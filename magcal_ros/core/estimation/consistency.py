@@ -24,7 +24,7 @@ class SwingTuning:
     Parameters
     ----------
     sector : float
-        Radians of the turn over which the stray is averaged.
+        Radians of the turn over which the deviation is averaged.
     bias, scale : float
         What gyros have of both (rad/s and one). A slope beyond it is taken off only where it
         leaves little behind: a swing once a turn looks like a slope in part, and must not pass for
@@ -32,10 +32,10 @@ class SwingTuning:
     rounds : int
         Of Cauchy weights; they settle sooner.
     spike : float
-        Times the median stray beyond which a sector does not count.
+        Times the median deviation beyond which a sector does not count.
     most_radial : float
-        Radians up to which a stray along the radius stands for one across it. More is a turn that
-        does not fit: its halves and residuals say so, and a wide sigma would excuse them.
+        Radians up to which a deviation along the radius stands for one across it. A turn with more
+        does not fit: its halves and residuals show it, and a wide sigma would hide it.
     """
 
     sector: float = math.radians(12.0)
@@ -50,7 +50,7 @@ SWING = SwingTuning()
 
 
 def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatArray) -> GyroSwing:
-    """Return how the compass's turn lastingly strays from the gyro's.
+    """Return how the compass's turn lastingly deviates from the gyro's.
 
     Parameters
     ----------
@@ -63,11 +63,11 @@ def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatAr
     """
     back = np.swapaxes(relative, 1, 2)
     away = back @ attitude
-    stray = np.unwrap(turns_about_z(away @ away[len(away) // 2].T))
+    deviation = np.unwrap(turns_about_z(away @ away[len(away) // 2].T))
     turned = np.unwrap(turns_about_z(back))
-    noise = _sample_noise(stray)
+    noise = _sample_noise(deviation)
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
-    sectors = _sectors(stray, turned, time, yaw, noise)
+    sectors = _sectors(deviation, turned, time, yaw, noise)
     left = _without_gyro_errors(sectors)
     kept = np.abs(left) <= SWING.spike * np.median(np.abs(left)) + noise
     lasting = np.mean(left[kept] ** 2) - np.mean(noise**2 / sectors.count[kept])
@@ -78,26 +78,26 @@ def gyro_compass_swing(relative: FloatArray, attitude: FloatArray, time: FloatAr
 class _Sectors:
     """Means over sectors of the turn, and how many samples each has; each shape (s,)."""
 
-    stray: FloatArray
+    deviation: FloatArray
     turned: FloatArray
     time: FloatArray
     heading: FloatArray
     count: FloatArray
 
 
-def _sample_noise(stray: FloatArray) -> float:
+def _sample_noise(deviation: FloatArray) -> float:
     """Return the noise of single samples from second differences, which no slow swing enters."""
-    bend = np.diff(stray, 2)
+    bend = np.diff(deviation, 2)
     return 1.4826 * float(np.median(np.abs(bend))) / math.sqrt(6.0) if len(bend) else 0.0
 
 
 def _sectors(
-    stray: FloatArray, turned: FloatArray, time: FloatArray, yaw: FloatArray, noise: float
+    deviation: FloatArray, turned: FloatArray, time: FloatArray, yaw: FloatArray, noise: float
 ) -> _Sectors:
     index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
     size = int(index.max()) + 1
-    middle = np.array([np.median(stray[index == sector]) for sector in range(size)])
-    good = np.abs(stray - middle[index]) <= 4.0 * noise + 1e-6
+    middle = np.array([np.median(deviation[index == sector]) for sector in range(size)])
+    good = np.abs(deviation - middle[index]) <= 4.0 * noise + 1e-6
     good |= (np.bincount(index, good, size) == 0.0)[index]
     count = np.bincount(index, good, size)
 
@@ -105,34 +105,34 @@ def _sectors(
         return np.asarray(np.bincount(index, good * values, size) / count)
 
     heading = np.arctan2(mean(np.sin(yaw)), mean(np.cos(yaw)))
-    return _Sectors(mean(stray), mean(turned), mean(time), heading, count.astype(float))
+    return _Sectors(mean(deviation), mean(turned), mean(time), heading, count.astype(float))
 
 
 def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
-    """Return the sectors' stray without offset, bias and scale as far as a gyro may have them."""
+    """Return the sectors' deviation less what offset, bias and scale of a gyro may cause."""
     rows = np.column_stack(
         [
-            np.ones_like(sectors.stray),
+            np.ones_like(sectors.deviation),
             sectors.time - sectors.time.mean(),
             sectors.turned - sectors.turned.mean(),
         ]
     )
     believed = np.diag([0.0, SWING.bias**-2, SWING.scale**-2])
-    left = sectors.stray - np.median(sectors.stray)
+    left = sectors.deviation - np.median(sectors.deviation)
     for _ in range(SWING.rounds):
         scale = float(np.median(np.abs(left))) + 1e-9
         weight = 1.0 / (1.0 + (left / (3.0 * scale)) ** 2)
         spread = float(np.sum(weight * left**2) / np.sum(weight)) + 1e-12
         weighted = rows.T * weight / spread
-        found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.stray)
-        left = sectors.stray - rows @ found
+        found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.deviation)
+        left = sectors.deviation - rows @ found
     return np.asarray(left)
 
 
 def lasting_stray(radial: FloatArray, turned: FloatArray) -> float:
     """Return the lasting part of a residual along the turn's radius, without the noise of samples.
 
-    Without a gyro nothing shows what strays across the radius; what strays along it is as large.
+    Without a gyro nothing shows the deviation across the radius; the one along it is as large.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Whether a turn pulls at its accelerometer, or its gyro has a bias (doc/estimator.md, section 9).
+"""Whether a turn has a linear acceleration, or its gyro has a bias (doc/estimator.md, section 9).
 
 On an even turn the two look alike: the gyro's mean axis and the mean specific force differ. A pull
 follows the turn rate, and a bias does not. Where that does not show, what is known of sensors and
@@ -40,7 +40,7 @@ class AccelerationRule:
 
     Parameters
     ----------
-    bias, stray, drift : float
+    bias, deviation, drift : float
         Sigmas of the gyro's bias, sigmas of the mean of up's residual, and times the usual drift,
         beyond which it is looked for.
     inefficiency : float
@@ -71,11 +71,11 @@ class AccelerationRule:
         rad/s. Of a larger bias every size is as likely as another.
     bad_bias, overwhelming : float
         rad/s of bias about up, which the field shows, that a pull must not need at the same time,
-        or the gyro is no witness of it; and the fall from which the samples have no other
+        or the gyro is not used for it; and the fall from which the samples have no other
         explanation all the same.
     spread_of_drift : float
         Times by which the random walk of gyros usually differs from the usual one.
-    amiss : float
+    unexpected : float
         Sigma of what a pull grows with the square of the rate otherwise than expected, over its
         mean.
     least_doubt : float
@@ -91,7 +91,7 @@ class AccelerationRule:
     """
 
     bias: float = 2.0
-    stray: float = 3.5
+    deviation: float = 3.5
     drift: float = 3.0
     inefficiency: float = 8.0
     needed: float = 10.0
@@ -108,7 +108,7 @@ class AccelerationRule:
     bad_bias: float = math.radians(0.5)
     overwhelming: float = 60.0
     spread_of_drift: float = 2.0
-    amiss: float = 0.35
+    unexpected: float = 0.35
     least_doubt: float = 0.12
     idle: float = 0.002
     on_the_spot: float = 0.015
@@ -121,7 +121,7 @@ OWN, PULLED, BAD = range(1, 4), range(4, 6), 5
 """Which of the explanations leave up to the accelerometer, and which to the gyro. That it is a bad
 one besides is counted as a doubt; what it then says of the pull is taken only where a usual gyro
 says that there is one."""
-MEAN, AMISS = slice(0, 3), slice(3, 6)
+MEAN, UNEXPECTED = slice(0, 3), slice(3, 6)
 """Among the numbers of a pull."""
 
 
@@ -358,8 +358,8 @@ def _cost_of_pull(fit: Fit) -> float:
     """Return what a pull costs: it follows the rate, and who is pulled is jolted, too."""
     block = gyro_block(fit)
     pull = block.path.found(block.errors, Effect.PULL)
-    size, amiss = (float(np.linalg.norm(pull[rows])) for rows in (MEAN, AMISS))
-    unlike = amiss / (ACCELERATION.amiss * max(size, 1e-6))
+    size, unexpected = (float(np.linalg.norm(pull[rows])) for rows in (MEAN, UNEXPECTED))
+    unlike = unexpected / (ACCELERATION.unexpected * max(size, 1e-6))
     return _cost_of_lean(size, _able(block)) + unlike**2 + _cost_of_bias(fit)
 
 
@@ -379,14 +379,14 @@ def _jolts(block: GyroBlock) -> float:
 
 
 def _is_strained(plain: Fit) -> bool:
-    """Return whether the gyro needs a large bias or drift, or up strays to one side."""
+    """Return whether the gyro needs a large bias or drift, or up deviates to one side."""
     block = gyro_block(plain)
     counted = block.weighting.weights.sample
     count = max(float(counted.sum()), 1.0)
     mean = float(np.linalg.norm(counted @ block.place.prediction.up_residual)) / count
     return bool(
         block.path.bias_in_sigmas(block.errors) > ACCELERATION.bias
-        or mean > ACCELERATION.stray * _chance_of_mean(block)
+        or mean > ACCELERATION.deviation * _chance_of_mean(block)
         or block.drift > ACCELERATION.drift * DRIFT.usual
         or block.weighting.inefficiency > ACCELERATION.inefficiency
     )

@@ -2,9 +2,9 @@
 
 A heading error that goes once round with the robot, whatever made it, is what a hard iron across
 the turn's axis would make: `(field level) times (radians)`. So centripetal lean, latency, the
-lasting stray of gyro against compass and the gap between fits with and without the gyro all enter
-as hard iron in the plane of the turn. The magnetometer's axes enter as a turn about the axis of the
-robot's, which one turn cannot show.
+lasting deviation of gyro against compass and the gap between fits with and without the gyro all
+enter as hard iron in the plane of the turn. The magnetometer's axes enter as a turn about the axis
+of the robot's, which one turn cannot show.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ class Lasting:
 
     Parameters
     ----------
-    stray : float
+    deviation : float
         Lasting swing of the compass's yaw, radians of heading, RMS around the turn: its share of
-        that against the gyro's, or what goes with a stray along the radius.
+        that against the gyro's, or what goes with a deviation along the radius.
     gap : float
         Heading that other explanations of the gyro leave in doubt, radians, one sigma; zero where
         there is but one.
@@ -78,7 +78,7 @@ class Lasting:
         How far up may be pulled to one side without a trace, radians per axis, one sigma.
     """
 
-    stray: float = 0.0
+    deviation: float = 0.0
     gap: float = 0.0
     motors: FloatArray | None = None
     pull: float = 0.0
@@ -114,7 +114,7 @@ def systematic_covariance(
     late = systematics.latency * turning.spread
     # A lean to one side is half a hard iron across along each axis.
     leans = 0.5 * lean**2 + seen.pull**2
-    lasting = upright**2 * leans + level**2 * (late**2 + seen.stray**2 + seen.gap**2)
+    lasting = upright**2 * leans + level**2 * (late**2 + seen.deviation**2 + seen.gap**2)
     across = np.eye(3) - np.outer(axis, axis)
     covariance = np.zeros((12, 12))
     of_iron = systematics.field**2 * np.eye(3) + lasting * across

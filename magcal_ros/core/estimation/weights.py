@@ -20,7 +20,7 @@ class Robustness:
     student : float
         Degrees of freedom of the Student-t distribution that stands in for noise with outliers.
     gate_tail : float
-        Share of honest samples that the gate may drop.
+        Share of valid samples that the gate may drop.
     local_tail : float
         The same of sums over neighbours.
     local_windows : tuple of (int, int)

@@ -198,8 +198,8 @@ class Compass:
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         gradient = (ex / level, ey / level, ez / level)
-        lasting, noise, stray = self._field_variances(gradient, field, running)
-        variance += lasting + noise + stray
+        lasting, noise, from_motors = self._field_variances(gradient, field, running)
+        variance += lasting + noise + from_motors
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
@@ -213,16 +213,16 @@ class Compass:
         From calibration and motors, which lasts; from field noise; and from what no input tells
         while motors run.
         """
-        g, motors, stray = np.array(gradient), self._motors, 0.0
+        g, motors, from_motors = np.array(gradient), self._motors, 0.0
         certainty, q = self._certainty, np.array((field[0], field[1], field[2], -1.0))
         if motors is not None and running.moving:
             values, unknown = motors.known(running)
             certainty, q = self._with_motors, np.concatenate([q, -values])
             raw = g @ self.calibration.correction.matrix
-            stray = running.moving * motors.ripple**2 * float(raw @ raw)
-            stray += float(unknown @ (motors.gain @ raw) ** 2)
+            from_motors = running.moving * motors.ripple**2 * float(raw @ raw)
+            from_motors += float(unknown @ (motors.gain @ raw) ** 2)
         v = (g[:, None] * q).ravel()
-        return float(v @ certainty @ v), float(g @ self._noise @ g), stray
+        return float(v @ certainty @ v), float(g @ self._noise @ g), from_motors
 
 
 def field_variance(calibration: Calibration) -> float:

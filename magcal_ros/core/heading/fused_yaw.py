@@ -3,7 +3,7 @@
 North is kept as a level direction in body axes and propagated by the gyro; the level part of the
 field corrects it about up alone, so a bent field never tips the attitude (the projection of
 DIY IMU, part 3). A small Kalman filter on yaw, gyro bias and the disturbance of the place weighs
-the two: streets bend the field over tens of metres, so that a second's samples are one witness.
+the two: streets bend the field over tens of metres, so the samples of a second count as one.
 """
 
 from __future__ import annotations

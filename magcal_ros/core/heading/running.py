@@ -75,7 +75,7 @@ class MotionSense:
         is_at_rest : bool
             Whether the IMU shows that the robot stands, or rolls on evenly.
         speed, current : float
-            m/s and amperes; NaN where nobody tells. Of the current only what is beyond that at
+            m/s and amperes; NaN where they are unknown. Of the current only what is beyond that at
             rest counts: the calibration is that of the robot at rest.
         """
         if stamp == self._stamp:

@@ -21,7 +21,7 @@ from magcal_ros.core.heading.fusion_tuning import SeveralTuning
 from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.yaw_agreement import (
     SMALLEST_VARIANCE,
-    Witness,
+    CompassYaw,
     believed,
     excess_variance,
     misfit,
@@ -186,22 +186,22 @@ class SeveralCompasses:
 
     def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
         seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
-        witnesses = self._witnesses(moment, up.direction, fused, seconds)
-        if not witnesses:
+        yaws = self._compass_yaws(moment, up.direction, fused, seconds)
+        if not yaws:
             return moment
         known = fused.yaw_variance if fused is not None and self._is_by_gyro else math.inf
-        kept = self._believed(witnesses, known)
-        self._note_disagreement(witnesses, kept, seconds)
+        kept = self._believed(yaws, known)
+        self._note_disagreement(yaws, kept, seconds)
         weights = [1.0 / (each.variance + self._between) for each in kept]
         shares = [weight / sum(weights) for weight in weights]
-        self._note_shares(witnesses, kept, shares)
+        self._note_shares(yaws, kept, shares)
         joined = _mean([minus(w.field, self._members[w.number].offset) for w in kept], shares)
         self._learn_offsets(kept, shares, seconds)
         return self._with_heading(moment._replace(field=joined), up, kept, shares)
 
-    def _witnesses(
+    def _compass_yaws(
         self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
-    ) -> list[Witness]:
+    ) -> list[CompassYaw]:
         """Return what those say that speak, and not always the same."""
         turned: dict[int, Triple] = {}
         # Where nothing changes at all, a robot with coarse sensors stands.
@@ -225,7 +225,8 @@ class SeveralCompasses:
         assert north is not None
         share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.memory)
         return [
-            self._witness(k, seen, yaw_ahead(north, seen, up), share) for k, seen in turned.items()
+            self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share)
+            for k, seen in turned.items()
         ]
 
     def _seen(self, member: _Member, moment: Moment, up: Triple) -> Triple | None:
@@ -254,7 +255,7 @@ class SeveralCompasses:
             seen[2] + further * level[2] + higher * up[2],
         )
 
-    def _witness(self, number: int, seen: Triple, ahead: float, share: float) -> Witness:
+    def _compass_yaw(self, number: int, seen: Triple, ahead: float, share: float) -> CompassYaw:
         member = self._members[number]
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
@@ -264,7 +265,7 @@ class SeveralCompasses:
             member.off = ahead
         else:
             member.off = wrapped(member.off + share * change)
-        return Witness(number, seen, member.off, variance)
+        return CompassYaw(number, seen, member.off, variance)
 
     def _silence(self, member: _Member) -> str:
         if not self._is_new(member.arrived):
@@ -273,20 +274,20 @@ class SeveralCompasses:
             return "it says the same values again and again"
         return "its stamps are far from the others', or its field tells no direction"
 
-    def _believed(self, witnesses: list[Witness], known: float) -> list[Witness]:
+    def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
         """Leave out who is wrong.
 
         The gyro shows who has changed, so it is no help between those that never agreed. `known`
         is the variance of its yaw, rad².
         """
         gate = self._gate
-        if not all(self._members[each.number].has_agreed for each in witnesses):
+        if not all(self._members[each.number].has_agreed for each in yaws):
             known = math.inf
-        kept = believed(witnesses, known, gate)
+        kept = believed(yaws, known, gate)
         if len(kept) > 1 and misfit(kept) <= gate:
             for each in kept:
                 self._members[each.number].has_agreed = True
-        self._left_out = frozenset(each.number for each in witnesses if each not in kept)
+        self._left_out = frozenset(each.number for each in yaws if each not in kept)
         return kept
 
     @property
@@ -296,14 +297,14 @@ class SeveralCompasses:
         return (tuning.believed_below if self._left_out else tuning.left_out_from) ** 2
 
     def _note_disagreement(
-        self, witnesses: list[Witness], kept: list[Witness], seconds: float
+        self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
     ) -> None:
         """Learn the variance by which they disagree without a reason.
 
         Who is left alone because the others are silent keeps what they disagreed by.
         """
         self.disagreement = 0.0
-        if len(witnesses) < 2:
+        if len(yaws) < 2:
             self._between = self._lasting
             return
         # A field that is seen to be bent is a reason.
@@ -315,7 +316,7 @@ class SeveralCompasses:
             first = sound[0].ahead
             self.disagreement = max(abs(wrapped(each.ahead - first)) for each in sound)
 
-    def _learn_offsets(self, kept: list[Witness], shares: list[float], seconds: float) -> None:
+    def _learn_offsets(self, kept: list[CompassYaw], shares: list[float], seconds: float) -> None:
         """Learn how each field differs from the mean, while nothing seems wrong with any.
 
         A difference of hard iron stays in the axes of the body. With it taken off, those that are
@@ -333,11 +334,11 @@ class SeveralCompasses:
             member.offset = between(member.offset, new, step / member.learnt)
 
     def _note_shares(
-        self, witnesses: list[Witness], kept: list[Witness], shares: list[float]
+        self, yaws: list[CompassYaw], kept: list[CompassYaw], shares: list[float]
     ) -> None:
         weights = {each.number: share for each, share in zip(kept, shares, strict=True)}
         first = kept[0].ahead
-        for each in witnesses:
+        for each in yaws:
             member = self._members[each.number]
             why = ""
             if each.number in self._left_out:
@@ -348,7 +349,7 @@ class SeveralCompasses:
             member.share = Share(weights.get(each.number, 0.0), why)
 
     def _with_heading(
-        self, moment: Moment, up: Up, kept: list[Witness], shares: list[float]
+        self, moment: Moment, up: Up, kept: list[CompassYaw], shares: list[float]
     ) -> Moment:
         """Return the moment with the heading of its joined field, and what is not known of it."""
         assert self.lead is not None

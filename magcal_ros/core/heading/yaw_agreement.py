@@ -1,4 +1,4 @@
-"""Whether several yaws agree, who of them is wrong, and what they say of each other's sigma."""
+"""Whether several yaws agree, which of them is wrong, and how much their sigmas are too small."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple
 
 SMALLEST_VARIANCE = 1e-10
-"""rad². What claims to be exact is not."""
+"""rad². Smallest variance that is believed."""
 
 
-class Witness(NamedTuple):
-    """What one magnetometer says of a moment.
+class CompassYaw(NamedTuple):
+    """The yaw of one magnetometer at a moment.
 
     Parameters
     ----------
@@ -33,21 +33,21 @@ class Witness(NamedTuple):
     variance: float
 
 
-def believed(witnesses: list[Witness], known: float, gate: float) -> list[Witness]:
-    """Return the witnesses without those that are wrong.
+def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassYaw]:
+    """Return the yaws without those that are wrong.
 
     One is left out if the others and the origin agree far better without it, and far better than
     without any other.
 
     Parameters
     ----------
-    witnesses : list of Witness
+    yaws : list of CompassYaw
     known : float
-        Variance of the origin's yaw, rad²; infinite if it tells nothing.
+        Variance of the origin's yaw, rad²; infinite if it is unknown.
     gate : float
         Squared sigmas that count as far.
     """
-    kept = witnesses
+    kept = yaws
     while len(kept) > 1 and misfit(kept) > gate:
         rests = [kept[:k] + kept[k + 1 :] for k in range(len(kept))]
         rests.sort(key=lambda rest: misfit(rest, known))
@@ -58,14 +58,14 @@ def believed(witnesses: list[Witness], known: float, gate: float) -> list[Witnes
     return kept
 
 
-def misfit(witnesses: list[Witness], known: float = math.inf) -> float:
-    """Return the squared sigmas by which witnesses miss the yaw that suits them best.
+def misfit(yaws: list[CompassYaw], known: float = math.inf) -> float:
+    """Return the squared sigmas by which the yaws miss the one that suits them best.
 
     `known` is as of `believed`.
     """
-    first = witnesses[0].ahead if math.isinf(known) else 0.0
+    first = yaws[0].ahead if math.isinf(known) else 0.0
     whole, moment, square = 1.0 / max(known, SMALLEST_VARIANCE), 0.0, 0.0
-    for each in witnesses:
+    for each in yaws:
         ahead, weight = wrapped(each.ahead - first), 1.0 / each.variance
         whole += weight
         moment += weight * ahead
@@ -73,13 +73,13 @@ def misfit(witnesses: list[Witness], known: float = math.inf) -> float:
     return square - moment * moment / whole
 
 
-def excess_variance(witnesses: list[Witness]) -> float:
+def excess_variance(yaws: list[CompassYaw]) -> float:
     """Return the variance that each must have beside its own for all to agree, rad².
 
     The estimate of DerSimonian and Laird for the variance between the studies of a meta-analysis.
     """
-    weights = [1.0 / each.variance for each in witnesses]
+    weights = [1.0 / each.variance for each in yaws]
     spread = sum(weights) - sum(weight**2 for weight in weights) / sum(weights)
     if spread <= 0.0:
         return 0.0
-    return max(0.0, misfit(witnesses) - (len(witnesses) - 1)) / spread
+    return max(0.0, misfit(yaws) - (len(yaws) - 1)) / spread

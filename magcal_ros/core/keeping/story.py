@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.companion import Companion
+from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
@@ -125,10 +125,10 @@ class DriveTeller:
         """Take everything: readings in their order, travel by stamp."""
         ways = list(travel)
         self._fixes = [each for each in ways if isinstance(each, PositionSample)]
-        companion = Companion(ways, self._streams)
-        for sample in companion.along(readings):
+        replay = TravelReplay(ways, self._streams)
+        for sample in replay.readings(readings):
             if isinstance(sample, FieldSample):
-                self._take_field(sample, companion)
+                self._take_field(sample, replay)
 
     def story(self) -> DriveStory:
         """Return what became of it."""
@@ -143,18 +143,18 @@ class DriveTeller:
             self._path(),
         )
 
-    def _take_field(self, sample: FieldSample, companion: Companion) -> None:
+    def _take_field(self, sample: FieldSample, replay: TravelReplay) -> None:
         imu = self._streams.newest_imu
         if imu is None or not math.isfinite(imu.rate[0]):
             return
         if math.isnan(self._first):
             self._first = sample.stamp
         self._last = sample.stamp
-        speed = companion.speed
+        speed = replay.speed
         x, y, z = imu.force
-        a, b, c = companion.own
+        a, b, c = replay.own
         force = (x - a, y - b, z - c)
-        up = companion.up.newest
+        up = replay.up.newest
         due = self._points[-1].stamp + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
             self._points.append(_Point(sample.stamp, sample.field, up, speed))

@@ -103,7 +103,7 @@ def _check(found: DriveFit) -> None:
         field = max(sizes.street * tuning.street, sizes.noise * tuning.noise)
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"along the drive the field strays by {field:.0f} µT from where gyro and gravity turn"
+            f"along the drive the field deviates by {field:.0f} µT from where gyro and gravity turn"
             " it; check that the axes of both sensors belong together, and drive away from iron",
         )
     if found.sectors < SCREENING.fewest_sectors:

@@ -79,12 +79,12 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
 def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     """Refuse a turn without a gyro that explains its samples only in appearance."""
     sizes, state = found.fit.point.sizes, found.fit.state
-    stray = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
+    deviation = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
     axes = np.einsum("nji,j->ni", state.attitude, estimate.axis)
     axis = unit(np.median(axes, axis=0))
     lean = np.arccos(np.clip(axes @ axis, -1.0, 1.0))
     inliers = float(np.mean(estimate.inliers))
-    check_agreement(stray / estimate.strength, float(np.median(lean)), inliers)
+    check_agreement(deviation / estimate.strength, float(np.median(lean)), inliers)
     across = np.linalg.norm(np.cross(axis, unit(state.earth)))
     check_radius(float(across), estimate.inclination)
     check_arc(estimate.arc, solved_by_knowledge=knowledge.reference.is_complete)

@@ -27,7 +27,7 @@ SWING_TWICE = Bound(
 
 @dataclass(frozen=True)
 class CourseCheckTuning:
-    """When the harmonics of compass against course accuse a calibration.
+    """When the harmonics of compass against course show that a calibration is wrong.
 
     Parameters
     ----------
@@ -65,6 +65,6 @@ def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
     return tuple(checks)
 
 
-def accusation(checks: tuple[Check, ...]) -> str:
+def course_fault(checks: tuple[Check, ...]) -> str:
     """Return what is wrong with the calibration in words; empty if nothing is."""
     return "; ".join(check.words for check in checks if check.grade.rank >= Grade.WARN.rank)

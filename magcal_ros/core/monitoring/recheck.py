@@ -1,4 +1,4 @@
-"""Whether a calibration still holds: the corrected field of a fresh turn, looked at from all sides.
+"""Whether a calibration still holds: the corrected field of a new turn or drive is checked.
 
 A field that is corrected well has the same strength, the same dip and the same level part at
 every heading, and its yaw turns as the gyro does.
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Aspect, Check, Grade
+from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
@@ -19,6 +19,13 @@ from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field
+from magcal_ros.core.knowledge import (
+    INCLINATION_SIGMA_DEG,
+    STRENGTH_SIGMA_UT,
+    Belief,
+    Knowledge,
+    ReferenceField,
+)
 from magcal_ros.core.monitoring.gyro_compass import gyro_compass
 from magcal_ros.core.monitoring.recheck_chance import (
     chances,
@@ -26,11 +33,11 @@ from magcal_ros.core.monitoring.recheck_chance import (
     own_swings,
     sectors,
 )
-from magcal_ros.core.monitoring.recheck_drive import iron_added
 from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoothing.fit import fit_iron
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.up import propagated_up
 
@@ -276,3 +283,63 @@ def _spread(values: FloatArray, around: IntArray, bins: int) -> float:
     filled = counts >= min(3, int(counts.max()))
     means = np.bincount(around, values, bins)[filled] / counts[filled]
     return float(means.std())
+
+
+CHANGE = Bound(
+    Figure.HARD_IRON_CHANGE,
+    6.0,
+    12.0,
+    "hard iron that was added since, against the level field, as the drive shows it",
+    "the robot's own field has changed",
+    unit="%",
+)
+
+
+@dataclass(frozen=True)
+class IronAddedTuning:
+    """When a drive shows iron that was added.
+
+    Parameters
+    ----------
+    largest_sigma : float
+        Of the iron, against the level field, beyond which a drive shows nothing of it.
+    chance : float
+        Its sigmas that chance may be.
+    """
+
+    largest_sigma: float = 0.06
+    chance: float = 2.0
+
+
+TUNING = IronAddedTuning()
+
+
+def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
+    """Weigh the hard iron that was added; None where the drive is too short to show it.
+
+    Parameters
+    ----------
+    drive : DriveLog
+    calibration : Calibration
+        In force since before the drive.
+    """
+    reference = ReferenceField(
+        Belief(calibration.strength, STRENGTH_SIGMA_UT * 1e-6),
+        Belief(calibration.inclination, math.radians(INCLINATION_SIGMA_DEG)),
+    )
+    known = Knowledge(reference)
+    correction = calibration.correction
+    found = fit_iron(drive.nodes(known.mounting.to_body), correction, known)
+    if found is None:
+        return None
+    # On the level across body z; an iron along it is a matter of slopes.
+    matrix = correction.matrix[:2]
+    added = matrix @ (found.twelve.correction.hard_iron - correction.hard_iron)
+    covariance = matrix @ found.twelve.covariance[9:, 9:] @ matrix.T
+    level = calibration.strength * math.cos(calibration.inclination)
+    share = math.hypot(*added) / level
+    sigma = math.sqrt(float(covariance.trace()) / 2.0) / level
+    if sigma > TUNING.largest_sigma:
+        return None
+    excess = math.sqrt(max(share**2 - (TUNING.chance * sigma) ** 2, 0.0))
+    return CHANGE.check(share, excess=excess)

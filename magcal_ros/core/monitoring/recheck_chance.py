@@ -70,7 +70,7 @@ def chances(
 
 
 def _of_one_visit(deviation: FloatArray, visit: IntArray) -> float:
-    """Return what the visit that strays most adds to the RMS of all, radians.
+    """Return what the visit that deviates most adds to the RMS of all, radians.
 
     A calibration that has changed is seen in every place; iron beside the way is in one. With two
     visits nothing tells which of them it is.

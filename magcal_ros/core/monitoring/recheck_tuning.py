@@ -14,7 +14,7 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
         Figure.HEADING_SWING,
         4.0,
         7.0,
-        "heading swing that the level field betrays",
+        "heading swing that the level field shows",
         MOVED,
     ),
     Bound(

@@ -11,9 +11,9 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Check
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.companion import Companion
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
+from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
@@ -90,11 +90,11 @@ def recorded_course(
     declination : float or None
         Radians, of the place.
     """
-    companion, compass = Companion(travel, Streams(STREAMS.max_gap)), Compass(calibration)
-    travelling = companion.travelling
-    for sample in companion.along(readings):
+    replay, compass = TravelReplay(travel, Streams(STREAMS.max_gap)), Compass(calibration)
+    travelling = replay.travelling
+    for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
-            up = companion.up.at(sample.stamp, STREAMS.max_gap)
+            up = replay.up.at(sample.stamp, STREAMS.max_gap)
             heading = Moment.of(compass, sample, up, None).heading
             if heading is not None:
                 travelling.add_yaw(heading.yaw)
@@ -167,11 +167,11 @@ def against_own_yaw(
     """
     if len(yaw) < 2:
         return None
-    companion, compass = Companion((), Streams(STREAMS.max_gap)), Compass(calibration)
+    replay, compass = TravelReplay((), Streams(STREAMS.max_gap)), Compass(calibration)
     seen = []
-    for sample in companion.along(readings):
+    for sample in replay.readings(readings):
         if isinstance(sample, FieldSample):
-            up = companion.up.at(sample.stamp, STREAMS.max_gap)
+            up = replay.up.at(sample.stamp, STREAMS.max_gap)
             heading = Moment.of(compass, sample, up, None).heading
             if heading is not None:
                 seen.append((sample.stamp, heading.yaw))

@@ -11,7 +11,7 @@ of magnetic north in body axes, B, H and V the strength and its level and downwa
 - another place, or another reference, shifts both alike at all headings, and so does hard iron
   along the vertical.
 
-The first three move the yaw. Strength needs no up vector, so acceleration cannot feign hard iron.
+The first three move the yaw. Strength needs no up vector, so acceleration cannot mimic hard iron.
 """
 
 from __future__ import annotations

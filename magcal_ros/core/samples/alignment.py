@@ -31,7 +31,7 @@ class Alignment:
     tilt_spread : float
         Radians RMS by which the movement was more than a turn about one axis.
     tilt_seen : float
-        The same; zero where gravity strays farther than that, for it may be the gyro's own
+        The same; zero where gravity deviates farther than that, for it may be the gyro's own
         wandering.
     size : float
         Tesla in which field and hard iron are counted.
@@ -108,14 +108,14 @@ def _tilt_spread(attitude: FloatArray) -> float:
 
 
 def _gravity_spread(attitude: FloatArray, up: FloatArray) -> float:
-    """Return how far gravity strays in the world that attitudes (n, 3, 3) tell, radians RMS.
+    """Return how far gravity deviates in the world that attitudes (n, 3, 3) tell, radians RMS.
 
-    Whatever the axes of gyro and accelerometer: those with which it strays least count.
+    Whatever the axes of gyro and accelerometer: those with which it deviates least count.
     """
     up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     world = np.einsum("nji,kjl,nl->kni", attitude, signed_permutations(), up)
-    strays = world - world.mean(axis=1, keepdims=True)
-    return math.sqrt(float(np.sum(strays**2, axis=2).mean(axis=1).min()))
+    deviations = world - world.mean(axis=1, keepdims=True)
+    return math.sqrt(float(np.sum(deviations**2, axis=2).mean(axis=1).min()))
 
 
 def _shares(residuals: tuple[FloatArray, FloatArray], best: int) -> tuple[float, float]:

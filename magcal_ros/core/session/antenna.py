@@ -16,7 +16,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.known_headings import fit
-from magcal_ros.core.session.told_heading import LOG, ToldHeading
+from magcal_ros.core.session.external_heading import LOG, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import SIZES
 
@@ -27,7 +27,7 @@ class HeadingLog:
     Parameters
     ----------
     forward : ndarray, shape (3,)
-        Direction in the IMU's axes whose heading is told.
+        Direction in the IMU's axes whose heading is given.
     """
 
     def __init__(self, forward: FloatArray) -> None:
@@ -50,7 +50,7 @@ class HeadingLog:
         field: Triple,
         up: Triple,
         rate: Triple,
-        told: ToldHeading,
+        given: ExternalHeading,
         shift: float,
         is_at_rest: bool,
     ) -> bool:
@@ -64,7 +64,7 @@ class HeadingLog:
             Raw, tesla.
         up, rate : tuple of float
             Unit, and rad/s less the bias, body axes.
-        told : ToldHeading
+        given : ExternalHeading
             Of this moment.
         shift : float
             Declination, if the heading is to true north, radians.
@@ -81,8 +81,8 @@ class HeadingLog:
             self._begin(stamp)
         self._field += field
         self._up += up
-        self._east += math.cos(told.yaw)
-        self._north += math.sin(told.yaw)
+        self._east += math.cos(given.yaw)
+        self._north += math.sin(given.yaw)
         self._count += 1
         if stamp - self._started < LOG.block or self._count < LOG.fewest:
             return False
@@ -91,8 +91,8 @@ class HeadingLog:
             self._field / self._count,
             STANDARD_GRAVITY * self._up / self._count,
             heading,
-            math.hypot(told.sigma, LOG.sigma),
-            by_declination=told.is_true,
+            math.hypot(given.sigma, LOG.sigma),
+            by_declination=given.is_true,
             forward=self.forward,
             force_sigma=LOG.force,
         )

@@ -21,14 +21,14 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.known_headings import METHOD, declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.told_heading import DEGREES, TUNING, ToldHeading, TurnSince
+from magcal_ros.core.session.external_heading import DEGREES, TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, STANDING
 
 
 def standing_of(
     pairs: Sequence[Pair],
-    told: ToldHeading,
+    given: ExternalHeading,
     knowledge: Knowledge,
     forward: FloatArray,
     since: TurnSince | None = None,
@@ -39,7 +39,7 @@ def standing_of(
     Parameters
     ----------
     pairs : sequence of Pair
-    told : ToldHeading
+    given : ExternalHeading
     knowledge : Knowledge
         With the declination, if the heading is to true north.
     forward : ndarray, shape (3,)
@@ -54,7 +54,7 @@ def standing_of(
     Refusal
         If the robot did not stand, samples are too few, or the declination is missing.
     """
-    declination = _declination(knowledge) if told.is_true else 0.0
+    declination = _declination(knowledge) if given.is_true else 0.0
     if len(pairs) < TUNING.fewest:
         raise Refusal(
             Reason.TOO_FEW_SAMPLES,
@@ -73,9 +73,9 @@ def standing_of(
     return Standing(
         mean,
         force.mean(axis=0),
-        wrapped(told.yaw + declination),
-        told.sigma,
-        by_declination=told.is_true,
+        wrapped(given.yaw + declination),
+        given.sigma,
+        by_declination=given.is_true,
         forward=forward,
         turned=0.0 if since is None else since.angle,
         turned_sigma=sigma,
@@ -138,7 +138,7 @@ class Stood:
     """What was collected where a robot stood at a known heading: parameters of `standing_of`."""
 
     pairs: tuple[Pair, ...]
-    told: ToldHeading
+    given: ExternalHeading
     knowledge: Knowledge
     forward: FloatArray
     since: TurnSince | None = None
@@ -150,8 +150,8 @@ def dock_stood(
 ) -> Docked:
     """Make a standing of what was collected, and `dock` it."""
     try:
-        told = stood.pairs, stood.told, stood.knowledge, stood.forward
-        new = standing_of(*told, stood.since, stood.bias)
+        sample = stood.pairs, stood.given, stood.knowledge, stood.forward
+        new = standing_of(*sample, stood.since, stood.bias)
     except Refusal as refusal:
         return _refused(before, refusal)
     return dock(before, new, stood.knowledge, in_force)

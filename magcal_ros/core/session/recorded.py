@@ -19,7 +19,7 @@ from magcal_ros.core.calibrate import (
     drive_instead,
 )
 from magcal_ros.core.doctor.refusal import blamed_on_sensors
-from magcal_ros.core.driving.companion import Companion
+from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
@@ -93,7 +93,7 @@ class Gathering:
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
         self._drive = DriveRecorder(TUNING.longest_drive)
-        self._companion = Companion(())
+        self._replay = TravelReplay(())
 
     @property
     def heard(self) -> tuple[int, int]:
@@ -104,9 +104,9 @@ class Gathering:
         """Take everything, in the order in which it was recorded; travel by stamp."""
         streams, pairer = self.streams, self._pairer
         if travel:
-            self._companion = Companion(travel)
+            self._replay = TravelReplay(travel)
         imus = fields = 0
-        for reading in self._companion.along(readings):
+        for reading in self._replay.readings(readings):
             if isinstance(reading, ImuSample):
                 imus += 1
                 streams.add_imu(reading)
@@ -170,9 +170,9 @@ class Gathering:
                 self._session = Session(Limits(), self.mounting, 0.0)
             self._session.add(pair, 0.0)
             if math.isfinite(pair.imu.rate[0]):
-                (x, y, z), (a, b, c) = pair.imu.force, self._companion.own
+                (x, y, z), (a, b, c) = pair.imu.force, self._replay.own
                 force = (x - a, y - b, z - c)
-                speed = self._companion.speed
+                speed = self._replay.speed
                 self._drive.add(pair.field.stamp, pair.field.field, force, pair.imu.rate, speed)
 
     def _choose(self) -> None:

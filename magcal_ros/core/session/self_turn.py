@@ -13,7 +13,7 @@ from typing import TypeAlias
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.leash import Leash
+from magcal_ros.core.session.rotation_limits import RotationLimits
 from magcal_ros.core.session.rotation_plan import Phase, RotationPlan
 from magcal_ros.core.session.rotation_proof import RotationProof
 from magcal_ros.core.session.session import Progress
@@ -160,7 +160,7 @@ class Moving:
 
     plan: RotationPlan
     proof: RotationProof
-    leash: Leash
+    limits: RotationLimits
 
 
 @dataclass(frozen=True)
@@ -287,7 +287,7 @@ class SelfTurn:
         self._stage = Moving(
             RotationPlan(order.speed, now),
             RotationProof(order.to_body),
-            Leash(order.speed, now, order.longest),
+            RotationLimits(order.speed, now, order.longest),
         )
         self._paired = now
 
@@ -296,11 +296,11 @@ class SelfTurn:
     ) -> Steering:
         plan, proof = stage.plan, stage.proof
         seen, told = proof.seen(progress), plan.command
-        stage.leash.note(now, told, seen)
-        objection = self._objection(stage, now, since, around) or stage.leash.objection
+        stage.limits.note(now, told, seen)
+        objection = self._objection(stage, now, since, around) or stage.limits.objection
         if objection:
             return self.break_off(objection)
-        if stage.leash.is_late(now):
+        if stage.limits.is_late(now):
             words = "the robot did not complete its turn in time"
             return Steering(self.stop().rate, End(words, True))
         rate = plan.step(now, seen)

@@ -36,7 +36,7 @@ class Ride:
     attitude : ndarray, shape (3, 3)
         ENU to body.
     axis : ndarray, shape (3,)
-        What the robot turns about, body axes: body z, unless the IMU sits askew on it.
+        What the robot turns about, body axes: body z, unless the IMU is tilted on it.
     stamp : float
         Of the newest step, seconds.
     """

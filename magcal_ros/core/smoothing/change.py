@@ -102,7 +102,7 @@ def _problem(
 def _moments(inside: Nodes, tuning: SmootherTuning) -> list[float]:
     """Return when iron may have come: the largest steps of the field, and moments between them.
 
-    The field of a node is foretold by the one before and the gyro.
+    The field of a node is predicted from the one before and the gyro.
     """
     level = np.einsum("nji,nj->ni", inside.axes, inside.field)
     there = np.einsum("nij,nj->ni", turned_into(inside.turned[1:]), level[:-1])

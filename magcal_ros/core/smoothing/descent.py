@@ -87,8 +87,8 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Standpoint:
-    """Residuals, weights and cost at one place.
+class Linearisation:
+    """Residuals, weights and cost at one linearisation point.
 
     Parameters
     ----------
@@ -234,7 +234,7 @@ class Smoothed:
 
     Parameters
     ----------
-    here : Standpoint
+    here : Linearisation
     eliminated : Eliminated
         Of the normal equations there.
     rounds : int
@@ -243,7 +243,7 @@ class Smoothed:
         Whether the last one moved nothing.
     """
 
-    here: Standpoint
+    here: Linearisation
     eliminated: Eliminated
     rounds: int
     converged: bool
@@ -262,14 +262,14 @@ class Smoothed:
 def descend(problem: Problem, unknowns: Unknowns) -> Smoothed | None:
     """Take robust Gauss-Newton steps to the optimum; None where no step can be made."""
     tuning = problem.tuning
-    here = Standpoint(problem, unknowns)
+    here = Linearisation(problem, unknowns)
     rounds, moved = 0, np.inf
     eliminated = eliminate(here.chain)
     while eliminated is not None and rounds < tuning.most_rounds and moved > tuning.enough:
         largest = float(np.abs(eliminated.local_step[:, 0]).max())
         share = min(1.0, tuning.largest_turn / max(largest, 1e-12))
         for _ in range(5):
-            tried = Standpoint(
+            tried = Linearisation(
                 problem,
                 here.unknowns.moved(share * eliminated.shared_step, share * eliminated.local_step),
             )

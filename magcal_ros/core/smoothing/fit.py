@@ -13,10 +13,18 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.certainty import Twelve, twelve_of
 from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
-from magcal_ros.core.smoothing.drive_model import LEVEL_FIELD, SOFT, Unknowns
+from magcal_ros.core.smoothing.drive_model import (
+    DOWN_FIELD,
+    GYRO_BIAS,
+    IRON,
+    LEVEL_FIELD,
+    SHARED,
+    SOFT,
+    Unknowns,
+    turned_into,
+)
 from magcal_ros.core.smoothing.drive_prior import SharedPrior, free_prior, held_prior
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
-from magcal_ros.core.smoothing.start import linear_start
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 SECTORS = 12
@@ -230,8 +238,8 @@ def _held(
 
 
 @dataclass(frozen=True, eq=False)
-class Favour:
-    """By how much likelier nodes are under a new calibration than under an old one.
+class LikelihoodRatio:
+    """The log likelihood ratio of nodes between a new calibration and an old one.
 
     Parameters
     ----------
@@ -256,14 +264,14 @@ class Favour:
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 
 
-def favour(
+def likelihood_ratio(
     nodes: Nodes,
     old: Correction,
     new: Correction,
     knowledge: Knowledge,
     tuning: SmootherTuning = TUNING,
-) -> Favour:
-    """Return by how much likelier the nodes are under a new calibration than under an old one.
+) -> LikelihoodRatio:
+    """Return the log likelihood ratio of the nodes between a new calibration and an old one.
 
     Parameters
     ----------
@@ -275,24 +283,24 @@ def favour(
 
     Returns
     -------
-    Favour
+    LikelihoodRatio
         Nothing where one of them cannot be followed.
     """
     before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
-    return favour_of(before, after, knowledge, tuning)
+    return likelihood_ratio_of(before, after, knowledge, tuning)
 
 
-def favour_of(
+def likelihood_ratio_of(
     old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> Favour:
-    """Return the same as `favour` of nodes that are corrected already."""
+) -> LikelihoodRatio:
+    """Return the same as `likelihood_ratio` of nodes that are corrected already."""
     fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
-        return Favour()
+        return LikelihoodRatio()
     gain = fits[0].here.cost - fits[1].here.cost
     by_node = fits[0].here.node_costs - fits[1].here.node_costs
     by_sector = np.bincount(_sector(fits[1].unknowns.yaw), by_node, SECTORS)
-    return Favour(gain / tuning.counts, by_sector / tuning.counts)
+    return LikelihoodRatio(gain / tuning.counts, by_sector / tuning.counts)
 
 
 def aligned(start: Unknowns, inside: Nodes) -> Unknowns:
@@ -305,3 +313,58 @@ def aligned(start: Unknowns, inside: Nodes) -> Unknowns:
         away = np.angle(gap * np.exp(-1j * middle))
         middle += float(np.average(away, weights=1.0 / (1.0 + (away / 0.2) ** 2)))
     return replace(start, yaw=start.yaw + middle)
+
+
+BIASES: FloatArray = np.radians(
+    [0.0, -0.1, 0.1, -0.2, 0.2, -0.5, 0.5, -1.0, 1.0, -2.0, 2.0, -3.5, 3.5, -5.0, 5.0]
+)
+"""rad/s that a gyro may be off by, at rest as well."""
+
+
+def linear_start(
+    nodes: Nodes, prior: SharedPrior, tuning: SmootherTuning = TUNING
+) -> tuple[Unknowns, SharedPrior]:
+    """Fit field and hard iron in the gyro's axes by IRLS, for several biases; the best is taken.
+
+    Returns
+    -------
+    Unknowns, SharedPrior
+        The prior's hard iron is the start's.
+    """
+    best, chosen, bias = math.inf, np.zeros(6), 0.0
+    clock = np.cumsum(nodes.seconds)
+    for trial in BIASES:
+        found, misfit = _fitted(nodes, nodes.heading - trial * clock, prior, tuning)
+        if misfit < best:
+            best, chosen, bias = misfit, found, float(trial)
+    shared = prior.mean.copy()
+    shared[IRON] = chosen[3:]
+    shared[LEVEL_FIELD] = max(math.hypot(chosen[0], chosen[1]), 0.5 * prior.mean[LEVEL_FIELD])
+    shared[GYRO_BIAS] = bias
+    first = math.atan2(chosen[0], chosen[1])
+    yaw = nodes.heading - bias * clock + first
+    shared[DOWN_FIELD] = prior.mean[DOWN_FIELD]
+    assert len(shared) == SHARED
+    return Unknowns(shared, yaw, np.zeros((len(nodes), 3))), prior.about(chosen[3:])
+
+
+def _fitted(
+    nodes: Nodes, heading: FloatArray, prior: SharedPrior, tuning: SmootherTuning
+) -> tuple[FloatArray, float]:
+    """Return field in the gyro's axes and hard iron (6,), and the median misfit, microtesla."""
+    n = len(nodes)
+    design = np.concatenate(
+        [nodes.axes @ turned_into(heading), np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2
+    )
+    expected = np.array([0.0, 0.0, -prior.mean[DOWN_FIELD], 0.0, 0.0, 0.0])
+    known = np.array([1e-6, 1e-6, tuning.start_field**-2.0, *(prior.sigma[IRON] ** -2.0)])
+    rows, read = design.reshape(-1, 6), nodes.field.ravel()
+    weight, found, misfit = np.ones(n), expected, math.inf
+    for _ in range(tuning.start_rounds):
+        weighted = rows * np.repeat(weight, 3)[:, None]
+        normal = weighted.T @ rows + n * np.diag(known) * 0.01
+        found = np.linalg.solve(normal, weighted.T @ read + n * 0.01 * known * expected)
+        size = np.linalg.norm((read - rows @ found).reshape(n, 3), axis=1)
+        misfit = float(np.median(size))
+        weight = 1.0 / (1.0 + (size / (2.0 * misfit + 1e-9)) ** 2)
+    return found, misfit

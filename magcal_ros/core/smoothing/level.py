@@ -1,7 +1,8 @@
 """Up all along a drive: the slow mean of the specific force in the axes that the gyro holds still.
 
 Starts, stops and bends lean the accelerometer by ten degrees, but forth and back: over some tens of
-seconds they cancel, and the gyro hardly drifts meanwhile. Where nothing pulls, the mean is short.
+seconds they cancel, and the gyro hardly drifts meanwhile. Without linear acceleration the mean is
+short.
 """
 
 from __future__ import annotations

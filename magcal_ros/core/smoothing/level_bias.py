@@ -1,4 +1,4 @@
-"""The gyro's bias along a drive, told from what pulls a vehicle in its bends.
+"""The gyro's bias along a drive, separated from centripetal acceleration in bends.
 
 Both lean the specific force away from where the gyro takes up. A pull follows the turn rate, and a
 bias does not; over a steady circle they look the same, and what is known of gyros decides: a
@@ -62,7 +62,7 @@ class Leans:
 
     @classmethod
     def staying(cls, tuning: SmootherTuning = TUNING) -> Leans:
-        """Return those of a robot that nothing pulls."""
+        """Return those of a robot without linear acceleration."""
         return cls(tuning.unpulled / STANDARD_GRAVITY, 1e-3)
 
 
@@ -177,7 +177,7 @@ class _Search:
     def told(self, bias: FloatArray, seconds: float) -> _Told:
         """Return what stretches of so many seconds say beyond a bias."""
         rows, first = self._rows(bias, seconds)
-        # One jolt is one witness, however many rows it is seen in.
+        # One jolt is one observation, in however many rows it is seen.
         rows_per_jolt = self.tuning.jolt_seconds / self.tuning.row
         weight = self.seen.weight / rows_per_jolt / self.leans.jolt**2
         force = self.seen.force

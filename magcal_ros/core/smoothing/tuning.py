@@ -51,7 +51,7 @@ class SmootherTuning:
         What else leans it, over gravity, and seconds over which that is one and the same.
     bends_alike : float
         How many bends count as one where it is told how certain the bias is: drivers take all of
-        them alike, and what they pull otherwise than the turn rate says is no chance.
+        them alike, and what they pull otherwise than the turn rate says is systematic.
     still_field, still_yaw, still_rate : float
         A block that differs by no more than this from the one that began a rest, microtesla beyond
         its noise and radians, stands; a gyro's bias turns on by so much more, rad/s.
@@ -112,7 +112,7 @@ class SmootherTuning:
         The sizes of street and noise are estimated with so many observations of the usual size,
         and never below these shares of it.
     cluster : float
-        Metres of road that count as one witness in the sandwich covariance.
+        Metres of road that count as one independent observation in the sandwich covariance.
     fewest_clusters : int
         Fewer say nothing of how much they differ.
     lost_clusters : float
@@ -120,9 +120,9 @@ class SmootherTuning:
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
-    usual_witnesses : float
-        Witnesses of new road that the usual size of the street counts as, in the sigma below which
-        streets let nobody go.
+    usual_observations : float
+        Independent observations of new road that the usual size of the street counts as, in the
+        smallest sigma that streets allow.
     lasting : float
         Microtesla that sensors and a place err by all along a window in which nobody travels.
     start_rounds, start_field : int, float
@@ -208,7 +208,7 @@ class SmootherTuning:
     fewest_clusters: int = 5
     lost_clusters: float = 4.0
     most_repeated: float = 4.0
-    usual_witnesses: float = 6.0
+    usual_observations: float = 6.0
     lasting: float = 0.15
     start_rounds: int = 8
     start_field: float = 10.0

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def draw(figure: Figure, turn: Turn) -> None:
-    """Draw the headings over the turn, and how far the corrected one strays from it."""
+    """Draw the headings over the turn, and how far the corrected one deviates from it."""
     corrected, angle = turn.corrected, turn.angle
     if corrected is None or angle is None:
         return

@@ -19,7 +19,7 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.files import wire
-from magcal_ros.files.travel_wire import fix_in, speed_in, stamp_in, velocity_in
+from magcal_ros.files.wire import fix_in, speed_in, stamp_in, velocity_in
 
 T = TypeVar("T")
 

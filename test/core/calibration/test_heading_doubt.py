@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sample_results import SKEWED, estimate, small_covariance
 
-from magcal_ros.core.calibration.heading_doubt import in_doubt
+from magcal_ros.core.calibration.estimate import in_doubt
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 
 

@@ -16,7 +16,7 @@ from magcal_ros.core.doctor.latency import force_latency
 from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.geometry.signed_axes import signed_permutations
 from magcal_ros.core.knowledge import Knowledge
@@ -27,7 +27,7 @@ MOST_SEEN = "half minute"
 
 
 def page_of(case, log=None):
-    return examine(log or case.log, case.knowledge, Told(case.turned_left))
+    return examine(log or case.log, case.knowledge, UserAnswers(case.turned_left))
 
 
 def wrong(page):
@@ -196,7 +196,9 @@ def test_stamps_of_two_clocks_are_named_and_the_rest_is_looked_at(off):
 def test_a_person_who_turned_the_other_way_makes_no_sensor_wrong():
     for seed in range(2):
         case = good_case(np.random.default_rng([4, seed]), MOST_SEEN, habit=Habit(left=-1.0))
-        (line,) = [f for f in examine(case.log, case.knowledge, Told(True)).findings if f.is_wrong]
+        (line,) = [
+            f for f in examine(case.log, case.knowledge, UserAnswers(True)).findings if f.is_wrong
+        ]
         assert line.key == "imu_axes"
         assert "look again, turning left" in line.remedy
 

@@ -17,7 +17,7 @@ from magcal_ros.core.doctor.quirks import (
     WRAP,
     as_markdown,
 )
-from magcal_ros.core.doctor.upright import Told
+from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 
 MOTION = "half minute"
@@ -28,7 +28,7 @@ def case_of(seed):
 
 
 def wrong_lines(case, log):
-    page = examine(log, case.knowledge, Told(case.turned_left))
+    page = examine(log, case.knowledge, UserAnswers(case.turned_left))
     return [f"{f.name} {f.evidence} {f.remedy}" for f in page.findings if f.is_wrong]
 
 
@@ -101,7 +101,7 @@ def test_the_driver_is_named(name):
 def test_the_sample_for_the_chip_gives_the_mounting_that_doctor_names(name, line):
     case = case_of(0)
     log = CASES[name](np.random.default_rng([35, 0]), case.log)
-    page = examine(log, case.knowledge, Told(case.turned_left))
+    page = examine(log, case.knowledge, UserAnswers(case.turned_left))
     assert np.allclose(*(_rotation(text) for text in (page.parameters, line)), atol=1e-9)
     sample = Path(__file__).parents[3] / "config" / "sensors" / "icm20948.yaml"
     assert line.partition(": ")[2].replace(".0", "") in sample.read_text().replace(".0", "")

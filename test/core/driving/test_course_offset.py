@@ -11,7 +11,7 @@ from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.course_cells import CourseCells
 from magcal_ros.core.driving.course_offset import fit_course_offset
 from magcal_ros.core.driving.course_tuning import CourseTuning
-from magcal_ros.core.monitoring.course_check import accusation, check_by_course
+from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
 from magcal_ros.core.simulation.drive import Fence, Vehicle
 from magcal_ros.core.simulation.legs import (
     Leg,
@@ -141,9 +141,9 @@ def test_hard_iron_swings_once_around_and_accuses_the_calibration():
     swing, sigmas = found.swing(1)
     assert math.degrees(swing) == pytest.approx(9.0, abs=2.5)
     assert sigmas > 4.0
-    words = accusation(check_by_course(found))
+    words = course_fault(check_by_course(found))
     assert "made where the field was bent: heading swings once around by" in words
-    assert accusation(check_by_course(fitted(walk(rng, 3000.0, street)))) == ""
+    assert course_fault(check_by_course(fitted(walk(rng, 3000.0, street)))) == ""
     assert check_by_course(None) == ()
 
 

@@ -7,8 +7,7 @@ import pytest
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.monitoring.recheck import check
-from magcal_ros.core.monitoring.recheck_drive import iron_added
+from magcal_ros.core.monitoring.recheck import check, iron_added
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.drive import random_vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import city

@@ -19,12 +19,11 @@ from magcal_ros.core.simulation.long_windows import (
 )
 from magcal_ros.core.smoothing.certainty import cluster_scores
 from magcal_ros.core.smoothing.chain import eliminate, own_covariances
-from magcal_ros.core.smoothing.descent import Problem, Standpoint, descend
+from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend
 from magcal_ros.core.smoothing.drive_model import SHARED, SOFT, Unknowns, field_jacobians, field_of
 from magcal_ros.core.smoothing.drive_prior import free_prior
-from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, held_fit
+from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, held_fit, linear_start
 from magcal_ros.core.smoothing.log import log_of
-from magcal_ros.core.smoothing.start import linear_start
 
 MICRO = 1e6
 NOBODY = np.eye(3)
@@ -73,10 +72,10 @@ def test_the_gradient_is_the_slope_of_the_cost(nodes, rng):
     )
     place = somewhere(nodes, rng)
     problem = Problem(nodes, free_prior(BOSTON))
-    chain = Standpoint(problem, place).chain
+    chain = Linearisation(problem, place).chain
 
     def cost(shared, local):
-        return Standpoint(problem, place.moved(shared, local)).cost
+        return Linearisation(problem, place.moved(shared, local)).cost
 
     for k in range(SHARED):
         step = np.zeros(SHARED)
@@ -93,7 +92,7 @@ def test_the_gradient_is_the_slope_of_the_cost(nodes, rng):
 
 def test_the_chain_is_solved_as_the_whole_matrix_would_be(nodes, rng):
     nodes = nodes.take(np.arange(8))
-    chain = Standpoint(Problem(nodes, free_prior(BOSTON)), somewhere(nodes, rng)).chain
+    chain = Linearisation(Problem(nodes, free_prior(BOSTON)), somewhere(nodes, rng)).chain
     n = len(nodes)
     whole = np.zeros((4 * n + SHARED, 4 * n + SHARED))
     for j in range(n):

@@ -7,21 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import PARAMETERS
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.estimate import Estimate, Installation
+from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
+from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.design_tip.axial_field import BelievedField, believe
 from magcal_ros.core.methods.design_tip.axis import TurnAxis, find_axis
-from magcal_ros.core.methods.design_tip.circle import FieldCircle, fit_field_circle
+from magcal_ros.core.methods.design_tip.circle import FieldCircle, derotation, fit_field_circle
 from magcal_ros.core.methods.design_tip.installation import Candidate, find_candidates
 from magcal_ros.core.methods.design_tip.options import Options
-from magcal_ros.core.methods.design_tip.reliability import TipSolution, measure_figures
-from magcal_ros.core.methods.design_tip.tip_frame import TipSamples, enter, leave
+from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples, enter, leave
 from magcal_ros.core.methods.resampling import jackknife_covariance
 from magcal_ros.core.samples.window import Window
 
@@ -230,3 +231,80 @@ def _axis_along_field() -> Refusal:
         "The robot turned about the field's own direction, so the field hardly changed. Turn "
         "about an axis nearer to the vertical.",
     )
+
+
+TIP_NOISE_MULTIPLE = 6.0
+"""The tip calls a cloud a cluster when its mean distance is below this many times the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class TipSolution:
+    """The steps' results before their uncertainty is known."""
+
+    samples: TipSamples
+    circle: FieldCircle
+    axis: TurnAxis
+    chosen: Candidate
+    rival: Candidate | None
+    believed: BelievedField
+    correction: Correction
+    installation: Installation
+
+
+def measure_figures(solution: TipSolution, noise_field: float) -> dict[Figure, float]:
+    """Collect the figures by name.
+
+    Parameters
+    ----------
+    solution : TipSolution
+        What the steps found.
+    noise_field : float
+        Tesla per axis.
+
+    Returns
+    -------
+    dict of Figure to float
+        `accelerometer_spread_over_noise`, `field_spread_over_noise`: mean distance from the
+        cloud's centre over six times the noise, the tip's measure of a plane's reliability.
+        `accelerometer_range_x`, `_y`, `_z` (m/s² over gravity) and `field_range_x`, `_y`, `_z`
+        (tesla): ranges after de-rotation; z should be the smallest by far.
+        `circle_radius` (tesla); `radius_ratio`: over the radius that strength and axis demand;
+        `ellipse_ratio`: of a free ellipse, where there is one.
+        `axis_tilt` (rad); `axial_field`, `axial_hard_iron` (tesla).
+        `installation_angle` and, where the turn has a second solution, `rival_roll`,
+        `rival_pitch`, `rival_angle` (rad, URDF sense).
+    """
+    samples, axis, chosen = solution.samples, solution.axis, solution.chosen
+    rival, believed, circle = solution.rival, solution.believed, chosen.circle
+    figures = {
+        Figure.ACCELEROMETER_SPREAD: _spread(samples.down, axis.noise, ROUNDING),
+        Figure.FIELD_SPREAD: _spread(samples.field, noise_field, ROUNDING * believed.strength),
+        Figure.CIRCLE_RADIUS: circle.radius,
+        Figure.AXIS_TILT: axis.tilt,
+        Figure.AXIAL_FIELD: believed.axial,
+        Figure.AXIAL_HARD_IRON: circle.height - believed.axial,
+        Figure.INSTALLATION_ANGLE: chosen.angle,
+    }
+    down = samples.down @ derotation(axis.direction)
+    figures |= along("accelerometer_range", np.ptp(down, axis=0))
+    figures |= along("field_range", np.ptp(samples.field @ circle.basis, axis=0))
+    expected = believed.strength**2 - believed.axial**2
+    if expected > 0.0:
+        figures[Figure.RADIUS_RATIO] = circle.radius / math.sqrt(expected)
+    try:
+        flat = np.column_stack([circle.phasor.real, circle.phasor.imag])
+        figures[Figure.ELLIPSE_RATIO] = ConicFit.HALIR_FLUSSER(flat).ratio
+    except Refusal:
+        pass
+    if rival is not None:
+        figures |= {
+            Figure.RIVAL_ROLL: rival.roll,
+            Figure.RIVAL_PITCH: -rival.pitch,
+            Figure.RIVAL_ANGLE: rival.angle,
+        }
+    return figures
+
+
+def _spread(cloud: FloatArray, noise: float, least_noise: float) -> float:
+    distance = np.linalg.norm(cloud - cloud.mean(axis=0), axis=1).mean()
+    return float(distance / (TIP_NOISE_MULTIPLE * max(noise, least_noise)))

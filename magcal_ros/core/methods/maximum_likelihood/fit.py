@@ -1,4 +1,4 @@
-"""From a window to an estimate: the walk through the other files."""
+"""From a window to an estimate, in steps that the other files contain."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, wea
 from magcal_ros.core.samples.window import Window
 
 COMPASS_SHARE = 0.5
-"""Of the squared stray between gyro and compass, what is the compass's: the gyro strays, too."""
+"""Share of the compass in its squared deviation from the gyro, which has errors as well."""
 RADIAL_SHARE = 2.0
-"""Times the squared stray along the radius, what strays across it: the field of a place that is
-bent goes once round, too, which nothing along the radius shows."""
+"""Squared deviation across the radius over the one along it: the field of a place that is bent goes
+once round as well, which nothing along the radius shows."""
 GAP_SHARE = 0.25
 """Of the squared heading between the gyro's fit and that without, what the gyro's is usually off:
 most often it is the other that is."""
@@ -186,10 +186,10 @@ class Solved:
         if systematics.are_none:
             return Lasting()
         if self.swing is None:
-            stray = math.sqrt(RADIAL_SHARE) * _radial_stray(self.choice.fit.block)
+            deviation = math.sqrt(RADIAL_SHARE) * _radial_deviation(self.choice.fit.block)
         else:
-            stray = math.sqrt(COMPASS_SHARE) * self.swing.rms
-        return Lasting(stray, self.gyro_gap, self.motors, self.doubtful_pull)
+            deviation = math.sqrt(COMPASS_SHARE) * self.swing.rms
+        return Lasting(deviation, self.gyro_gap, self.motors, self.doubtful_pull)
 
     def unseen(self, systematics: Systematics) -> Systematics:
         """Return what stays unseen of lasting errors: what was fitted is in the covariance."""
@@ -308,7 +308,7 @@ def _solve(window: Window, prepared: Prepared, knowledge: Knowledge) -> Solved:
         if not explains_as_well(choice.fit, free.fit, PROPAGATION.settled_lenience):
             choice, gap = free, 0.0
         elif PROPAGATION.contradicts(block, apart):
-            # A gyro that is known to be a bad one is no witness against the accelerometer.
+            # A gyro that is known to be bad is not used to correct the accelerometer.
             path, choice = replace(block.path, relative=block.unbiased), free
         else:
             gap = max(gap, math.sqrt(GAP_SHARE) * apart)
@@ -339,8 +339,8 @@ def _turning(window: Window, prepared: Prepared, block: TurnBlock) -> Turning:
     return Turning.by_attitude(time, block.place.state.attitude[counted])
 
 
-def _radial_stray(block: TurnBlock) -> float:
-    """Return the lasting stray of the field along the turn's radius, radians; inliers alone."""
+def _radial_deviation(block: TurnBlock) -> float:
+    """Return the lasting deviation of the field along the turn's radius, radians; inliers alone."""
     prediction, counted = block.place.prediction, block.weighting.inliers
     back = np.linalg.inv(prediction.field_matrix)
     residual = (prediction.field_residual @ back.T)[counted]

@@ -53,7 +53,7 @@ class Screening:
         Share of the samples.
     widest_rival : float
         Radians of heading by which rival solutions may differ.
-    worst_stray : float
+    worst_deviation : float
         Radians between gyro and compass: no room distorts so much.
     """
 
@@ -71,7 +71,7 @@ class Screening:
     worst_wobble: float = math.radians(30.0)
     fewest_inliers: float = 0.4
     widest_rival: float = math.radians(5.0)
-    worst_stray: float = math.radians(20.0)
+    worst_deviation: float = math.radians(20.0)
 
 
 SCREENING = Screening()
@@ -181,19 +181,19 @@ def _other_turn(arc: float) -> str:
     return "turn once more on other ground, more slowly, with the robot upright"
 
 
-def check_gyro(stray: float) -> None:
-    """Refuse a compass that the gyro contradicts; `stray` is their difference, radians RMS.
+def check_gyro(deviation: float) -> None:
+    """Refuse a compass that the gyro contradicts; `deviation` is their difference, radians RMS.
 
     Raises
     ------
     Refusal
         `AXES_DISAGREE`.
     """
-    if stray > SCREENING.worst_stray:
+    if deviation > SCREENING.worst_deviation:
         raise Refusal(
             Reason.AXES_DISAGREE,
-            f"gyro and compass differ by {math.degrees(stray):.0f} degrees over the turn; turn on"
-            " the spot and away from iron; if they differ there, `magcal doctor` says which errs",
+            f"gyro and compass differ by {math.degrees(deviation):.0f} degrees over the turn; turn "
+            "on the spot and away from iron; if they differ there, `magcal doctor` says which errs",
         )
 
 
@@ -204,13 +204,13 @@ def _check_agreement(block: TurnBlock) -> None:
     check_agreement(noise.field / max(strength, 1e-9), block.wobble, inliers)
 
 
-def check_agreement(stray: float, wobble: float, inliers: float) -> None:
+def check_agreement(deviation: float, wobble: float, inliers: float) -> None:
     """Refuse a field that follows no turn.
 
     Parameters
     ----------
-    stray : float
-        What the field strays by, over its strength.
+    deviation : float
+        What the field deviates by, over its strength.
     wobble : float
         Radians.
     inliers : float
@@ -222,8 +222,8 @@ def check_agreement(stray: float, wobble: float, inliers: float) -> None:
         `FIELD_NOT_ON_A_PLANE`.
     """
     causes = []
-    if stray > SCREENING.worst_field_noise:
-        causes.append(f"the field strays by {stray:.0%} of its strength")
+    if deviation > SCREENING.worst_field_noise:
+        causes.append(f"the field deviates by {deviation:.0%} of its strength")
     if wobble > SCREENING.worst_wobble:
         causes.append(f"the turn's axis wobbles by {math.degrees(wobble):.0f} degrees")
     if inliers < SCREENING.fewest_inliers:

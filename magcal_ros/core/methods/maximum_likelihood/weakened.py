@@ -80,7 +80,7 @@ def level_share(window: Window, knowledge: Knowledge) -> float:
     phases = np.floor((np.arctan2(y, x) + math.pi) / math.tau * TUNING.phases)
     if len(np.unique(phases)) < TUNING.least_phases:
         return 1.0
-    # On a slope the axis may lean towards the field, and then an honest circle is smaller.
+    # On a slope the axis may lean towards the field, and then a correct circle is smaller.
     slope = float(np.median(np.arccos(np.clip(ups @ up, -1.0, 1.0))))
     steepest = min(abs(reference.inclination.value) + slope, math.radians(89.0))
     return circle.radius / (reference.strength.value * math.cos(steepest))

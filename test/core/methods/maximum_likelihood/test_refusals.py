@@ -102,7 +102,7 @@ def test_a_field_that_follows_no_turn_is_told_by_how_much_it_strays():
     clean = window_of()
     phase = np.linspace(0.0, 2.0 * np.pi, len(clean))[:, None] * [7.0, 9.0, 11.0]
     words = words_of(Window(clean.time, clean.field + 25e-6 * np.sin(phase), clean.specific_force))
-    assert "the field strays by" in words
+    assert "the field deviates by" in words
     assert "100% of the samples fit" not in words
 
 

@@ -1,0 +1,231 @@
+"""A heading from outside (typed in, or on a topic), and its comparison with the gyro."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.samples.streams import STREAMS
+
+DEGREES = 180.0 / math.pi
+_FUSION = FusionTuning()
+
+
+@dataclass(frozen=True)
+class DockingTuning:
+    """How a robot stands at a known heading.
+
+    Parameters
+    ----------
+    seconds : float
+        How long samples are averaged.
+    fewest : int
+        Samples of the field that are needed.
+    patience : float
+        Seconds, by another clock, after which those that came are too few.
+    rate : float
+        rad/s beyond the bias from which a robot turns.
+    creep : float
+        Tesla by which the field's mean may move meanwhile, noise apart.
+    contradicted : float
+        Sigmas by which a calibration in force may miss a known heading.
+    same : float
+        Radians within which another standing takes the place of one before: it says the same.
+    most : int
+        Standings that are kept.
+    """
+
+    seconds: float = 3.0
+    fewest: int = 10
+    patience: float = 15.0
+    rate: float = math.radians(1.5)
+    creep: float = 0.7e-6
+    contradicted: float = 3.0
+    same: float = math.radians(5.0)
+    most: int = 24
+
+
+TUNING = DockingTuning()
+
+
+@dataclass(frozen=True)
+class LogTuning:
+    """What is kept of a drive along which external headings arrive.
+
+    Parameters
+    ----------
+    sectors, each : int
+        Number of directions, and how many means are kept of each.
+    block, pause : float
+        Seconds of a mean, and between those of one direction: streets bend the field over 30 m.
+    fewest : int
+        Samples of a mean.
+    rate : float
+        rad/s of turning from which heading and field are not of one moment.
+    sigma : float
+        Radians that are added to the sigma of a heading for what the two are apart in time.
+    force : float
+        m/s² per axis by which up is wrong on the way.
+    first : int
+        New means after which it is worth while to fit.
+    """
+
+    sectors: int = 12
+    each: int = 8
+    block: float = 0.5
+    pause: float = 4.0
+    fewest: int = 4
+    rate: float = 0.1
+    sigma: float = math.radians(0.7)
+    force: float = 0.15
+    first: int = 8
+
+
+LOG = LogTuning()
+
+
+@dataclass(frozen=True)
+class ExternalHeading:
+    """A heading from outside, such as a dock's or an antenna pair's.
+
+    Parameters
+    ----------
+    yaw : float
+        ENU yaw, radians: zero to the east, positive to the left.
+    sigma : float
+        Its standard deviation.
+    is_true : bool
+        Whether it is to true north; otherwise to magnetic north.
+    """
+
+    yaw: float
+    sigma: float
+    is_true: bool
+
+
+class TurnSince:
+    """The turn to the left since a standing, by the gyro."""
+
+    def __init__(self) -> None:
+        self.angle = 0.0
+        self._variance, self._bias_sigma, self._seconds = 0.0, 0.0, 0.0
+        self._stamp = math.nan
+
+    def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
+        """Go on to the next IMU message.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        up : tuple of float
+            Unit, body axes.
+        rate : tuple of float
+            Mean turn rate since the message before, rad/s, less the known bias.
+        bias_variance : float
+            Of that bias about up, (rad/s)².
+        """
+        seconds = stamp - self._stamp
+        self._stamp = stamp
+        if math.isnan(seconds):
+            return
+        if not 0.0 < seconds <= STREAMS.longest_gyro_step:
+            self._variance = math.inf
+            return
+        tuning, turn = _FUSION, dot(rate, up)
+        self.angle += turn * seconds
+        self._variance += (tuning.angle_walk**2 + tuning.turn_error**2 * abs(turn)) * seconds
+        self._seconds += seconds
+        self._bias_sigma = max(self._bias_sigma, math.sqrt(bias_variance), tuning.bias_sigma)
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, radians; infinite where a gap is in it or nothing came."""
+        if math.isnan(self._stamp):
+            return math.inf
+        return math.sqrt(self._variance) + self._bias_sigma * self._seconds
+
+
+class HeadingAgainstGyro:
+    """Whether a stream of external headings turns as the gyro does.
+
+    Attributes
+    ----------
+    fault : str
+        How it turns otherwise, in words; empty while it does not.
+    """
+
+    def __init__(self) -> None:
+        self.fault = ""
+        self._turned = 0.0
+        self._last: tuple[float, float] | None = None
+        self._wrong: list[tuple[float, float]] = []
+
+    def add_turn(self, angle: float) -> None:
+        """Take radians to the left, by the gyro."""
+        self._turned += angle
+
+    def add(self, stamp: float, yaw: float) -> None:
+        """Take a heading, radians."""
+        last = self._last
+        if last is None or not 0.0 < stamp - last[0] < AGAINST.longest:
+            self._last, self._turned = (stamp, yaw), 0.0
+            return
+        if abs(self._turned) < AGAINST.turn:
+            return
+        given, turned = wrapped(yaw - last[1]), self._turned
+        self._last, self._turned = (stamp, yaw), 0.0
+        if abs(wrapped(given - turned)) < AGAINST.apart:
+            self._wrong, self.fault = [], ""
+            return
+        self._wrong = [*self._wrong, (given, turned)][-AGAINST.times :]
+        if len(self._wrong) == AGAINST.times:
+            self.fault = self._in_words()
+
+    def _in_words(self) -> str:
+        for factor, words in TURNS_AS.items():
+            if all(abs(wrapped(t - factor * g)) < AGAINST.apart for t, g in self._wrong):
+                return words
+        given, turned = self._wrong[-1]
+        return (
+            f"it turned by {given * DEGREES:.0f}° while the gyro turned by "
+            f"{wrapped(turned) * DEGREES:.0f}° (to the left): see whether it is the robot's "
+            "heading, and whether its stamps are those of the measurement"
+        )
+
+
+TURNS_AS = {
+    -1.0: "it turns to the other side than the gyro: its sign is wrong (a bearing counts "
+    "clockwise, yaw counts to the left), or the antennas are mirrored",
+    DEGREES: "it turns about 57 times as far as the gyro: degrees were put where radians belong",
+    1.0 / DEGREES: "it hardly turns when the gyro does: radians were taken for degrees",
+}
+"""What is wrong with a heading that turns so many times as far as the gyro."""
+
+
+@dataclass(frozen=True)
+class AgainstTuning:
+    """When an external heading turns otherwise than the gyro.
+
+    Parameters
+    ----------
+    turn : float
+        Radians that the gyro must turn for a comparison.
+    apart : float
+        Radians by which the two may differ.
+    times : int
+        Comparisons in a row that must fail.
+    longest : float
+        Seconds over which the gyro is trusted.
+    """
+
+    turn: float = math.radians(40.0)
+    apart: float = math.radians(12.0)
+    times: int = 3
+    longest: float = 60.0
+
+
+AGAINST = AgainstTuning()

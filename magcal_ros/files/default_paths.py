@@ -1,0 +1,184 @@
+"""Paths of files that the user has not named."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+
+from magcal_ros.files.atomic import FileTrouble
+
+LONGEST_NAME = 80
+
+LONGEST_FRAME = 200
+"""Characters of a frame that are kept; the network may send a million."""
+
+RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
+"""Names that are devices on some file systems."""
+
+
+def ros_home() -> Path:
+    """Return the user's ROS home: `$ROS_HOME`, or `~/.ros`.
+
+    Raises
+    ------
+    FileTrouble
+        If there is neither.
+    """
+    return chosen_path(os.environ.get("ROS_HOME") or "~/.ros")
+
+
+def own_folder() -> Path:
+    """Return the folder below which everything is kept unless the user says otherwise.
+
+    Raises
+    ------
+    FileTrouble
+        If there is no home.
+    """
+    return ros_home() / "magcal"
+
+
+def chosen_path(text: str) -> Path:
+    """Return a path as the user wrote it, `~` included.
+
+    Raises
+    ------
+    FileTrouble
+        If there is no such home.
+    """
+    try:
+        return Path(text).expanduser()
+    except RuntimeError as error:
+        raise FileTrouble(
+            f"there is no home folder for {text!r}: name the whole path, or set ROS_HOME"
+        ) from error
+
+
+def lies_within(path: Path, places: Iterable[Path]) -> bool:
+    """Whether a path is one of some places or lies below one, told by its names alone.
+
+    Links are not looked at: only who may write there already can have made one.
+    """
+    if ".." in path.parts or "\0" in str(path):
+        return False
+    return any(path.absolute().is_relative_to(place.absolute()) for place in places)
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Return a magnetometer's own file beside the first one's: `name.2.yaml` for the second."""
+    return path if number == 1 else path.with_name(f"{path.stem}.{number}{path.suffix}")
+
+
+def is_missing(path: Path) -> bool:
+    """Whether there is surely nothing; a place that cannot be looked at may hold something."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except (OSError, ValueError):
+        return False
+    return False
+
+
+def safe_name(text: str) -> str:
+    """Turn a name from the network into one that can stand in a path.
+
+    Letters, digits, `_` and `-` stay. Where anything else was, or where the name itself looks as
+    if it had one, it gets a digest, so that two different names do not meet.
+    """
+    plain = re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME] or "unnamed"
+    looks_made = re.search(r"-[0-9a-f]{8}\Z", text) or RESERVED.match(text)
+    return plain if plain == text and not looks_made else f"{plain}-{_digest(text)}"
+
+
+def known_as(frame: str) -> str:
+    """Return the name under which a calibration remembers a frame: itself, unless it is huge."""
+    if len(frame) <= LONGEST_FRAME:
+        return frame
+    return f"{frame[:LONGEST_FRAME]}…{_digest(frame)}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+
+
+FRAMELESS = "magnetometer"
+"""Stands in a path for the frame of a sensor that names none."""
+
+DEFAULT_NODE = "calibrator"
+
+
+@dataclass(frozen=True)
+class SensorFile:
+    """Where a node keeps the calibration of a sensor unless the user named a file.
+
+    Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
+    names stand in the file's.
+
+    Parameters
+    ----------
+    frame : str
+        `frame_id` of the field messages; empty if they have none.
+    namespace, node : str
+        The node's: two robots may carry the same sensor.
+    """
+
+    frame: str
+    namespace: str = "/"
+    node: str = DEFAULT_NODE
+
+    @property
+    def path(self) -> Path:
+        """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own.
+
+        Raises
+        ------
+        FileTrouble
+            If there is no home.
+        """
+        return self._folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
+
+    @property
+    def former(self) -> Path:
+        """Where earlier releases stored it, for all nodes of a namespace alike.
+
+        Raises
+        ------
+        FileTrouble
+            If there is no home.
+        """
+        return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
+
+    def find(self) -> Path:
+        """Return the file to load: the sensor's own, or else the former one if it is surely its.
+
+        A former file is the default node's. That of a node by another name may be its neighbour's
+        and is not taken.
+
+        Raises
+        ------
+        FileTrouble
+            If there is only a former file and it may be another node's; the text says how to keep
+            it. Or if there is no home.
+        """
+        own, former = self.path, self.former
+        if not is_missing(own) or is_missing(former):
+            return own
+        if self.node == DEFAULT_NODE:
+            return former
+        raise FileTrouble(
+            f"{former} may be this node's calibration or that of another node of its namespace: "
+            f"earlier releases kept them in one file. If it is this one's, move it: "
+            f"mv {quote(str(former))} {quote(str(own))}"
+        )
+
+    @property
+    def _folder(self) -> Path:
+        folder = own_folder()
+        inner = self.namespace.strip("/")
+        return folder / safe_name(inner) if inner else folder

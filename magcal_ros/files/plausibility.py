@@ -1,0 +1,132 @@
+"""Whether the numbers of a calibration file are possible for a magnetometer on Earth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.streams import STREAMS
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of the numbers of a calibration.
+
+    Attributes
+    ----------
+    smallest_gain, largest_gain : float
+        By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
+        halves or doubles it.
+    largest_variance : float
+        Of the matrix and in tesla squared: far beyond every doubt, far within the floats.
+    weakest_field : float
+        Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
+        times.
+    strongest_field : float
+        Tesla.
+    asymmetry : float
+        Relative to the two sigmas, as from a copy with few digits.
+    negative : float
+        Smallest eigenvalue of the correlations that rounding alone can make negative.
+    most_samples : float
+        More than a day of the fastest sensor: nothing averages the noise further than this.
+    """
+
+    smallest_gain: float = 0.05
+    largest_gain: float = 20.0
+    largest_variance: float = 1e8
+    weakest_field: float = 5e-6
+    strongest_field: float = 300e-6
+    asymmetry: float = 1e-6
+    negative: float = 1e-6
+    most_samples: float = 1e8
+
+
+BOUNDS = Bounds()
+
+
+def require_possible(calibration: Calibration) -> None:
+    """Refuse numbers that no turn can have found.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        As read from a file that may have been edited or damaged.
+
+    Raises
+    ------
+    ValueError
+        With what is impossible, in words that name the entry.
+    """
+    gains = np.linalg.svd(calibration.correction.matrix, compute_uv=False)
+    least, most = float(gains.min()), float(gains.max())
+    if not BOUNDS.smallest_gain <= least <= most <= BOUNDS.largest_gain:
+        raise ValueError(
+            f"correction_matrix multiplies the field by {least:.3g} to {most:.3g}, and sensors "
+            f"need {BOUNDS.smallest_gain:g} to {BOUNDS.largest_gain:g}"
+        )
+    if not BOUNDS.weakest_field <= calibration.strength <= BOUNDS.strongest_field:
+        raise ValueError(
+            f"the reference strength is {calibration.strength * 1e6:.3g} µT, and the Earth's "
+            "field has 22 to 67 µT"
+        )
+    _require_sizes(calibration, least)
+    if abs(calibration.inclination) > math.pi / 2.0:
+        raise ValueError("the reference inclination is more than a right angle")
+    _require_covariance(calibration.covariance)
+    _require_doubt(calibration)
+    _require_motors(calibration)
+
+
+def _require_sizes(calibration: Calibration, least_gain: float) -> None:
+    # Of a larger hard iron the node would have dropped every sample as too large.
+    largest_iron = STREAMS.largest_field + calibration.strength / least_gain
+    iron = calibration.correction.hard_iron
+    for name, size, limit in (
+        ("hard_iron", np.abs(iron).max(), largest_iron),
+        ("covariance", np.abs(calibration.covariance).max(), BOUNDS.largest_variance),
+        ("noise_field", calibration.noise_field, STREAMS.largest_field),
+        ("noise_up", calibration.noise_up, math.pi),
+    ):
+        if not size <= limit:
+            raise ValueError(f"{name} reads up to {size:.0e}, which no magnetometer needs")
+
+
+def _require_covariance(covariance: FloatArray) -> None:
+    """Look at correlations: the twelve numbers have units far apart."""
+    sigmas = np.sqrt(np.diag(covariance))
+    scale = np.where(sigmas > 0.0, sigmas, 1.0)
+    correlations = covariance / np.outer(scale, scale)
+    if (np.abs(covariance[sigmas == 0.0]) > 0.0).any():
+        raise ValueError("covariance ties a number to others that it calls exact")
+    if np.abs(correlations - correlations.T).max() > BOUNDS.asymmetry:
+        raise ValueError("covariance is not symmetric")
+    smallest = float(np.linalg.eigvalsh((correlations + correlations.T) / 2.0)[0])
+    if smallest < -BOUNDS.negative:
+        raise ValueError(
+            "covariance is not that of any numbers: some direction would have a negative variance"
+        )
+
+
+def _require_motors(calibration: Calibration) -> None:
+    motors = calibration.motors
+    if motors is None:
+        return
+    sizes = [motors.size(k) for k in range(len(motors.inputs))]
+    if not max([*sizes, motors.ripple], default=0.0) <= STREAMS.largest_field:
+        raise ValueError("motors adds a field that no magnetometer can measure")
+    _require_covariance(motors.joint(calibration.covariance))
+
+
+def _require_doubt(calibration: Calibration) -> None:
+    sigma = math.sqrt(float(np.trace(calibration.covariance[9:, 9:])))
+    least = calibration.noise_field / math.sqrt(BOUNDS.most_samples)
+    if sigma < least:
+        raise ValueError(
+            f"covariance claims a hard iron known to {sigma:.1e} T; with a noise of "
+            f"{calibration.noise_field:.1e} T a sample, no turn shows it better than {least:.1e} T"
+        )

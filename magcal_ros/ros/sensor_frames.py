@@ -1,0 +1,146 @@
+"""The poses of the sensors on the robot, from the parameters or the robot's description."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from rclpy.node import Node
+
+from magcal_ros.core.calibrate import Outcome
+from magcal_ros.core.calibration.estimate import Installation
+from magcal_ros.core.driving.front import VehicleYaw
+from magcal_ros.core.geometry.sensor_poses import (
+    Frames,
+    SensorPoses,
+    pose_in_words,
+    sensor_poses,
+)
+from magcal_ros.core.heading.base_view import BaseView
+from magcal_ros.core.heading.mended_pose import MendedPose, mend
+from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.up import UpFollower
+from magcal_ros.files.default_paths import known_as
+from magcal_ros.ros.description import Description
+from magcal_ros.ros.settings import Settings
+
+FAR_OFF = 0.26
+"""Radians between a described and a found pose from which the description is doubted (15°)."""
+
+
+class SensorFrames:
+    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The node that subscribes to the robot's description.
+    settings : callable
+        Returns the parameters in use.
+    """
+
+    def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
+        self._settings = settings
+        self._description = Description(node, self._look)
+        self._imu_frame = self._magnetometer_frame = ""
+        self._used: Settings | None = None
+        self._poses = SensorPoses(np.eye(3), False, np.eye(3))
+        self._view: BaseView | None = BaseView(np.eye(3))
+        self._contradiction = ""
+        self._found: Installation | None = None
+        self._vehicle_yaw: VehicleYaw | None = None
+        self._mended = MendedPose(None)
+
+    def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
+        """Take the frames that the sensors' messages name."""
+        self._imu_frame, self._magnetometer_frame = (
+            known_as(imu_frame),
+            known_as(magnetometer_frame),
+        )
+        self._look()
+
+    @property
+    def poses(self) -> SensorPoses:
+        """The poses of the sensors, by the parameters in use."""
+        if self._settings() is not self._used:
+            self._look()
+        return self._poses
+
+    @property
+    def view(self) -> BaseView | None:
+        """Converts the IMU's attitude to the base's; None while its pose is not known."""
+        if self._settings() is not self._used:
+            self._look()
+        return self._view
+
+    def frame(self, imu_frame: str) -> str:
+        """Return the frame that attitudes are published in."""
+        return self._settings().base_frame or imu_frame
+
+    def settled(self, settings: Settings) -> Settings:
+        """Return the parameters with the described pose of the magnetometer, if there is one."""
+        mounting = replace(settings.knowledge.mounting, pose=self.poses.magnetometer)
+        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+
+    def settled_for(self, settings: Settings, number: int, frame: str) -> Settings:
+        """Return the parameters for a further magnetometer, by its number and frame."""
+        frames = replace(self._frames, magnetometer=frame)
+        given = settings.second_mount if number == 2 else None
+        pose = sensor_poses(frames, self._description.tree, given).magnetometer
+        mounting = Mounting(pose=pose)
+        return replace(settings, knowledge=replace(settings.knowledge, mounting=mounting))
+
+    def note_up(self, follower: UpFollower) -> None:
+        """Compare the description with gravity while the robot stands."""
+        up = follower.newest
+        if follower.is_at_rest and up is not None:
+            self._contradiction = self._poses.contradiction(np.array(up), self._frames)
+
+    def note_outcome(self, outcome: Outcome | None) -> None:
+        """Compare the description with the result of the last turn."""
+        estimate = None if outcome is None else outcome.estimate
+        self._found = None if estimate is None else estimate.installation
+
+    def note_vehicle_yaw(self, yaw: VehicleYaw | None) -> None:
+        """Take the yaw of the IMU in the vehicle that was found while driving."""
+        if yaw != self._vehicle_yaw:
+            self._vehicle_yaw = yaw
+            self._look()
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is missing or contradicts the samples, in words."""
+        poses = self.poses
+        words = [*poses.complaints, self._contradiction, self._mended.contradiction]
+        if self._frames.base:
+            words.append(self._description.trouble)
+        if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
+            words.append(
+                f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
+                f"at {pose_in_words(poses.magnetometer)}, and the last turn found it "
+                f"{np.degrees(self._found.angle):.0f}° away from that: mend its joint, or give "
+                "mount_rpy_deg"
+            )
+        return [each for each in words if each]
+
+    @property
+    def _frames(self) -> Frames:
+        return Frames(
+            known_as(self._settings().base_frame), self._imu_frame, self._magnetometer_frame
+        )
+
+    def _look(self) -> None:
+        settings = self._used = self._settings()
+        if settings.base_frame:
+            self._description.listen()
+        given = settings.knowledge.mounting.pose if settings.mount_is_given else None
+        self._poses = sensor_poses(self._frames, self._description.tree, given)
+        self._contradiction = ""
+        by_hand, found = settings.vehicle_yaw, self._vehicle_yaw
+        imu = self._poses.imu
+        mended = self._mended = mend(imu if settings.base_frame else None, by_hand, found)
+        pose = imu if mended.pose is None else mended.pose
+        view = None if pose is None else BaseView(pose)
+        if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
+            self._view = view

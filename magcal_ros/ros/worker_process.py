@@ -1,0 +1,201 @@
+"""A worker process for computations that take long.
+
+A fit in a thread of the node competes with the messages that arrive meanwhile, and delays them. A
+process of its own does not delay them, can be ended at any moment, and its memory is freed then.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import selectors
+import signal
+import sys
+from collections.abc import Callable
+from threading import Lock
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.processes import start
+from magcal_ros.ros import memory_limit
+
+if TYPE_CHECKING:
+    import subprocess
+
+T = TypeVar("T")
+
+LOOK = 1.0
+"""Seconds between two checks whether the process has been stopped by a signal."""
+
+ENDING = 1.0
+"""Seconds to wait for the end of a process that has closed its output."""
+
+SIZE = 8
+"""Bytes of the length that precedes each message."""
+
+
+class Lost(MagcalError):
+    """The worker process has ended, or could not be started; the text says why."""
+
+
+class Stopped(Lost):
+    """The node itself has ended the worker process."""
+
+    def __init__(self) -> None:
+        super().__init__("the node has ended the process that fits")
+
+
+class WorkerProcess:
+    """Runs functions in a process that is started when it is needed.
+
+    All methods but `stop` and `end` block: call them from another thread than that of the messages.
+    """
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._is_over = False
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start the process, if it does not run, and return it.
+
+        Raises
+        ------
+        Lost
+            If the system cannot start it, or after `end`: a process that is started while the node
+            ends would have nobody to serve.
+        """
+        import subprocess
+
+        with self._lock:
+            if self._is_over:
+                raise Stopped
+            if self._process is None or self._process.poll() is not None:
+                try:
+                    self._process = start(
+                        __name__,
+                        stdin=subprocess.PIPE,
+                        stdout=subprocess.PIPE,
+                        # Ctrl-C in the node's terminal is not meant for it.
+                        start_new_session=True,
+                    )
+                except OSError as error:
+                    raise Lost(
+                        f"the process that fits cannot be started: {error.strerror or error}; "
+                        "see which of the machine's resources are used up"
+                    ) from error
+            return self._process
+
+    def run(self, function: Callable[..., T], *arguments: Any) -> T:
+        """Return what a function of a module returns, or raise what it raises.
+
+        Raises
+        ------
+        Lost
+            If the process could not be started, or ended or was stopped meanwhile.
+        """
+        process = self.start()
+        call = pickle.dumps((function, arguments))
+        try:
+            reply = _exchange(process, call)
+        except (EOFError, OSError) as error:
+            with self._lock:
+                is_ours = self._process is not process
+            raise (Stopped() if is_ours else Lost(_how_it_ended(process))) from error
+        is_result, answer = pickle.loads(reply)
+        if not is_result:
+            raise answer
+        result: T = answer
+        return result
+
+    def stop(self) -> None:
+        """End the process at once, whatever it does."""
+        with self._lock:
+            process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+
+    def end(self) -> None:
+        """End the process for good."""
+        self._is_over = True
+        self.stop()
+
+
+def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
+    """Send a call and return the answer.
+
+    Raises
+    ------
+    EOFError, OSError
+        If the process goes meanwhile, or somebody stops it.
+    """
+    assert process.stdin is not None
+    assert process.stdout is not None
+    to, back = process.stdin.fileno(), process.stdout.fileno()
+    os.set_blocking(to, False)
+    unsent, heard = memoryview(len(call).to_bytes(SIZE, "big") + call), bytearray()
+    with selectors.DefaultSelector() as line:
+        line.register(to, selectors.EVENT_WRITE)
+        line.register(back, selectors.EVENT_READ)
+        while len(heard) < SIZE or len(heard) < SIZE + int.from_bytes(heard[:SIZE], "big"):
+            ready = line.select(LOOK)
+            for key, _ in ready:
+                if key.fd == to:
+                    unsent = unsent[os.write(to, unsent) :]
+                    if not unsent:
+                        line.unregister(to)
+                elif words := os.read(back, 65536):
+                    heard += words
+                else:
+                    raise EOFError
+            if not ready and _is_stopped(process):
+                raise EOFError
+    return bytes(heard[SIZE:])
+
+
+def _is_stopped(process: subprocess.Popen[bytes]) -> bool:
+    """Whether the process is stopped by a signal, so that the node would wait for it."""
+    try:
+        found = os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return False
+    return found is not None
+
+
+def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
+    """Say why there was no answer, and make sure that the process has ended."""
+    import subprocess
+
+    if _is_stopped(process):
+        process.kill()
+        return "the process that fits was stopped (SIGSTOP), and the node has ended it"
+    try:
+        status = process.wait(ENDING)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return "the process that fits has closed its line, and the node has ended it"
+    if status == -signal.SIGKILL:
+        return "the process that fits was killed (SIGKILL), as the system does without memory"
+    name = signal.Signals(-status).name if status < 0 else f"status {status}"
+    return f"the process that fits has ended ({name})"
+
+
+def main() -> int:
+    """Answer calls on standard input until it is closed; returns 0."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    memory_limit.unbound()
+    back = os.dup(sys.stdout.fileno())
+    # Output that a library prints must not be taken for an answer.
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    with contextlib.suppress(EOFError, OSError), open(back, "wb") as line:
+        while size := sys.stdin.buffer.read(SIZE):
+            function, arguments = pickle.loads(sys.stdin.buffer.read(int.from_bytes(size, "big")))
+            try:
+                answer = (True, function(*arguments))
+            except Exception as error:  # any error is passed on to the caller
+                answer = (False, error)
+            reply = pickle.dumps(answer)
+            line.write(len(reply).to_bytes(SIZE, "big") + reply)
+            line.flush()
+    return 0

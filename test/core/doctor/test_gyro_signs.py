@@ -1,0 +1,34 @@
+import numpy as np
+import pytest
+
+from magcal_ros.core.doctor.refusal import gyro_contradicts
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+
+
+def leaning_turn(seed=1):
+    robot = Robot(gyro_bias=np.array([0.02, -0.01, 0.03]))
+    rng = np.random.default_rng(seed)
+    wobble = smooth_wobble(rng, 500, 15.0, 0.1)
+    return measure(robot, turn(wobble=wobble), rng, gyro=True)
+
+
+def with_signs(window, signs):
+    rate = window.angular_rate * np.array(signs)
+    return Window(window.time, window.field, window.specific_force, rate)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_true_gyro_is_believed(seed):
+    assert not gyro_contradicts(leaning_turn(seed))
+
+
+@pytest.mark.parametrize("signs", [(-1, -1, -1), (-1, -1, 1)])
+def test_axes_that_turn_the_wrong_way_are_found(signs):
+    assert gyro_contradicts(with_signs(leaning_turn(), signs))
+
+
+def test_on_the_level_and_without_a_gyro_nothing_is_said():
+    level = measure(Robot(), turn(), np.random.default_rng(1), gyro=True)
+    assert not gyro_contradicts(with_signs(level, (-1, -1, -1)))
+    assert not gyro_contradicts(measure(Robot(), turn(), np.random.default_rng(1)))

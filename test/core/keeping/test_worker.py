@@ -1,0 +1,80 @@
+"""What road says of two calibrations, one of them fitted anew on the way."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.keeping.candidates import Kind
+from magcal_ros.core.keeping.jobs import Contest, Step
+from magcal_ros.core.keeping.worker import prove
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.drive import Fence, Vehicle, simulated_drive
+from magcal_ros.core.simulation.legs import city
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.smoothing.log import log_of
+
+BOSTON = knowledge_of(51.3, inclination_deg=66.3)
+ROBOT = Robot(strength=51.3e-6, inclination=math.radians(66.3), noise_field=0.3e-6)
+RIGHT = ROBOT.true_correction
+OLD, WORSE = (
+    Vehicle(ROBOT).with_iron(np.array([0.0, iron, 0.0])).robot.true_correction
+    for iron in (15e-6, 30e-6)
+)
+
+
+def driven(**options):
+    rng = np.random.default_rng(4)
+    way = travel(city(rng, 120.0), rng, rate=10.0)
+    drive = simulated_drive(way, rng, Vehicle(ROBOT), **options)
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    return log_of(window).nodes(np.eye(3))
+
+
+def proved(road, *steps, old=OLD):
+    return prove(road, Contest("it", old, steps), BOSTON)
+
+
+@pytest.fixture(scope="module")
+def road():
+    return driven()
+
+
+def test_the_right_one_explains_the_road_in_both_halves(road):
+    proof = proved(road, Step(road.time[0], RIGHT))
+    assert proof.likelihood > 10.0
+    assert min(proof.halves) > 5.0
+    assert "quieter" in proof.stands(kind=Kind.IRON)
+
+
+def test_road_before_the_first_fit_does_not_count(road):
+    proof = proved(road, Step(road.time[-1] - 30.0, RIGHT))
+    assert proof.seconds < 30.0
+    assert proved(road, Step(road.time[-1], RIGHT)).seconds == 0.0
+
+
+def test_a_fit_counts_only_for_the_road_after_it(road):
+    middle = 0.5 * (road.time[0] + road.time[-1])
+    first, last = Step(road.time[0], WORSE), Step(middle, RIGHT)
+    both = proved(road, first, last).likelihood
+    assert proved(road, first).likelihood < both
+    assert both < proved(road, first._replace(correction=RIGHT)).likelihood
+
+
+def test_iron_that_came_is_spoken_against_by_no_heading(road):
+    assert proved(road, Step(road.time[0], RIGHT)).against < 0.5
+
+
+@pytest.mark.parametrize("heading", [0.0, 90.0, 180.0, 270.0])
+def test_steel_on_one_side_of_the_way_is_no_iron_that_came(heading):
+    side = (0.0, 15e-6, 0.0)
+    road = driven(fences=(Fence(side, math.radians(heading), math.radians(100.0)),))
+    proof = proved(road, Step(road.time[0], OLD), old=RIGHT)
+    assert proof.against > 1.5
+    assert proof.stands(kind=Kind.IRON) == ""
+    explained = replace(proof, turns=0, likelihood=20.0, halves=(5.0, 5.0))
+    assert explained.stands(kind=Kind.IRON) == ""
+    assert replace(explained, against=0.5).stands(kind=Kind.IRON)

@@ -1,0 +1,146 @@
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.default_paths import (
+    LONGEST_FRAME,
+    RESERVED,
+    SensorFile,
+    chosen_path,
+    is_missing,
+    known_as,
+    ros_home,
+    safe_name,
+)
+
+pytestmark = pytest.mark.faults
+
+HOSTILE = [
+    "../../x", "..", ".", "", "/", "a/b", "a_b", "/etc/passwd", "x" * 300, "x" * 301, "x" * 80,
+    "µ-meter", "磁力計", "a b", "a\0b", "a\nb", "~", "$HOME", "mag.yaml", "unnamed", "-rf", "C:\\x",
+    "\ud800", "?", "con", "NUL", "com1", "LPT9",
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path_factory, monkeypatch):
+    folder = tmp_path_factory.mktemp("home")
+    monkeypatch.setenv("ROS_HOME", str(folder))
+    return folder
+
+
+@pytest.mark.parametrize("namespace", ["/", "/robot", "/../..", "/a/b"])
+def test_a_file_lies_inside_the_folder_and_can_be_made(home, namespace):
+    for frame in HOSTILE:
+        path = SensorFile(frame, namespace).path
+        assert (home / "magcal") in path.resolve().parents, frame
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+        assert [found for found in home.rglob("*") if found.is_file()] == [path], frame
+        path.unlink()
+
+
+def test_names_that_differ_never_share_a_file():
+    names = [*HOSTILE, *(safe_name(name) for name in HOSTILE)]
+    assert len({safe_name(name) for name in set(names)}) == len(set(names))
+
+
+@given(st.text(max_size=100), st.text(max_size=100))
+def test_any_two_names_stay_apart(a, b):
+    assert (safe_name(a) == safe_name(b)) == (a == b)
+
+
+@given(st.text(max_size=400))
+def test_a_name_of_a_digest_is_no_way_to_meet(text):
+    taken = safe_name(text)
+    assert safe_name(taken) != taken or taken == text
+
+
+@given(st.text(max_size=400))
+def test_a_safe_name_is_plain_and_short(text):
+    assert len(safe_name(text)) <= 90
+    assert set(safe_name(text)) <= set(
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-"
+    )
+
+
+def test_an_ordinary_name_stays_readable(home):
+    assert SensorFile("imu_link").path == home / "magcal" / "calibrator.imu_link.yaml"
+    assert SensorFile("mag", "/robot1", "left").path == home / "magcal/robot1/left.mag.yaml"
+    assert SensorFile("").path == home / "magcal" / "calibrator.magnetometer.yaml"
+
+
+def test_nodes_sensors_and_namespaces_have_files_of_their_own():
+    spaces = ["/", "/a/b", "/a_b", "/a", "/b/a", "/ab", "/left", "/calibrator"]
+    nodes = ["left", "right", "calibrator", "a"]
+    frames = ["imu_link", "left", "right", "a", ""]
+    files = [SensorFile(f, s, n) for f in frames for s in spaces for n in nodes]
+    assert len({file.path for file in files}) == len(files)
+    assert not {file.path for file in files} & {file.former for file in files}
+
+
+class TestFormerFiles:
+    """Until now the nodes of a namespace shared a file for each frame."""
+
+    def make(self, path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+        return path
+
+    def test_the_default_node_finds_its_former_file_until_it_has_its_own(self, home):
+        file = SensorFile("imu_link", "/robot")
+        assert file.find() == file.path
+        former = self.make(home / "magcal" / "robot" / "imu_link.yaml")
+        assert file.find() == former
+        self.make(file.path)
+        assert file.find() == file.path
+
+    def test_a_former_file_that_may_be_the_neighbours_is_not_taken_silently(self, home):
+        former = self.make(home / "magcal" / "imu_link.yaml")
+        right = SensorFile("imu_link", node="right")
+        with pytest.raises(FileTrouble, match=f"mv {former} {right.path}"):
+            right.find()
+        self.make(right.path)
+        assert right.find() == right.path
+
+    def test_a_sensor_without_a_frame_finds_its_former_file(self, home):
+        former = self.make(home / "magcal" / "magnetometer.yaml")
+        assert SensorFile("").find() == former
+
+
+def test_without_ros_home_it_is_the_users(monkeypatch):
+    monkeypatch.setenv("ROS_HOME", "")
+    monkeypatch.setenv("HOME", "/somewhere")
+    assert ros_home() == Path("/somewhere/.ros")
+
+
+@pytest.mark.parametrize("frame", ["con", "NUL", "Com1", "lpt9"])
+def test_names_that_are_devices_elsewhere_are_no_files(frame):
+    assert not RESERVED.match(safe_name(frame))
+
+
+def test_a_home_that_does_not_exist_is_trouble_in_words(monkeypatch):
+    with pytest.raises(FileTrouble, match="no home folder for '~nobody_of_this_name/x'"):
+        chosen_path("~nobody_of_this_name/x")
+    monkeypatch.setenv("ROS_HOME", "~nobody_of_this_name")
+    with pytest.raises(FileTrouble, match="set ROS_HOME"):
+        _ = SensorFile("mag").path
+
+
+def test_only_what_is_surely_not_there_is_missing(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert is_missing(tmp_path / "nothing")
+    assert is_missing(tmp_path / "file" / "below")
+    assert not is_missing(tmp_path / "file")
+    # What cannot be looked at is left to whoever reads it, to be said.
+    assert not is_missing(tmp_path / ("x" * 300))
+    assert not is_missing(Path("a\0b"))
+
+
+@given(st.text(max_size=3 * LONGEST_FRAME), st.text(max_size=3 * LONGEST_FRAME))
+def test_a_frame_is_known_by_a_short_name_of_its_own(a, b):
+    assert (known_as(a) == known_as(b)) == (a == b)
+    assert len(known_as(a)) < LONGEST_FRAME + 10

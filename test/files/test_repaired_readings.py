@@ -1,0 +1,69 @@
+"""Recordings that were stamped when a buffer was read, told as they were measured."""
+
+import numpy as np
+import pytest
+from drives import drive, write_bag, write_csv
+
+from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.files.repaired_readings import RepairedReadings
+from magcal_ros.files.sources import open_recording
+
+PERIOD = 0.8
+
+
+def buffered(samples, sensors=(True, False)):
+    """Stamp the samples of some sensors, IMU or not, when a buffer would have been read."""
+    return [
+        sample._replace(stamp=(sample.stamp // PERIOD + 1.0) * PERIOD)
+        if isinstance(sample, ImuSample) in sensors
+        else sample
+        for sample in samples
+    ]
+
+
+def stamps(samples, of_imu):
+    return np.array([s.stamp for s in samples if isinstance(s, ImuSample) is of_imu])
+
+
+def read(path):
+    with open_recording(path) as source:
+        readings = RepairedReadings(source)
+        return list(readings), readings.notes
+
+
+@pytest.fixture(scope="module")
+def turn():
+    return list(drive(400.0))
+
+
+@pytest.mark.parametrize("write", [write_csv, write_bag])
+def test_a_turn_stamped_in_bursts_is_told_as_it_was_measured(write, turn, tmp_path):
+    samples, notes = read(write(tmp_path / "one", buffered(turn)))
+    for of_imu in (True, False):
+        late = stamps(samples, of_imu) - stamps(turn, of_imu)
+        assert np.ptp(late) < 0.06
+        assert abs(np.median(late)) < 0.06
+    assert len(notes) == 1
+    assert f"bursts, {PERIOD:.2f} s apart" in notes[0]
+    assert " and " in notes[0].partition(":")[0]
+
+
+def test_one_sensor_alone_may_be_buffered(turn, tmp_path):
+    samples, notes = read(write_csv(tmp_path / "one", buffered(turn, sensors=(False,))))
+    np.testing.assert_array_equal(stamps(samples, True), stamps(turn, True))
+    assert np.ptp(stamps(samples, False) - stamps(turn, False)) < 0.06
+    assert notes[0].startswith("mag.csv: ")
+
+
+def test_even_stamps_are_left_alone(turn, tmp_path):
+    samples, notes = read(write_csv(tmp_path / "one", turn))
+    assert samples == turn
+    assert notes == []
+
+
+def test_a_pause_is_not_spread_over(turn, tmp_path):
+    late = [s._replace(stamp=s.stamp + 30.0 * (s.stamp > turn[900].stamp)) for s in turn]
+    samples, notes = read(write_csv(tmp_path / "one", buffered(late)))
+    for of_imu in (True, False):
+        np.testing.assert_array_equal(stamps(samples, of_imu), stamps(buffered(late), of_imu))
+    assert notes == []

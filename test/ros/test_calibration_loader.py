@@ -1,0 +1,244 @@
+"""A sensor is met: its file is read once, elsewhere, and whatever its name does meanwhile."""
+
+import math
+import threading
+
+import pytest
+from support import PATIENCE, REFERENCE, store_calibration
+
+from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.ros import keeper as keeper_module
+from magcal_ros.ros.calibration_loader import CalibrationLoader
+from magcal_ros.ros.inputs import Sensor
+from magcal_ros.ros.keeper import Keeper
+
+pytestmark = pytest.mark.faults
+
+
+class Elsewhere:
+    """A runner that does its work when it is told to."""
+
+    def __init__(self):
+        self.waiting = []
+
+    def run(self, work, then, otherwise):
+        self.waiting.append((work, then, otherwise))
+
+    def go(self):
+        work, then, otherwise = self.waiting.pop(0)
+        try:
+            result = work()
+        except Exception as error:
+            otherwise(error)
+        else:
+            then(result)
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Return the paths that are read from the disk, in their order."""
+    paths = []
+
+    def read(path):
+        paths.append(path.name)
+        return read_calibration(path)
+
+    monkeypatch.setattr(keeper_module, "read_calibration", read)
+    return paths
+
+
+@pytest.fixture
+def met(ros_home, reads):
+    """Return loader, their runner, keeper and log; the file of left is there, no other."""
+    store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
+    keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
+    return CalibrationLoader(keeper, files, lambda: "", log.append, log.append), files, keeper, log
+
+
+def test_what_is_met_is_loaded_from_its_file_and_said(met):
+    loader, files, keeper, log = met
+    loader.meet("left")
+    assert keeper.calibration is None
+    files.go()
+    assert keeper.origin.magnetometer_frame == "left"
+    assert "left.yaml" in log[0]
+
+
+def test_alternating_names_read_each_file_once(met, reads):
+    loader, files, keeper, _ = met
+    for _ in range(20):
+        for frame in ("right", "left", ""):
+            loader.meet(frame)
+        while files.waiting:
+            files.go()
+    assert reads == ["calibrator.left.yaml"]
+    assert keeper.origin.magnetometer_frame == "left"
+
+
+def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
+    loader, files, keeper, _ = met
+    for k in range(200):
+        loader.meet(f"name_{k}")
+    loader.meet("left")
+    assert len(files.waiting) == 1
+    while files.waiting:
+        files.go()
+    assert reads == ["calibrator.left.yaml"]
+    assert keeper.calibration is not None
+
+
+def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    loader.meet("right")
+    while files.waiting:
+        files.go()
+    assert keeper.calibration is None
+    loader.meet("left")
+    assert keeper.calibration is not None
+    assert reads == ["calibrator.left.yaml"]
+
+
+def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    files.go()
+    loader.forget()
+    keeper.reset()
+    loader.meet("right")
+    while files.waiting:
+        files.go()
+    loader.meet("left")
+    assert keeper.calibration is None
+
+
+def test_what_is_reset_while_it_is_read_is_not_used(met):
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    loader.forget()
+    files.go()
+    assert keeper.calibration is None
+    loader.meet("")
+    loader.meet("left")
+    assert keeper.calibration is None
+
+
+def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
+    chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
+    keeper, files = Keeper("/", "calibrator", lambda *_: None), Elsewhere()
+    loader = CalibrationLoader(keeper, files, lambda: str(chosen), print, print)
+    loader.begin()
+    files.go()
+    loader.forget()
+    keeper.reset()
+    loader.meet("left")
+    while files.waiting:
+        files.go()
+    assert keeper.calibration is None
+
+
+def test_a_turn_that_is_faster_than_the_disk_wins(met):
+    loader, files, keeper, _ = met
+    loader.meet("left")
+    loaded = keeper.read("", "left")
+    keeper.use(loaded)
+    before = keeper.calibration
+    files.go()
+    assert keeper.calibration is before
+
+
+def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
+    _, _, keeper, _ = met
+    path = ros_home / "magcal" / "calibrator.left.yaml"
+    keeper.read("", "left")
+    keeper.read("", "left")
+    store_calibration(path, pull=0.25, frame="left")
+    assert keeper.read("", "left").calibration.evidence.figures["steady_pull"] == 0.25
+    assert len(reads) == 2
+
+
+def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
+    loader, files, keeper, log = met
+    (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
+    loader.meet("bad")
+    files.go()
+    assert "Running uncalibrated" in log[0]
+    assert "bad.yaml" in keeper.trouble
+
+
+def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
+    chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
+    keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
+    loader = CalibrationLoader(keeper, files, lambda: str(chosen), log.append, log.append)
+    loader.begin()
+    files.go()
+    assert keeper.calibration is not None
+    loader.meet("right")
+    assert keeper.calibration is None
+    assert "made for the magnetometer 'left'" in keeper.trouble
+
+
+class TestSensor:
+    def sensor(self):
+        now = [0.0]
+        return Sensor("/mag", lambda: now[0]), now
+
+    def test_it_is_met_with_its_first_message_and_with_each_new_name(self):
+        sensor, _ = self.sensor()
+        met = [sensor.heard(frame) for frame in ("", "", "a", "a", "b", "a")]
+        assert met == [True, False, True, False, True, True]
+
+    def test_its_age_and_silence_are_by_the_clock(self):
+        sensor, now = self.sensor()
+        assert sensor.age() == math.inf
+        sensor.heard("a")
+        now[0] = 3.5
+        assert sensor.age() == 3.5
+        assert sensor.complaint() == "/mag has been silent for 4 s"
+
+    def test_names_that_alternate_are_a_complaint_until_they_stop(self):
+        sensor, _ = self.sensor()
+        for k in range(9):
+            sensor.heard("ab"[k % 2])
+        words = "the frame of /mag changes between 'a' and 'b': only one can be the sensor"
+        assert sensor.complaint() == words
+        sensor.look()
+        assert sensor.complaint() == words
+        sensor.look()
+        assert sensor.complaint() == ""
+
+    def test_one_new_name_is_none(self):
+        sensor, _ = self.sensor()
+        for frame in ("", "a", "a"):
+            sensor.heard(frame)
+        assert sensor.complaint() == ""
+
+
+def test_a_slow_disk_and_alternating_names_hold_no_call_up(stage, ros_home, monkeypatch):
+    for frame in ("left", "right"):
+        store_calibration(ros_home / "magcal" / f"calibrator.{frame}.yaml", frame=frame)
+    begun, disk_answers = [], threading.Event()
+
+    def crawl(path):
+        begun.append(path)
+        disk_answers.wait()
+        return read_calibration(path)
+
+    monkeypatch.setattr(keeper_module, "read_calibration", crawl)
+    actor = stage(parameters=REFERENCE)
+    header = actor.source._field.header
+    names = iter(["left", "right"] * 10_000)
+
+    def alternate(sample):
+        header.frame_id = next(names)
+        return [sample]
+
+    actor.mangle = alternate
+    try:
+        actor.run(PATIENCE, stop=lambda: bool(begun))
+        assert actor.answer(actor.call("reset")).success
+        words = "the frame of /imu/mag changes between 'left' and 'right'"
+        actor.run(PATIENCE, stop=lambda: words in " ".join(actor.status["complaints"]))
+        assert words in " ".join(actor.status["complaints"])
+    finally:
+        disk_answers.set()

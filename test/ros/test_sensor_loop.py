@@ -1,0 +1,204 @@
+"""The sensors' loop: nothing lost, and rclpy's own executor where it must."""
+
+import contextlib
+import itertools
+import threading
+import time
+
+import other_rclpy
+import pytest
+import rclpy
+from rclpy.duration import Duration
+from std_msgs.msg import Float64
+from support import PATIENCE, wait_until
+
+from magcal_ros.ros import sensor_loop
+from magcal_ros.ros.sensor_loop import MOST_AT_ONCE, SensorGroup
+from magcal_ros.ros.spinner import Spinner
+
+
+class Served:
+    """A node that hears numbers, spun in a thread as the executable spins."""
+
+    def __init__(self):
+        self.node = rclpy.create_node("served")
+        self.group, self.heard, self.errors = SensorGroup(), [], []
+        self.subscription = self.node.create_subscription(
+            Float64, "number", self.hear, 100, callback_group=self.group
+        )
+        self.aside = []
+        unhurried = self.node.create_subscription(
+            Float64,
+            "aside",
+            lambda message: self.aside.append(message.data),
+            100,
+            callback_group=self.group,
+        )
+        self.spinner = Spinner(
+            self.node, [self.subscription], self.group, self.errors.append, [unhurried]
+        )
+        self.thread = threading.Thread(target=self.spinner.spin, daemon=True)
+        self.on_number = self.heard.append
+
+    def hear(self, message):
+        self.on_number(message.data)
+
+    def close(self):
+        assert self.spinner.shutdown(timeout_sec=PATIENCE)
+        if self.thread.ident:
+            self.thread.join(PATIENCE)
+        assert not self.thread.is_alive()
+        self.node.destroy_node()
+
+
+@pytest.fixture
+def served(graph):
+    """Return a node that is not spun yet."""
+    served = Served()
+    yield served
+    served.close()
+
+
+@contextlib.contextmanager
+def publishing(topic):
+    """Publish numbers with what is given, which waits until they lie before the node."""
+    node = rclpy.create_node("outside")
+    publisher = node.create_publisher(Float64, topic, 100)
+    wait_until(publisher.get_subscription_count)
+
+    def publish(*values):
+        for value in values:
+            publisher.publish(Float64(data=float(value)))
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+
+    yield publish
+    node.destroy_node()
+
+
+@pytest.fixture
+def number(served):
+    """Return a function that publishes numbers to the node."""
+    with publishing("number") as publish:
+        yield publish
+
+
+@pytest.fixture
+def warnings(served, monkeypatch):
+    """Return what the node has warned of."""
+    lines = []
+    logger = served.node.get_logger()
+    monkeypatch.setattr(logger, "warning", lines.append)
+    monkeypatch.setattr(served.node, "get_logger", lambda: logger)
+    return lines
+
+
+def test_unhurried_messages_come_with_the_next_of_the_others(served, number):
+    with publishing("aside") as aside:
+        served.thread.start()
+        number(1.0)
+        wait_until(lambda: served.heard == [1.0])
+        aside(*range(40))
+        time.sleep(0.2)
+        assert served.aside == []
+        for step in range(10):
+            number(step)
+            wait_until(lambda: len(served.heard) == step + 2)  # noqa: B023
+        wait_until(lambda: served.aside == list(range(40)))
+
+
+def test_every_message_comes_once_and_in_order(served, number):
+    served.thread.start()
+    number(*range(80))
+    wait_until(lambda: len(served.heard) >= 80)
+    time.sleep(0.05)
+    assert served.heard == list(range(80))
+    assert not served.group.is_open
+
+
+@pytest.mark.parametrize("uses", [0, 7])
+@pytest.mark.parametrize(("owner", "name"), other_rclpy.CALLS)
+def test_a_call_that_vanishes_leaves_the_rest_to_rclpy(served, number, warnings, owner, name, uses):
+    """At once or in mid-spin: each message once, in order, and one line about it."""
+    bring_back = other_rclpy.vanish(owner, name, uses)
+    try:
+        served.thread.start()
+        for k in range(80):
+            number(k)
+            time.sleep(0.002)
+        wait_until(lambda: len(served.heard) >= 80)
+        time.sleep(0.05)
+    finally:
+        bring_back()
+    assert served.heard == list(range(80))
+    assert served.group.is_open
+    assert not served.errors
+    assert len(warnings) == 1
+    assert name in warnings[0]
+    assert "rclpy's own executor serves the sensors from now on" in warnings[0]
+
+
+def test_an_rclpy_without_a_wait_set_serves_itself(served, number, warnings, monkeypatch):
+    from rclpy.impl import implementation_singleton
+
+    with monkeypatch.context() as patched:
+        patched.delattr(implementation_singleton, "rclpy_implementation")
+        served.thread.start()
+        wait_until(lambda: warnings)
+    number(1)
+    wait_until(lambda: served.heard == [1.0])
+
+
+def test_an_error_in_the_callback_is_noted_and_no_fault_of_rclpys(served, number, warnings):
+    def fail_at_odd_numbers(value):
+        if value % 2.0:
+            # As rclpy's inside would fail.
+            raise AttributeError("of the callback's own")
+        served.heard.append(value)
+
+    served.on_number = fail_at_odd_numbers
+    served.thread.start()
+    number(*range(40))
+    wait_until(lambda: len(served.heard) == 20)
+    assert len(served.errors) == 20
+    assert not warnings
+    assert not served.group.is_open
+
+
+def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
+    """Between any two pieces somebody else may have the lock."""
+    turns = []
+
+    class Lock:
+        def __enter__(self):
+            turns.append(len(served.heard))
+
+        def __exit__(self, *_):
+            pass
+
+    loop = sensor_loop.SensorLoop(
+        served.node, [served.subscription], served.group, Lock(), served.errors.append, print
+    )
+    number(*range(90))
+    loop.start()
+    wait_until(lambda: len(served.heard) == 90)
+    loop.end()
+    assert loop.join(PATIENCE)
+    assert max(b - a for a, b in itertools.pairwise(turns)) == MOST_AT_ONCE
+
+
+def test_a_node_that_nobody_took_over_is_served_by_any_executor(served, number):
+    executor = rclpy.executors.SingleThreadedExecutor()
+    executor.add_node(served.node)
+    number(5)
+    wait_until(lambda: executor.spin_once(timeout_sec=0.05) or served.heard == [5.0])
+    executor.shutdown()
+
+
+def test_what_ends_before_it_begins_ends(served, number):
+    served.spinner.end()
+    served.thread.start()
+    served.thread.join(PATIENCE)
+    assert not served.thread.is_alive()
+    number(1)
+    time.sleep(0.1)
+    assert not served.heard

@@ -1,0 +1,150 @@
+"""The process beside the node: its answers, its faults, and its end."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import PATIENCE
+
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import centred
+from magcal_ros.ros.worker_process import Lost, Stopped, WorkerProcess
+
+
+@pytest.fixture
+def worker():
+    process = WorkerProcess()
+    yield process
+    process.stop()
+
+
+def is_gone(pid, patience=PATIENCE):
+    deadline = time.monotonic() + patience
+    while time.monotonic() < deadline:
+        try:
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        except FileNotFoundError:
+            return True
+        if state == "Z":
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_it_answers_from_another_process_and_stays(worker):
+    first = worker.run(os.getpid)
+    assert first != os.getpid()
+    assert worker.run(os.getpid) == first
+    assert worker.run(divmod, 17, 5) == (3, 2)
+
+
+def test_a_fault_comes_back_as_it_was_raised(worker):
+    with pytest.raises(Refusal) as caught:
+        worker.run(centred, np.full((9, 3), np.nan), 3, "circle")
+    assert caught.value.reason is Reason.NOT_FINITE
+    assert worker.run(divmod, 17, 5) == (3, 2)
+
+
+def test_ended_for_good_it_is_not_started_again(worker):
+    pid = worker.run(os.getpid)
+    worker.end()
+    assert is_gone(pid)
+    with pytest.raises(Stopped):
+        worker.run(os.getpid)
+
+
+def test_stopping_ends_a_call_at_once_and_the_next_starts_anew(worker):
+    pid = worker.run(os.getpid)
+    ends = []
+
+    def wait():
+        with pytest.raises(Stopped):
+            worker.run(time.sleep, 600.0)
+        ends.append(True)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    time.sleep(0.1)
+    worker.stop()
+    thread.join(PATIENCE)
+    assert ends
+    assert is_gone(pid)
+    assert worker.run(os.getpid) != pid
+
+
+def test_a_process_that_dies_is_replaced(worker):
+    pid = worker.run(os.getpid)
+    os.kill(pid, signal.SIGKILL)
+    assert is_gone(pid)
+    assert worker.run(os.getpid) != pid
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        (signal.SIGKILL, "killed (SIGKILL)"),
+        (signal.SIGSTOP, "stopped (SIGSTOP)"),
+        (signal.SIGTERM, "SIGTERM"),
+    ],
+)
+def test_what_happens_to_it_in_a_call_is_said_in_words(worker, how, words):
+    pid = worker.run(os.getpid)
+    with pytest.raises(Lost) as caught:
+        worker.run(os.kill, pid, how)
+    assert words in str(caught.value)
+    assert is_gone(pid)
+    assert worker.run(os.getpid) != pid
+
+
+def test_a_stopped_process_is_noticed_while_it_is_given_its_work(worker):
+    pid = worker.run(os.getpid)
+    os.kill(pid, signal.SIGSTOP)
+    with pytest.raises(Lost, match="SIGSTOP"):
+        worker.run(len, bytes(10**6))
+
+
+def test_without_room_for_a_process_the_caller_is_told_why(worker, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(subprocess, "Popen", fail)
+        with pytest.raises(Lost, match="cannot be started: Too many open files"):
+            worker.run(os.getpid)
+        worker.stop()
+    assert worker.run(os.getpid)
+
+
+def test_what_a_call_prints_is_no_answer(worker):
+    assert worker.run(os.system, "echo not an answer >&1") == 0
+    assert worker.run(divmod, 17, 5) == (3, 2)
+
+
+ORPHAN = """
+import os, signal
+from magcal_ros.ros.worker_process import WorkerProcess
+if __name__ == "__main__":
+    print(WorkerProcess().run(os.getpid), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_it_does_not_outlive_a_node_that_is_killed(tmp_path):
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert is_gone(int(done.stdout))
+
+
+def test_ctrl_c_in_the_terminal_does_not_reach_it(worker):
+    pid = worker.run(os.getpid)
+    os.kill(pid, signal.SIGINT)
+    assert worker.run(os.getpid) == pid
