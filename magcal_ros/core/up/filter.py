@@ -1,13 +1,15 @@
-"""Up, gyro bias and linear acceleration, estimated together.
+"""Up, gyro bias and the robot's velocity, estimated together.
 
 The accelerometer of a robot that speeds up, brakes or circles points away from up. The gyro
 propagates up through this, but drifts. What tells them apart: up stays where it is in the world,
-the acceleration in a steady circle stays where it is in the body, and none lasts for ever.
+the velocity where it is in the body: in a steady circle it is accelerated by turn rate x velocity
+for however long, and what is left is soon over.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,11 +21,33 @@ from magcal_ros.core.up.up_tuning import FilterTuning
 IDENTITY: FloatArray = np.eye(3)
 
 
-class UpFilter:
-    """A Kalman filter on up (g), gyro bias (rad/s) and linear acceleration (g), body axes.
+@dataclass(frozen=True)
+class Motion:
+    """How fast a robot may be, and how it may speed up and brake.
 
-    The accelerometer reads up + linear acceleration. Both are vectors of any length, so that the
-    model is linear and a scale error of the accelerometer is taken up by the length of up.
+    Parameters
+    ----------
+    speed : float
+        g s, sigma per axis.
+    acceleration : float
+        g, sigma per axis.
+    """
+
+    speed: float
+    acceleration: float
+
+    def step(self, seconds: float, lasting: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+        """Return what is left of both after some seconds, and the variance that is new in them."""
+        keeps = np.array([math.exp(-seconds / each) for each in lasting])
+        return keeps, np.array([self.speed, self.acceleration]) ** 2 * (1.0 - keeps**2)
+
+
+class UpFilter:
+    """A Kalman filter on up (g), gyro bias (rad/s), velocity (g s) and acceleration (g), body axes.
+
+    The accelerometer reads up + acceleration + turn rate x velocity. Up is a vector of any
+    length, so that the model is linear and a scale error of the accelerometer is taken up by the
+    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of a `Motion`'s sizes.
 
     Parameters
     ----------
@@ -33,8 +57,8 @@ class UpFilter:
 
     def __init__(self, tuning: FilterTuning | None = None) -> None:
         self.tuning = tuning or FilterTuning()
-        self.state: FloatArray = np.zeros(9)
-        self.covariance: FloatArray = np.zeros((9, 9))
+        self.state: FloatArray = np.zeros(12)
+        self.covariance: FloatArray = np.zeros((12, 12))
         self.covariance[3:6, 3:6] = IDENTITY * self.tuning.bias_sigma**2
 
     @property
@@ -68,24 +92,27 @@ class UpFilter:
         along = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
         return max(0.0, float(along / square))
 
-    def begin(self, force: FloatArray, variance: float, acceleration_sigma: float) -> None:
+    def begin(self, force: FloatArray, variance: float, rate: float, motion: Motion) -> None:
         """Start from one accelerometer reading (over gravity); what is known of the bias stays."""
         own = self.covariance[3:6, 3:6].copy()
+        turning = _sideways(force, rate)
         self.covariance[:] = 0.0
-        self.covariance[:3, :3] = IDENTITY * (variance + acceleration_sigma**2)
         self.covariance[3:6, 3:6] = own
-        self.covariance[6:, 6:] = IDENTITY * acceleration_sigma**2
-        self.covariance[:3, 6:] = self.covariance[6:, :3] = -IDENTITY * acceleration_sigma**2
+        self.covariance[6:9, 6:9] = IDENTITY * motion.speed**2
+        self.covariance[9:, 9:] = IDENTITY * motion.acceleration**2
+        moved = np.hstack([turning * motion.speed**2, IDENTITY * motion.acceleration**2])
+        self.covariance[:3, 6:], self.covariance[6:, :3] = -moved, -moved.T
+        self.covariance[:3, :3] = moved[:, :3] @ turning.T + moved[:, 3:] + IDENTITY * variance
         self.state[:3], self.state[6:] = force, 0.0
 
     def forget_acceleration(self, sigma: float) -> None:
         """From now on the linear acceleration may be another one."""
-        self.covariance[6:] = 0.0
-        self.covariance[:, 6:] = 0.0
-        self.covariance[6:, 6:] = IDENTITY * sigma**2
-        self.state[6:] = 0.0
+        self.covariance[9:] = 0.0
+        self.covariance[:, 9:] = 0.0
+        self.covariance[9:, 9:] = IDENTITY * sigma**2
+        self.state[9:] = 0.0
 
-    def predict(self, up: FloatArray, turned: FloatArray, seconds: float, sigma: float) -> None:
+    def predict(self, up: FloatArray, turned: FloatArray, seconds: float, motion: Motion) -> None:
         """Go on by a block of messages.
 
         Parameters
@@ -96,34 +123,46 @@ class UpFilter:
             Radians that the body turned by, body axes.
         seconds : float
             How long the block took.
-        sigma : float
-            How large a linear acceleration may be, g.
+        motion : Motion
+            How the robot may move.
         """
         angle = length(turned.tolist())
-        keeps = math.exp(-seconds / self.tuning.acceleration_lasts)
-        transition = np.zeros((9, 9))
+        lasting = (self.tuning.speed_lasts, self.tuning.acceleration_lasts)
+        keeps, grows = motion.step(seconds, lasting)
+        transition = np.zeros((12, 12))
         transition[:3, :3] = exp_rotation(-turned)
         transition[:3, 3:6] = -skew(up) * seconds
         transition[3:6, 3:6] = IDENTITY
-        transition[6:, 6:] = IDENTITY * keeps
+        transition.flat[78::13] = np.repeat(keeps, 3)
         self.state[:3] = up
-        self.state[6:] *= keeps
-        grown = np.empty(9)
-        grown[:3] = self.tuning.angle_walk**2 * seconds + self.tuning.turn_error**2 * angle
-        grown[3:6] = self.tuning.bias_walk**2 * seconds
-        grown[6:] = sigma**2 * (1.0 - keeps**2)
-        acceleration = length(self.state[6:].tolist())
-        if acceleration > self.tuning.implausible * sigma:
-            grown[:3] += acceleration**2 * seconds / self.tuning.regain
+        self.state[6:] *= np.repeat(keeps, 3)
         self.covariance = transition @ self.covariance @ transition.T
-        self.covariance.flat[::10] += grown
+        grown = self.tuning.angle_walk**2 * seconds + self.tuning.turn_error**2 * angle
+        acceleration = length(self.state[9:].tolist())
+        if acceleration > self.tuning.implausible * motion.acceleration:
+            grown += acceleration**2 * seconds / self.tuning.regain
+        added = [grown, self.tuning.bias_walk**2 * seconds, *grows]
+        self.covariance.flat[::13] += np.repeat(added, 3)
 
-    def observe_force(self, innovation: FloatArray, variance: float) -> None:
-        """Take the mean of accelerometer less propagated up over a block, and its variance."""
-        p = self.covariance
-        gain_rows = p[:, :3] + p[:, 6:]
-        spread = gain_rows[:3] + gain_rows[6:] + IDENTITY * (variance + self.tuning.floor**2)
-        self._correct(gain_rows, spread, innovation - self.state[6:])
+    def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
+        """Take the mean of accelerometer less propagated up over a block, and its variance.
+
+        Parameters
+        ----------
+        innovation : ndarray, shape (3,)
+            g.
+        variance : float
+            Of its noise, g².
+        rate : float
+            Of the turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than
+            turning, and an engine shakes sensor and seat in one time.
+        """
+        p, turning = self.covariance, _sideways(self.state[:3], rate)
+        gain_rows = p[:, :3] + p[:, 6:9] @ turning.T + p[:, 9:]
+        spread = gain_rows[:3] + turning @ gain_rows[6:9] + gain_rows[9:]
+        spread += IDENTITY * (variance + self.tuning.floor**2)
+        left = innovation - turning @ self.state[6:9] - self.state[9:]
+        self._correct(gain_rows, spread, left)
 
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
@@ -149,7 +188,7 @@ class UpFilter:
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         gain_rows = self.covariance[:, 3:6] @ shown
-        noise = IDENTITY * (variance + self.tuning.steady_rate**2)
+        noise = IDENTITY * variance
         spread = shown @ gain_rows[3:6] + noise
         self._correct(gain_rows, spread, shown @ (rate - self.state[3:6]))
 
@@ -170,3 +209,9 @@ class UpFilter:
         self.state += gain @ innovation
         p = self.covariance - gain @ gain_rows.T
         self.covariance = 0.5 * (p + p.T)
+
+
+def _sideways(up: FloatArray, rate: float) -> FloatArray:
+    """Return what makes of a velocity its acceleration in a turn about up at a rate in rad/s."""
+    size = length(up.tolist())
+    return skew(up) * (rate / size) if size > 0.0 else np.zeros((3, 3))

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, distance, dot, length, propagated, unit_triple
 from magcal_ros.core.up.field_stillness import FieldStillness
-from magcal_ros.core.up.filter import UpFilter
+from magcal_ros.core.up.filter import Motion, UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
 from magcal_ros.core.up.shaken_rest import ShakenRest
 from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
@@ -92,6 +93,7 @@ class GyroPropagation:
 
     def begin(self, stamp: float, force: Triple, rate: Triple, is_given: bool = False) -> None:
         """Start anew from a force in g; the gyro's bias is still known."""
+        self.up = force
         self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
         self.mean_rate = ZERO
         self._block = Block()
@@ -100,8 +102,8 @@ class GyroPropagation:
         self._shaken.forget()
         self._is_still = self.is_settled = False
         self.check.restart()
-        self.up = force
-        self._filter.begin(np.array(force), self._noise, self._acceleration_sigma(rate))
+        turning = self._turn_rate(self.rate)
+        self._filter.begin(np.array(force), self._noise, turning, self._motion())
         self._take_over()
 
     @property
@@ -158,16 +160,16 @@ class GyroPropagation:
             self.field.begin()
             self._is_still = False
         doubt = self._turn_doubt()
-        sigma = self._settled_sigma(doubt) if self.is_settled else None
-        if sigma is None:
-            sigma = self._acceleration_sigma(means.rate)
-        following.predict(np.array(self.up), np.array(block.turn), block.seconds, sigma)
+        motion = self._motion(self.is_settled and doubt is not None)
+        following.predict(np.array(self.up), np.array(block.turn), block.seconds, motion)
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
-            following.forget_acceleration(self._acceleration_sigma(means.rate))
+            following.forget_acceleration(self._motion().acceleration)
         x, y, z = means.force
         p, q, r = block.mean(block.up)
-        following.observe_force(np.array((x - p, y - q, z - r)), self._noise / block.count)
+        turning = 0.0 if doubt == 0.0 else self._turn_rate(block.turn) / block.seconds
+        innovation = np.array((x - p, y - q, z - r))
+        following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:
             # Where up is uncertain, its length along the estimate is, to second order, as well.
             tilt = following.tilt_variance
@@ -235,8 +237,8 @@ class GyroPropagation:
         following.observe_bias(rate, shown.variance, axis)
         sigma, up = tuning.shaken.up, following.up.tolist()
         if distance(unit_triple(shown.force), unit_triple(up)) > tuning.rest.clear * sigma:
-            following.begin(np.array(shown.force), sigma**2, tuning.filter.steady_sigma(0.0))
-            following.forget_acceleration(self._acceleration_sigma(means.rate))
+            following.begin(np.array(shown.force), sigma**2, 0.0, self._motion(True))
+            following.forget_acceleration(self._motion().acceleration)
 
     def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
         """Until the robot was seen at rest, take its length while it turns for that at rest."""
@@ -261,21 +263,36 @@ class GyroPropagation:
         if not is_doubtful or jump < self.tuning.rest.clear * math.sqrt(following.tilt_variance):
             jump = 0.0
         variance = self._noise / spell.count + self.tuning.filter.floor**2
-        following.begin(np.array(spell.force), variance, math.hypot(sigma, jump))
+        motion = self._motion(True)
+        motion = Motion(motion.speed, math.hypot(motion.acceleration, jump))
+        following.begin(np.array(spell.force), variance, doubt or 0.0, motion)
 
     def _gains_by(self, sigma: float) -> bool:
         """Whether a steady spell that may be a turn is still better than what is known of up."""
         is_long = self._spell.seconds > self.tuning.rest.undecided
         return is_long and self._filter.tilt_variance > sigma**2
 
+    def _turn_rate(self, rate: Triple) -> float:
+        """Return the part about up of a rate without its bias."""
+        size = length(self.up)
+        return dot(rate, self.up) / size if size > 0.0 else 0.0
+
     def _settled_sigma(self, doubt: float | None) -> float | None:
         """Return how large an acceleration (g) a steady robot may hide; None if it turns."""
         if doubt is None:
             return None
-        return self.tuning.filter.steady_sigma(doubt)
+        motion = self._motion(True)
+        return math.hypot(motion.acceleration, motion.speed * doubt)
 
-    def _acceleration_sigma(self, rate: Triple) -> float:
-        return self.tuning.filter.acceleration_sigma(length(rate), self._is_given)
+    def _motion(self, is_steady: bool = False) -> Motion:
+        """Return how the robot may move now."""
+        tuning = self.tuning.filter
+        speed, acceleration = tuning.usual_speed, tuning.usual_acceleration
+        if self._is_given:
+            speed, acceleration = tuning.given_speed, tuning.given_acceleration
+        if is_steady:
+            acceleration = math.sqrt(tuning.steady_acceleration**2 + self._spell.pull)
+        return Motion(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:
         x, y, z, p, q, r = self._filter.state[:6].tolist()

@@ -44,8 +44,8 @@ class SteadySpell:
         Mean gyro reading of the spell, rad/s.
     count : int
         Messages in it.
-    sway : float
-        Variance per axis of the blocks' rates about their mean, (rad/s)².
+    sway, pull : float
+        Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
     """
 
     def __init__(self, tuning: RestTuning | None = None) -> None:
@@ -54,7 +54,7 @@ class SteadySpell:
 
     def end(self) -> None:
         """Forget the spell: it is over."""
-        self.seconds = self.sway = 0.0
+        self.seconds = self.sway = self.pull = 0.0
         self.count = 0
         self.force = self.rate = ZERO
 
@@ -76,14 +76,16 @@ class SteadySpell:
                 and distance(rate, self.rate) < self.tuning.loose_rate + clear * rate_noise
             ):
                 self.count += count
-                self.force = between(self.force, force, count / self.count)
-                share, apart = count / self.count, distance(rate, self.rate)
-                self.sway += share * ((1.0 - share) * apart * apart / 3.0 - self.sway)
+                share = count / self.count
+                third = (1.0 - share) / 3.0
+                self.sway += share * (third * distance(rate, self.rate) ** 2 - self.sway)
+                self.pull += share * (third * distance(force, self.force) ** 2 - self.pull)
+                self.force = between(self.force, force, share)
                 self.rate = between(self.rate, rate, share)
                 self.seconds += seconds
                 return True
         self.seconds, self.count, self.force, self.rate = seconds, count, force, rate
-        self.sway = 0.0
+        self.sway = self.pull = 0.0
         return False
 
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:

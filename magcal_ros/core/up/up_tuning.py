@@ -8,12 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-
 
 @dataclass(frozen=True)
 class FilterTuning:
-    """The Kalman filter on up, gyro bias and linear acceleration.
+    """The Kalman filter on up, gyro bias, velocity and linear acceleration.
 
     Parameters
     ----------
@@ -35,15 +33,16 @@ class FilterTuning:
     usual_acceleration : float
         g. What a robot under way must be thought capable of.
     usual_speed : float
-        m/s. A turn at this speed accelerates sideways by speed times turn rate.
+        m/s, sigma per axis. A turn at this speed accelerates sideways by speed times turn rate.
     given_acceleration, given_speed : float
         g and m/s. What of both is left where the linear acceleration is given and taken off.
     acceleration_lasts : float
-        Seconds. No robot accelerates alike for much longer.
+        Seconds. Vehicles speed up and brake for 2 to 5 s, and roughness of the way is shorter.
+    speed_lasts : float
+        Seconds. From street corner to street corner.
     steady_acceleration : float
-        g. Of a robot that stands or rolls steadily.
-    steady_rate : float
-        rad/s that the mean of a block may be off the bias while the robot is steady.
+        g. Of a robot that stands or rolls steadily, at the least; what is not at rest hides about
+        as much as its force scatters.
     floor : float
         g. Error of an averaged accelerometer reading that no averaging takes away.
     implausible : float
@@ -66,24 +65,14 @@ class FilterTuning:
     usual_speed: float = 4.0
     given_acceleration: float = 0.03
     given_speed: float = 0.5
-    acceleration_lasts: float = 5.0
+    acceleration_lasts: float = 2.0
+    speed_lasts: float = 20.0
     steady_acceleration: float = 2e-3
-    steady_rate: float = 2e-3
     floor: float = 2e-3
     implausible: float = 3.0
     regain: float = 3.0
     rest_length: float = 1.0
     rest_length_sigma: float = 0.02
-
-    def acceleration_sigma(self, rate: float, is_given: bool = False) -> float:
-        """Return how large a linear acceleration (g) may be at a turn rate in rad/s."""
-        if is_given:
-            return math.hypot(self.given_acceleration, self.given_speed * rate / STANDARD_GRAVITY)
-        return math.hypot(self.usual_acceleration, self.usual_speed * rate / STANDARD_GRAVITY)
-
-    def steady_sigma(self, rate: float) -> float:
-        """Return the same for a steady robot that may turn about up at a rate in rad/s."""
-        return math.hypot(self.steady_acceleration, self.usual_speed * rate / STANDARD_GRAVITY)
 
 
 @dataclass(frozen=True)
@@ -134,13 +123,13 @@ class RestTuning:
     agreeing: float = 0.5
     agrees: float = 0.01
     shortest: float = 0.1
-    loose: float = 0.005
-    loose_rate: float = 0.02
-    clear: float = 3.0
+    loose: float = 0.0025
+    loose_rate: float = 0.005
+    clear: float = 2.0
     length_floor: float = 3e-4
     known: float = 1.0
     sways: float = 2.0
-    level_share: float = 0.1
+    level_share: float = 0.05
     field_mean: float = 0.25
     field_lasts: float = 1.0
 

@@ -179,6 +179,24 @@ def test_a_car_with_a_bias_stands_upright(recording):
     assert np.degrees(np.arccos(up @ mean / np.linalg.norm(mean))) < 1.0
 
 
+def test_a_car_that_circles_at_once_stays_upright(recording):
+    """Its mean specific force leans by 5 degrees, and by 2 more or less from lap to lap."""
+    follower = UpFollower()
+    samples = read_csv_folder(recording("car_neu2024_harshith"))
+    mean = samples.imu[:, 1:4].mean(axis=0)
+    leans = []
+    for sample in samples.samples():
+        if sample.stamp > samples.imu[0, 0] + 80.0:
+            break
+        if isinstance(sample, ImuSample):
+            follower.add(sample)
+            up = follower.at(sample.stamp, 0.2).direction
+            leans.append(np.degrees(np.arccos(up @ mean / np.linalg.norm(mean))))
+        else:
+            follower.add_field(sample.stamp, sample.field)
+    assert math.sqrt(np.mean(np.square(leans))) < 5.0
+
+
 def test_with_a_known_acceleration_stop_and_go_does_not_tilt_it():
     """Never at rest, pulled by up to 12 degrees; the speed's derivative is a little wrong."""
     errors = TiltErrors(UpFollower())
