@@ -9,37 +9,23 @@ for however long, and what is left is soon over.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotation, skew
-from magcal_ros.core.geometry.vec3 import length
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.vec3 import Triple, length
 from magcal_ros.core.up.up_tuning import FilterTuning
 
 IDENTITY: FloatArray = np.eye(3)
 
 
-@dataclass(frozen=True)
-class Motion:
-    """How fast a robot may be, and how it may speed up and brake.
-
-    Parameters
-    ----------
-    speed : float
-        g s, sigma per axis.
-    acceleration : float
-        g, sigma per axis.
-    """
+class Motion(NamedTuple):
+    """How fast a robot may be (g s), and how it may speed up and brake (g): sigmas per axis."""
 
     speed: float
     acceleration: float
-
-    def step(self, seconds: float, lasting: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
-        """Return what is left of both after some seconds, and the variance that is new in them."""
-        keeps = np.array([math.exp(-seconds / each) for each in lasting])
-        return keeps, np.array([self.speed, self.acceleration]) ** 2 * (1.0 - keeps**2)
 
 
 class UpFilter:
@@ -60,6 +46,8 @@ class UpFilter:
         self.state: FloatArray = np.zeros(12)
         self.covariance: FloatArray = np.zeros((12, 12))
         self.covariance[3:6, 3:6] = IDENTITY * self.tuning.bias_sigma**2
+        self._transition = np.eye(12)
+        self._reads: FloatArray = np.hstack([IDENTITY, np.zeros((3, 6)), IDENTITY])
 
     @property
     def up(self) -> FloatArray:
@@ -74,28 +62,29 @@ class UpFilter:
     @property
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
-        up, own = self.state[:3], self.covariance[:3, :3]
-        size = float(up @ up)
-        if size <= 0.0:
-            return self.tuning.unknown**2
-        along = float(up @ own @ up) / size
-        return max(0.0, (float(np.trace(own)) - along) / (2.0 * size))
+        along, across, square = self._by_up(0)
+        return max(0.0, across) / (2.0 * square) if square > 0.0 else self.tuning.unknown**2
 
     @property
     def bias_variance(self) -> float:
         """Variance of the bias about up, (rad/s)²."""
+        along, across, square = self._by_up(3)
+        return max(0.0, along) if square > 0.0 else across
+
+    def _by_up(self, first: int) -> Triple:
+        """Return the variance of three unknowns along up and across it, and the square of up."""
         x, y, z = self.state[:3].tolist()
-        (a, b, c), (_, d, e), (_, _, f) = self.covariance[3:6, 3:6].tolist()
+        own = self.covariance[first : first + 3, first : first + 3]
+        (a, b, c), (_, d, e), (_, _, f) = own.tolist()
         square = x * x + y * y + z * z
-        if square <= 0.0:
-            return float(a + d + f)
         along = a * x * x + d * y * y + f * z * z + 2.0 * (b * x * y + c * x * z + e * y * z)
-        return max(0.0, float(along / square))
+        along = along / square if square > 0.0 else 0.0
+        return (along, a + d + f - along, square)
 
     def begin(self, force: FloatArray, variance: float, rate: float, motion: Motion) -> None:
         """Start from one accelerometer reading (over gravity); what is known of the bias stays."""
         own = self.covariance[3:6, 3:6].copy()
-        turning = _sideways(force, rate)
+        turning = _sideways(force.tolist(), rate)
         self.covariance[:] = 0.0
         self.covariance[3:6, 3:6] = own
         self.covariance[6:9, 6:9] = IDENTITY * motion.speed**2
@@ -112,37 +101,41 @@ class UpFilter:
         self.covariance[9:, 9:] = IDENTITY * sigma**2
         self.state[9:] = 0.0
 
-    def predict(self, up: FloatArray, turned: FloatArray, seconds: float, motion: Motion) -> None:
+    def predict(self, up: Triple, turned: Triple, seconds: float, motion: Motion) -> None:
         """Go on by a block of messages.
 
         Parameters
         ----------
-        up : ndarray, shape (3,)
+        up : tuple of float
             Up after the block, propagated by the gyro less its bias.
-        turned : ndarray, shape (3,)
+        turned : tuple of float
             Radians that the body turned by, body axes.
         seconds : float
             How long the block took.
         motion : Motion
             How the robot may move.
         """
-        angle = length(turned.tolist())
-        lasting = (self.tuning.speed_lasts, self.tuning.acceleration_lasts)
-        keeps, grows = motion.step(seconds, lasting)
-        transition = np.zeros((12, 12))
-        transition[:3, :3] = exp_rotation(-turned)
-        transition[:3, 3:6] = -skew(up) * seconds
-        transition[3:6, 3:6] = IDENTITY
-        transition.flat[78::13] = np.repeat(keeps, 3)
+        tuning, step = self.tuning, self._transition
+        fast = math.exp(-seconds / tuning.speed_lasts)
+        pulled = math.exp(-seconds / tuning.acceleration_lasts)
+        step[:3, :3] = exp_rotation(np.array(turned))
+        step[:3, :3] = step[:3, :3].T
+        x, y, z = (seconds * each for each in up)
+        step[:3, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+        step.reshape(-1)[78::13] = (fast, fast, fast, pulled, pulled, pulled)
         self.state[:3] = up
-        self.state[6:] *= np.repeat(keeps, 3)
-        self.covariance = transition @ self.covariance @ transition.T
-        grown = self.tuning.angle_walk**2 * seconds + self.tuning.turn_error**2 * angle
+        self.state[6:9] *= fast
+        self.state[9:] *= pulled
+        grown = tuning.angle_walk**2 * seconds + tuning.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
-        if acceleration > self.tuning.implausible * motion.acceleration:
-            grown += acceleration**2 * seconds / self.tuning.regain
-        added = [grown, self.tuning.bias_walk**2 * seconds, *grows]
-        self.covariance.flat[::13] += np.repeat(added, 3)
+        if acceleration > tuning.implausible * motion.acceleration:
+            grown += acceleration**2 * seconds / tuning.regain
+        p = step @ self.covariance @ step.T
+        walked = tuning.bias_walk**2 * seconds
+        sped = motion.speed**2 * (1.0 - fast**2)
+        shoved = motion.acceleration**2 * (1.0 - pulled**2)
+        p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]
+        self.covariance = p
 
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
         """Take the mean of accelerometer less propagated up over a block, and its variance.
@@ -157,12 +150,10 @@ class UpFilter:
             Of the turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than
             turning, and an engine shakes sensor and seat in one time.
         """
-        p, turning = self.covariance, _sideways(self.state[:3], rate)
-        gain_rows = p[:, :3] + p[:, 6:9] @ turning.T + p[:, 9:]
-        spread = gain_rows[:3] + turning @ gain_rows[6:9] + gain_rows[9:]
-        spread += IDENTITY * (variance + self.tuning.floor**2)
-        left = innovation - turning @ self.state[6:9] - self.state[9:]
-        self._correct(gain_rows, spread, left)
+        reads = self._reads
+        reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
+        left = innovation - reads[:, 6:] @ self.state[6:]
+        self._correct(reads, variance + self.tuning.floor**2, left)
 
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
@@ -187,10 +178,9 @@ class UpFilter:
             Unit vector about which the robot may turn all the same, where there is one.
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
-        gain_rows = self.covariance[:, 3:6] @ shown
-        noise = IDENTITY * variance
-        spread = shown @ gain_rows[3:6] + noise
-        self._correct(gain_rows, spread, shown @ (rate - self.state[3:6]))
+        reads = np.zeros((3, 12))
+        reads[:, 3:6] = shown
+        self._correct(reads, variance, shown @ (rate - self.state[3:6]))
 
     def admit_bias(self, rate: FloatArray) -> None:
         """Allow for a bias that lies further off than what was known of it."""
@@ -204,14 +194,22 @@ class UpFilter:
         if size > self.tuning.largest_bias:
             self.state[3:6] *= self.tuning.largest_bias / size
 
-    def _correct(self, gain_rows: FloatArray, spread: FloatArray, innovation: FloatArray) -> None:
-        gain = np.linalg.solve(spread, gain_rows.T).T
+    def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
+        """Take three readings that differ from what was expected, and how they read the state."""
+        rows = reads @ self.covariance
+        (a, b, c), (_, d, e), (_, _, f) = (reads @ rows.T).tolist()
+        a, d, f = a + variance, d + variance, f + variance
+        p, q, r = d * f - e * e, c * e - b * f, b * e - c * d
+        s, t, u = a * f - c * c, b * c - a * e, a * d - b * b
+        inverse = np.array([[p, q, r], [q, s, t], [r, t, u]]) / (a * p + b * q + c * r)
+        gain = rows.T @ inverse
         self.state += gain @ innovation
-        p = self.covariance - gain @ gain_rows.T
+        p = self.covariance - gain @ rows
         self.covariance = 0.5 * (p + p.T)
 
 
-def _sideways(up: FloatArray, rate: float) -> FloatArray:
+def _sideways(up: Triple, rate: float) -> FloatArray:
     """Return what makes of a velocity its acceleration in a turn about up at a rate in rad/s."""
-    size = length(up.tolist())
-    return skew(up) * (rate / size) if size > 0.0 else np.zeros((3, 3))
+    size = length(up)
+    x, y, z = (rate / size * each for each in up) if size > 0.0 else (0.0, 0.0, 0.0)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -161,7 +161,7 @@ class GyroPropagation:
             self._is_still = False
         doubt = self._turn_doubt()
         motion = self._motion(self.is_settled and doubt is not None)
-        following.predict(np.array(self.up), np.array(block.turn), block.seconds, motion)
+        following.predict(self.up, block.turn, block.seconds, motion)
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
             following.forget_acceleration(self._motion().acceleration)
