@@ -128,7 +128,7 @@ class UpFilter:
         self.state[9:] *= pulled
         grown = tuning.angle_walk**2 * seconds + tuning.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
-        if acceleration > tuning.implausible * motion.acceleration:
+        if acceleration > tuning.implausible * math.sqrt(3.0) * motion.acceleration:
             grown += acceleration**2 * seconds / tuning.regain
         p = step @ self.covariance @ step.T
         walked = tuning.bias_walk**2 * seconds
