@@ -8,7 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.vec3 import Triple, distance, dot, length, propagated, unit_triple
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    distance,
+    dot,
+    length,
+    minus,
+    propagated,
+    unit_triple,
+)
 from magcal_ros.core.up.field_stillness import FieldStillness
 from magcal_ros.core.up.filter import Motion, UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
@@ -167,7 +175,8 @@ class GyroPropagation:
             following.forget_acceleration(self._motion().acceleration)
         x, y, z = means.force
         p, q, r = block.mean(block.up)
-        turning = 0.0 if doubt == 0.0 else self._turn_rate(block.turn) / block.seconds
+        # Of the whole spell: its noise times the velocity would pass for what tells both apart.
+        turning = 0.0 if doubt == 0.0 else self._turn_rate(minus(self._spell.rate, self.bias))
         innovation = np.array((x - p, y - q, z - r))
         following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:
@@ -191,11 +200,7 @@ class GyroPropagation:
         spell, rest = self._spell, self.tuning.rest
         if length(spell.rate) > self.tuning.filter.largest_bias:
             return None
-        excess = (
-            spell.rate[0] - self.bias[0],
-            spell.rate[1] - self.bias[1],
-            spell.rate[2] - self.bias[2],
-        )
+        excess = minus(spell.rate, self.bias)
         size = length(spell.force)
         about = abs(dot(excess, spell.force)) / size if size > 0.0 else length(excess)
         if not self.field.is_heard(self._stamp):
