@@ -62,7 +62,7 @@ class UpFilter:
     @property
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
-        along, across, square = self._by_up(0)
+        _, across, square = self._by_up(0)
         return max(0.0, across) / (2.0 * square) if square > 0.0 else self.tuning.unknown**2
 
     @property
