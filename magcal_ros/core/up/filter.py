@@ -96,10 +96,19 @@ class UpFilter:
 
     def forget_acceleration(self, sigma: float) -> None:
         """From now on the linear acceleration may be another one."""
-        self.covariance[9:] = 0.0
-        self.covariance[:, 9:] = 0.0
-        self.covariance[9:, 9:] = IDENTITY * sigma**2
-        self.state[9:] = 0.0
+        self._renew(9, sigma)
+
+    def forget_motion(self, motion: Motion) -> None:
+        """The same, and so may the velocity."""
+        self._renew(6, motion.speed)
+        self._renew(9, motion.acceleration)
+
+    def _renew(self, first: int, sigma: float) -> None:
+        part = slice(first, first + 3)
+        self.covariance[part] = 0.0
+        self.covariance[:, part] = 0.0
+        self.covariance[part, part] = IDENTITY * sigma**2
+        self.state[part] = 0.0
 
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: Motion) -> None:
         """Go on by a block of messages.

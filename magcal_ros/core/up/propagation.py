@@ -128,7 +128,11 @@ class GyroPropagation:
         With `is_given` the force is already less a linear acceleration that somebody measured.
         """
         before, old = self._rate, self._force
-        self._stamp, self._rate, self._force, self._is_given = stamp, rate, force, is_given
+        self._stamp, self._rate, self._force = stamp, rate, force
+        if is_given is not self._is_given:
+            # Velocity and acceleration are now what is left of them, or the whole again.
+            self._is_given = is_given
+            self._filter.forget_motion(self._motion(self.is_settled))
         p, q, r = self.bias
         mean = (
             0.5 * (rate[0] + before[0]) - p,

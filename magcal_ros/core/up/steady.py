@@ -70,10 +70,10 @@ class SteadySpell:
         """
         force, rate, count, seconds = block
         if self.count:
-            clear = self.tuning.clear * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = self.tuning.alike * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
-                distance(force, self.force) < self.tuning.loose + clear * noise
-                and distance(rate, self.rate) < self.tuning.loose_rate + clear * rate_noise
+                distance(force, self.force) < self.tuning.loose + alike * noise
+                and distance(rate, self.rate) < self.tuning.loose_rate + alike * rate_noise
             ):
                 self.count += count
                 share = count / self.count

@@ -99,8 +99,10 @@ class RestTuning:
         The same as `lasting` where the length speaks against an acceleration.
     loose, loose_rate : float
         g and rad/s. A change of both that is still called steady, beside the noise.
+    alike : float
+        Sigmas of the noise that are called steady besides.
     clear : float
-        Sigmas.
+        Sigmas beyond which something else is shown.
     length_floor : float
         g. How well the accelerometer's length is known at best.
     known : float
@@ -125,7 +127,8 @@ class RestTuning:
     shortest: float = 0.1
     loose: float = 0.0025
     loose_rate: float = 0.005
-    clear: float = 2.0
+    alike: float = 2.0
+    clear: float = 3.0
     length_floor: float = 3e-4
     known: float = 1.0
     sways: float = 2.0
