@@ -262,6 +262,9 @@ class GyroPropagation:
         sigma = self._settled_sigma(doubt)
         if sigma is None or (doubt and not self._gains_by(sigma)):
             return
+        if self._is_given and spell.seconds < self.tuning.rest.undecided:
+            # Who gives a wrong acceleration bends the force without stretching it.
+            return
         up: Triple = tuple(following.up.tolist())
         if not spell.shows_up(up, self._rest, self._rest_sigma, noise):
             return
