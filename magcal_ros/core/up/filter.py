@@ -21,7 +21,7 @@ from magcal_ros.core.up.up_tuning import FilterTuning
 IDENTITY: FloatArray = np.eye(3)
 
 
-class Motion(NamedTuple):
+class MotionPrior(NamedTuple):
     """How fast a robot may be (g s), and how it may speed up and brake (g): sigmas per axis."""
 
     speed: float
@@ -33,7 +33,7 @@ class UpFilter:
 
     The accelerometer reads up + acceleration + turn rate x velocity. Up is a vector of any
     length, so that the model is linear and a scale error of the accelerometer is taken up by the
-    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of a `Motion`'s sizes.
+    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of a `MotionPrior`'s sizes.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class UpFilter:
         along = along / square if square > 0.0 else 0.0
         return (along, a + d + f - along, square)
 
-    def begin(self, force: FloatArray, variance: float, rate: float, motion: Motion) -> None:
+    def begin(self, force: FloatArray, variance: float, rate: float, motion: MotionPrior) -> None:
         """Start from one accelerometer reading (over gravity); what is known of the bias stays."""
         own = self.covariance[3:6, 3:6].copy()
         turning = _sideways(force.tolist(), rate)
@@ -95,11 +95,11 @@ class UpFilter:
         self.state[:3], self.state[6:] = force, 0.0
 
     def forget_acceleration(self, sigma: float) -> None:
-        """From now on the linear acceleration may be another one."""
+        """Allow for another linear acceleration from now on."""
         self._renew(9, sigma)
 
-    def forget_motion(self, motion: Motion) -> None:
-        """The same, and so may the velocity."""
+    def forget_motion(self, motion: MotionPrior) -> None:
+        """Allow for another linear acceleration and another velocity from now on."""
         self._renew(6, motion.speed)
         self._renew(9, motion.acceleration)
 
@@ -110,7 +110,7 @@ class UpFilter:
         self.covariance[part, part] = IDENTITY * sigma**2
         self.state[part] = 0.0
 
-    def predict(self, up: Triple, turned: Triple, seconds: float, motion: Motion) -> None:
+    def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
         """Go on by a block of messages.
 
         Parameters
@@ -121,7 +121,7 @@ class UpFilter:
             Radians that the body turned by, body axes.
         seconds : float
             How long the block took.
-        motion : Motion
+        motion : MotionPrior
             How the robot may move.
         """
         tuning, step = self.tuning, self._transition

@@ -18,7 +18,7 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.up.field_stillness import FieldStillness
-from magcal_ros.core.up.filter import Motion, UpFilter
+from magcal_ros.core.up.filter import MotionPrior, UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
 from magcal_ros.core.up.shaken_rest import ShakenRest
 from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
@@ -276,7 +276,7 @@ class GyroPropagation:
             jump = 0.0
         variance = self._noise / spell.count + self.tuning.filter.floor**2
         motion = self._motion(True)
-        motion = Motion(motion.speed, math.hypot(motion.acceleration, jump))
+        motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
         following.begin(np.array(spell.force), variance, doubt or 0.0, motion)
 
     def _gains_by(self, sigma: float) -> bool:
@@ -296,7 +296,7 @@ class GyroPropagation:
         motion = self._motion(True)
         return math.hypot(motion.acceleration, motion.speed * doubt)
 
-    def _motion(self, is_steady: bool = False) -> Motion:
+    def _motion(self, is_steady: bool = False) -> MotionPrior:
         """Return how the robot may move now."""
         tuning = self.tuning.filter
         speed, acceleration = tuning.usual_speed, tuning.usual_acceleration
@@ -304,7 +304,7 @@ class GyroPropagation:
             speed, acceleration = tuning.given_speed, tuning.given_acceleration
         if is_steady:
             acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.pull))
-        return Motion(speed / STANDARD_GRAVITY, acceleration)
+        return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:
         x, y, z, p, q, r = self._filter.state[:6].tolist()
