@@ -33,7 +33,8 @@ class UpFilter:
 
     The accelerometer reads up + acceleration + turn rate x velocity. Up is a vector of any
     length, so that the model is linear and a scale error of the accelerometer is taken up by the
-    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of a `MotionPrior`'s sizes.
+    length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of the sizes of a
+    `MotionPrior`.
 
     Parameters
     ----------
