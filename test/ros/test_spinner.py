@@ -13,7 +13,7 @@ from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from support import PATIENCE, wait_until
-from test_straight import Served
+from test_sensor_loop import Served
 
 
 @pytest.fixture
