@@ -11,8 +11,8 @@ with the gyro over that without, of the turns that are answered either way: more
 With `--turns` each row is a kind of turn instead (`turn_kinds.py`; a fifth without a reference
 field), with perfect, good, typical and cheap sensors; what was warned of and refused is counted.
 With `--rested` the rows are courses that begin and end at rest, as a robot's own turns do.
-With `--arcs` they are arcs of 40 to 90°, as of a turn that is finished by hand, with rests before
-and after or without, of good, typical and cheap sensors.
+With `--arcs` they are arcs of 40 to 90° (from `--least` degrees on), as of a turn that is finished
+by hand, with rests before and after or without, of good, typical and cheap sensors.
 With `--place` the robot stands near iron or indoors instead of in the open, and is judged by the
 field of the open: a turn teaches what the place was, too. *Wrong* is beyond five sigmas and one
 degree.
@@ -55,8 +55,8 @@ from magcal_ros.core.simulation.simulator import (
 )
 
 SAMPLES, SECONDS = 600, 20.0
-FULL_TURN, PART_OF_A_TURN = (1.0, 1.15), (40.0 / 360.0, 90.0 / 360.0)
-"""Arcs of turns, from and to."""
+FULL_TURN = (1.0, 1.15)
+"""Turns, from and to."""
 REST = 3.0
 """Seconds before and after a turn that starts and ends at rest."""
 RUNS_FROM = 0.02
@@ -510,9 +510,12 @@ def by_rested_turn(
     return scene
 
 
-def by_arc(course: str, sensors: str) -> Callable[[int], tuple[Scene, Knowledge]]:
+def by_arc(
+    course: str, sensors: str, least: float
+) -> Callable[[int], tuple[Scene, Knowledge]]:
     def scene(number: int) -> tuple[Scene, Knowledge]:
-        scene, known = drawn(np.random.default_rng([5, number]), ARCS[course], PART_OF_A_TURN)
+        arcs = (least / 360.0, 90.0 / 360.0)
+        scene, known = drawn(np.random.default_rng([5, number]), ARCS[course], arcs)
         scene = SENSORS[sensors](np.random.default_rng([6, number]), scene)
         return replace(scene, has_course=True), known
 
@@ -526,6 +529,7 @@ def main() -> None:
     parser.add_argument("--turns", action="store_true", help="kinds of turns instead of effects")
     parser.add_argument("--rested", action="store_true", help="from rest to rest, instead")
     parser.add_argument("--arcs", action="store_true", help="40 to 90° of a turn, instead")
+    parser.add_argument("--least", type=float, default=40.0, help="degrees, of those arcs")
     parser.add_argument("--place", default="open", choices=PLACES, help="of those turns")
     arguments = parser.parse_args()
     names = ("refused", "warned", "rms", "sigma", "NEES", ">3s", "wrong")
@@ -533,8 +537,9 @@ def main() -> None:
     if arguments.arcs:
         for sensors in ("good", "typical", "cheap"):
             for course in ARCS:
+                scenes = by_arc(course, sensors, arguments.least)
                 if arguments.only in f"{sensors} {course}":
-                    show(f"{sensors}, {course}", by_arc(course, sensors), arguments.runs)
+                    show(f"{sensors}, {course}", scenes, arguments.runs)
         return
     if not (arguments.turns or arguments.rested):
         for name in (*EFFECTS, *COURSES):

@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 
 NO_REPORTS = "none"
 
+LONGEST = 60.0
+"""Seconds that a report may take. It takes a second or two; longer, the next ones would wait."""
+
+ENDING = 1.0
+"""Seconds in which a process that was killed is gone."""
+
 
 class Reporter:
     """Writes one report after another without holding up the node.
@@ -134,10 +140,9 @@ class Reporter:
     def _draw_on(self, process: subprocess.Popen[bytes] | None) -> None:
         """Wait for a report, and draw those that came meanwhile."""
         while process is not None:
-            _, words = process.communicate()
-            if process.returncode:
-                last = words.decode(errors="replace").strip().rpartition("\n")[2]
-                self._say(f"no report: {last or f'its process ended with {process.returncode}'}")
+            fault = _fault_of(process)
+            if fault:
+                self._say(f"no report: {fault}")
             process = self._next()
 
     def _next(self) -> subprocess.Popen[bytes] | None:
@@ -162,6 +167,27 @@ def reports_of(parent: str) -> Path:
         If it lies in a home that does not exist.
     """
     return chosen_path(parent) if parent else own_folder() / "reports"
+
+
+def _fault_of(process: subprocess.Popen[bytes]) -> str:
+    """Wait for a report to be drawn; returns what went wrong, empty if nothing did."""
+    import subprocess
+
+    try:
+        _, words = process.communicate(timeout=LONGEST)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        # A disk that does not answer holds even a killed process.
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.communicate(timeout=ENDING)
+        return (
+            f"its process was not done after {LONGEST:g} s, and the node has ended it; "
+            "see whether the disk of report_folder answers, and what keeps the machine busy"
+        )
+    if not process.returncode:
+        return ""
+    last = words.decode(errors="replace").strip().rpartition("\n")[2]
+    return last or f"its process ended with {process.returncode}"
 
 
 def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:

@@ -135,7 +135,8 @@ def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
     to, back = process.stdin.fileno(), process.stdout.fileno()
     os.set_blocking(to, False)
     unsent, heard = memoryview(len(call).to_bytes(SIZE, "big") + call), bytearray()
-    with selectors.DefaultSelector() as line:
+    # Another selector would open a file, for which there may be no room.
+    with selectors.PollSelector() as line:
         line.register(to, selectors.EVENT_WRITE)
         line.register(back, selectors.EVENT_READ)
         while len(heard) < SIZE or len(heard) < SIZE + int.from_bytes(heard[:SIZE], "big"):

@@ -1,13 +1,17 @@
 """One report at a time, the newest waiting, and only so many of them kept."""
 
+import signal
+import subprocess
 import threading
 from datetime import datetime, timedelta
 from types import SimpleNamespace
 
 import pytest
+from support import wait_until
 
 from magcal_ros.report import mark_in_force, new_folder, remove_old
 from magcal_ros.report.folder import IN_FORCE
+from magcal_ros.ros import reporter as reporter_module
 from magcal_ros.ros.reporter import Reporter
 
 NOW = datetime(2026, 5, 31, 14, 3, 7)
@@ -19,8 +23,8 @@ class Drawing:
     def __init__(self, folder):
         self.folder, self.may_end, self.returncode = folder, threading.Event(), 0
 
-    def communicate(self):
-        assert self.may_end.wait(10.0)
+    def communicate(self, timeout):
+        assert self.may_end.wait(timeout)
         (self.folder / "report.html").write_text("drawn")
         return b"", b""
 
@@ -77,6 +81,24 @@ def test_forty_refusals_in_a_row_start_one_process_and_the_newest_waits(tmp_path
     reporter.begin(str(tmp_path), subject(50), 50)
     draws.wait_for(3)
     draws.started[2].may_end.set()
+
+
+def test_a_report_that_hangs_is_ended_and_the_next_is_drawn(tmp_path, said, monkeypatch):
+    monkeypatch.setattr(reporter_module, "LONGEST", 1.0)
+    processes = []
+
+    def draw(*_):
+        command = ["true"] if processes else ["sleep", "600"]
+        processes.append(subprocess.Popen(command, stderr=subprocess.PIPE))
+        return processes[-1]
+
+    reporter = Reporter(said.append, draw)
+    for k in range(2):
+        reporter.begin(str(tmp_path), subject(k), 50)
+    wait_until(lambda: len(processes) == 2 and not reporter._drawing)
+    assert [process.returncode for process in processes] == [-signal.SIGKILL, 0]
+    (words,) = said
+    assert "was not done after 1 s, and the node has ended it" in words
 
 
 def test_the_newest_are_kept_and_those_put_in_force(tmp_path, draws, said):

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -120,6 +121,27 @@ def test_without_room_for_a_process_the_caller_is_told_why(worker, monkeypatch):
             worker.run(os.getpid)
         worker.stop()
     assert worker.run(os.getpid)
+
+
+def test_without_room_for_another_file_a_process_that_is_there_answers(worker):
+    pid, pipe = worker.run(os.getpid), worker.start().stdin.fileno()
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (100, hard))
+    taken = []
+
+    def take_all():
+        while True:
+            taken.append(os.dup(pipe))
+
+    try:
+        with pytest.raises(OSError, match="Too many open files"):
+            take_all()
+        answer = worker.run(os.getpid)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+        for number in taken:
+            os.close(number)
+    assert answer == pid
 
 
 def test_what_a_call_prints_is_no_answer(worker):
