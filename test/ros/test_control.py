@@ -2,6 +2,7 @@
 
 import errno
 import os
+import resource
 import time
 
 import numpy as np
@@ -17,6 +18,8 @@ from magcal_ros.ros import worker_process
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
 from magcal_ros.ros.settings import Settings
+
+NOBODY = 65534
 
 
 class AtOnce:
@@ -100,6 +103,28 @@ def test_no_room_for_the_process_that_fits(monkeypatch):
     answer = turn_in(House())
     assert not answer.success
     assert "cannot be started: Too many open files" in answer.message
+
+
+def test_no_process_is_allowed_any_more():
+    """The limit of processes does not bind root, so a child gives up being root."""
+    back, to = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            if os.getuid() == 0:
+                os.setuid(NOBODY)
+            resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+            answer = turn_in(House())
+            os.write(to, f"{answer.success} {answer.message}".encode())
+        except BaseException as error:  # the child of a test must not go on with the tests
+            os.write(to, repr(error).encode())
+        os._exit(0)
+    os.close(to)
+    with open(back, "rb") as line:
+        words = line.read().decode()
+    os.waitpid(child, 0)
+    assert words.startswith("False ")
+    assert "cannot be started: Resource temporarily unavailable" in words
 
 
 def test_no_room_for_the_report():

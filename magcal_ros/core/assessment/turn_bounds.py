@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from magcal_ros.core.assessment.grading import Aspect, Bound
+import math
+from dataclasses import replace
+
+from magcal_ros.core.assessment.grading import Aspect, Bound, shown
+from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
 TURN_BOUNDS: tuple[Bound, ...] = (
@@ -236,3 +241,22 @@ KNOWN_MOTORS = Bound(
     unit=" µT",
 )
 """Of an estimate that knows the field of the motors."""
+
+ARC_SIGMAS = 2.0
+"""Sigmas by which a turn must exceed the least arc to be known to reach it."""
+
+
+def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
+    """Return the bounds of a turn: what the motors add may be known, and its arc may not be."""
+    return tuple(_adapted(bound, estimate) for bound in TURN_BOUNDS)
+
+
+def _adapted(bound: Bound, estimate: Estimate) -> Bound:
+    if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
+        return KNOWN_MOTORS
+    if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
+        doubt = ARC_SIGMAS * math.degrees(arc_sigma(estimate))
+        least = round(min(bound.warn + doubt, bound.good), 1)
+        unsure = f"the arc is known to ±{shown(doubt)}°, and may be less than {bound.warn:g}°; "
+        return replace(bound, warn=least, when_refused=unsure + bound.remedy)
+    return bound

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS, HEADING_BOUNDS
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
-from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, KNOWN_MOTORS, TURN_BOUNDS
+from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, bounds_of
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -209,10 +209,8 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > TUNING.nearly_full:
             figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
-    bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else TURN_BOUNDS
+    bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
-    if estimate.motors is not None:
-        bounds = tuple(KNOWN_MOTORS if b.figure is Figure.MOTOR_FIELD else b for b in bounds)
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
     doubt = check_reference(estimate, figures, knowledge)
     if doubt is not None:

@@ -71,6 +71,23 @@ def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0)
     return rms_sigma(jacobian, estimate.covariance)
 
 
+def arc_sigma(estimate: Estimate) -> float:
+    """Return the standard deviation of the arc that the compass saw, from the covariance.
+
+    Returns
+    -------
+    float
+        Radians on the level, of the arc whose first and last heading differ most uncertainly: of
+        part of a turn the position of the circle's centre is known least along its middle, and
+        that is the direction that changes the arc.
+    """
+    reference = field_in_enu(estimate.strength, estimate.inclination)
+    jacobian = heading_jacobian(estimate.correction, reference, 0.0)
+    apart = np.roll(jacobian, -round(estimate.arc / math.tau * HEADINGS), axis=0) - jacobian
+    variance = np.einsum("ki,ij,kj->k", apart, estimate.covariance, apart)
+    return math.sqrt(max(float(variance.max()), 0.0))
+
+
 def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
     """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
 

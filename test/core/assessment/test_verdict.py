@@ -230,6 +230,21 @@ class TestWhatTheEstimateItselfShows:
                 verdict.summary
             )
 
+    @pytest.mark.parametrize(
+        ("arc", "iron_ut", "grade"),
+        [(93, 0.05, Grade.WARN), (93, 1.0, Grade.REFUSED), (99, 1.0, Grade.WARN)],
+    )
+    def test_an_arc_that_may_be_less_than_the_least_is_refused(self, arc, iron_ut, grade):
+        covariance = np.zeros((12, 12))
+        covariance[9:, 9:] = np.eye(3) * (iron_ut * 1e-6) ** 2
+        verdict = judge(estimate(arc=math.radians(arc), covariance=covariance), KNOWN)
+        found = grade_of(verdict, Figure.ARC)
+        assert found.grade is grade
+        if grade is Grade.REFUSED:
+            assert "the turn covers 93° (want 96.5° or more): the arc is known to ±6.48°" in (
+                found.words
+            )
+
     def test_few_believed_samples_cost_confidence(self):
         few = {"inliers": np.ones(30, dtype=bool), "residual": np.zeros((30, 3))}
         verdict = judge(estimate(**few), KNOWN)

@@ -7,6 +7,7 @@ from sample_results import SKEWED, estimate, small_covariance
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.estimate import Installation
 from magcal_ros.core.calibration.heading_sigma import (
+    arc_sigma,
     common_figures,
     predicted_heading_sigma,
     sideways_pull,
@@ -49,6 +50,18 @@ class TestPredictedHeadingSigma:
         poses = [LEVEL_TILT] if tilt == 0.0 else [1, 3, 5, 7]
         found = math.sqrt(float(np.mean(errors[:, :, poses] ** 2)))
         assert predicted_heading_sigma(one, tilt) == pytest.approx(found, rel=0.08)
+
+
+@pytest.mark.parametrize("arc", [45.0, 90.0, 180.0, 360.0])
+def test_iron_moves_the_ends_of_an_arc_apart_by_its_chord(arc):
+    half = math.radians(0.5 * arc)
+    one = estimate(covariance=iron_only([0.4e-6] * 3), arc=2.0 * half)
+    assert arc_sigma(one) == pytest.approx(2.0 * math.sin(half) * 0.4 / 25.0, abs=1e-9)
+
+
+def test_the_centre_along_the_middle_of_an_arc_counts():
+    one = estimate(covariance=iron_only([0.4e-6, 0.0, 0.0]), arc=math.radians(90.0))
+    assert arc_sigma(one) == pytest.approx(math.sqrt(2.0) * 0.4 / 25.0, rel=0.02)
 
 
 class TestCommonFigures:
