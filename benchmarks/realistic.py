@@ -510,9 +510,7 @@ def by_rested_turn(
     return scene
 
 
-def by_arc(
-    course: str, sensors: str, least: float
-) -> Callable[[int], tuple[Scene, Knowledge]]:
+def by_arc(course: str, sensors: str, least: float) -> Callable[[int], tuple[Scene, Knowledge]]:
     def scene(number: int) -> tuple[Scene, Knowledge]:
         arcs = (least / 360.0, 90.0 / 360.0)
         scene, known = drawn(np.random.default_rng([5, number]), ARCS[course], arcs)
@@ -537,9 +535,9 @@ def main() -> None:
     if arguments.arcs:
         for sensors in ("good", "typical", "cheap"):
             for course in ARCS:
-                scenes = by_arc(course, sensors, arguments.least)
+                arcs = by_arc(course, sensors, arguments.least)
                 if arguments.only in f"{sensors} {course}":
-                    show(f"{sensors}, {course}", scenes, arguments.runs)
+                    show(f"{sensors}, {course}", arcs, arguments.runs)
         return
     if not (arguments.turns or arguments.rested):
         for name in (*EFFECTS, *COURSES):

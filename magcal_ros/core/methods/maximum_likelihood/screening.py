@@ -136,7 +136,24 @@ def visible_motion(values: FloatArray) -> bool:
 
 def seen_arc(block: TurnBlock) -> float:
     """Return how much of the circle the inliers cover, radians up to a full turn."""
-    return Coverage.of(turns_about_z(block.place.state.attitude[block.weighting.inliers])).arc
+    angles = turns_about_z(block.place.state.attitude[block.weighting.inliers])
+    seen = Coverage.of(angles).arc
+    if seen == math.tau:
+        return seen
+    # Where a robot rests, its noisiest headings would add degrees at either end.
+    return min(seen, Coverage.of(_without_noise(angles)).arc)
+
+
+def _without_noise(angles: FloatArray) -> FloatArray:
+    """Return angles as means over a twentieth of the samples, with straight lines at the ends."""
+    count = (len(angles) // 20) | 1
+    if count < 3:
+        return angles
+    angles = np.unwrap(angles)
+    means = np.convolve(angles, np.full(count, 1.0 / count), "valid")
+    steps = np.arange(count) - 0.5 * (count - 1)
+    first, last = (steps @ part / (steps @ steps) for part in (angles[:count], angles[-count:]))
+    return np.concatenate([[means[0] + first * steps[0]], means, [means[-1] + last * steps[-1]]])
 
 
 def check_solution(

@@ -2,12 +2,15 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
+    UP_ENU,
+    Motion,
     Robot,
     heading_errors,
     measure,
@@ -126,3 +129,14 @@ def test_no_inclination_is_told_beyond_the_vertical():
     robot = Robot(strength=55e-6, inclination=88.0 * DEGREE)
     words = words_of(window_of(robot), Knowledge())
     assert abs(float(words.partition("inclination of ")[2].split()[0])) <= 90.0
+
+
+def test_noise_at_rest_makes_an_arc_no_longer():
+    robot = Robot(noise_field=0.5e-6, noise_force=0.05)
+    yaw = np.clip(np.linspace(-20.0, 100.0, 600), 0.0, 80.0) * DEGREE
+    motion = Motion(np.linspace(0.0, 20.0, 600), rotation_about(UP_ENU, -yaw))
+    arcs = [
+        fit(measure(robot, motion, np.random.default_rng(seed)), robot.knowledge()).arc
+        for seed in range(4)
+    ]
+    assert np.mean(arcs) == pytest.approx(80.0 * DEGREE, abs=2.0 * DEGREE)
