@@ -110,7 +110,7 @@ class GyroPropagation:
         self._shaken.forget()
         self._is_still = self.is_settled = False
         self.check.restart()
-        turning = self._turn_rate(self.rate)
+        turning = self._steady_turn = self._turn_rate(self.rate)
         self._filter.begin(np.array(force), self._noise, turning, self._motion())
         self._take_over()
 
@@ -179,8 +179,11 @@ class GyroPropagation:
             following.forget_acceleration(self._motion().acceleration)
         x, y, z = means.force
         p, q, r = block.mean(block.up)
-        # Of the whole spell: its noise times the velocity would pass for what tells both apart.
-        turning = 0.0 if doubt == 0.0 else self._turn_rate(minus(self._spell.rate, self.bias))
+        # A mean: its noise times the velocity would pass for what tells both apart.
+        share = min(1.0, block.seconds / self.tuning.propagation.turn_lasts)
+        newest = self._turn_rate(block.turn) / block.seconds
+        self._steady_turn += share * (newest - self._steady_turn)
+        turning = 0.0 if doubt == 0.0 else self._steady_turn
         innovation = np.array((x - p, y - q, z - r))
         following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:

@@ -182,6 +182,8 @@ class PropagationTuning:
         Messages of a turning robot over which its accelerometer's length is averaged.
     turning_sigma : float
         g. How well that length is the length at rest.
+    turn_lasts : float
+        Seconds over which the turn rate of a vehicle is averaged; steering changes it more slowly.
     """
 
     block: float = 0.04
@@ -191,6 +193,7 @@ class PropagationTuning:
     smallest: float = 1e-3
     most_turning: int = 500
     turning_sigma: float = 1e-3
+    turn_lasts: float = 2.0
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
     with_it = np.percentile(tilts(drive, Travelling()), 90)
     assert with_it < 1.3
-    assert with_it < np.percentile(tilts_without(2), 90) + 0.05
+    assert with_it < np.percentile(tilts_without(2), 90) + 0.2
 
 
 def test_an_imu_that_sits_backwards_is_found_out_before_harm_is_done():
