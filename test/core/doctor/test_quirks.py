@@ -62,6 +62,15 @@ def stamped(off):
     return published
 
 
+def stamped_with_voids(off):
+    def published(rng, log):
+        field = log.field.copy()
+        field[rng.random(len(field)) < 0.1] = np.nan
+        return stamped(off)(rng, replace(log, field=field))
+
+    return published
+
+
 def turned(axes):
     return lambda rng, log: replace(log, field=log.field @ axes.T)
 
@@ -75,6 +84,7 @@ CASES = {
     "Phidgets Spatial": void(1e296),
     "SBG": stamped(WRAP),
     "ZED 2i": stamped(-0.8),
+    "ZED": stamped_with_voids(-0.8),
     "MPU-9250": turned(AK8963_IN_MPU9250),
     "ICM-20948": turned(AK09916_IN_ICM20948),
 }
