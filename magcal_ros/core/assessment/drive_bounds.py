@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magcal_ros.core.assessment.grading import Aspect, Bound
+from magcal_ros.core.assessment.grading import SITS_OTHERWISE, Aspect, Bound
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.samples.units import Z_NOT_UP
 
@@ -15,6 +15,7 @@ SITS_STRAIGHT: tuple[Bound, ...] = (
         "installation error",
         "give the sensor's nominal pose with mount_rpy_deg",
         excellent=5.0,
+        when_refused=SITS_OTHERWISE,
     ),
     Bound(
         Figure.AXIS_LEAN,

@@ -36,6 +36,13 @@ SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 """From SI to the unit people see; all others are shown as they are."""
 
 
+SITS_OTHERWISE = (
+    "does the sensor sit so? Then give its pose with mount_rpy_deg; if not, this turn shows the axes"
+    " wrongly: turn the full circle on the spot, with a gyro"
+)
+"""What to ask where the installation error is too large."""
+
+
 @dataclass(frozen=True)
 class Bound:
     """The bounds of the grades for one figure; only its absolute value counts.

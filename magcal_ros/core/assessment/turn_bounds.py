@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from magcal_ros.core.assessment.grading import Aspect, Bound, shown
+from magcal_ros.core.assessment.grading import SITS_OTHERWISE, Aspect, Bound, shown
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
@@ -131,6 +131,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         "installation error",
         "give the sensor's nominal pose with mount_rpy_deg",
         excellent=5.0,
+        when_refused=SITS_OTHERWISE,
     ),
     Bound(
         Figure.INSTALLATION_YAW_SIGMA,

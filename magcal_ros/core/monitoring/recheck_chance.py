@@ -175,6 +175,8 @@ def check_beside_chance(
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
     note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
+    if note and chance >= figure:
+        note = ", no more than chance may be in so few samples"
     check = bound.check(figure, excess=excess, note=note, before=before)
     is_small = figure * bound.scale <= bound.good
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:

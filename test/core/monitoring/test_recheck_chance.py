@@ -37,6 +37,8 @@ def test_where_chance_reaches_the_bound_nothing_is_shown():
     found = check_beside_chance(BOUND, degrees(5.0), degrees(9.0), None)
     assert found.grade is Grade.WARN
     assert "not shown" in found.words
+    assert "no more than chance may be" in found.words
+    assert "9" not in found.words
 
 
 @pytest.mark.parametrize("visits", [4, 40])
