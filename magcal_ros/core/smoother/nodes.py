@@ -13,6 +13,9 @@ from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 
+LONG = 1.5
+"""Of the usual time between samples, from which some are missing."""
+
 
 @dataclass(frozen=True)
 class Spacing:
@@ -66,7 +69,7 @@ class Nodes:
     samples : ndarray, shape (n - 1,)
         Of force in each mean; zero where there is none.
     unseen : ndarray, shape (n - 1, 3)
-        Variance of the angle there by what happened between samples, radians².
+        Variance of the angle there of what happened while samples were missing, radians².
     noise : float
         White noise of a field sample per axis, microtesla.
     mean_force : ndarray, shape (n, 3)
@@ -209,13 +212,15 @@ class _Links:
             return np.asarray(np.add.reduceat(inside, begin, axis=0) / seconds.reshape(shape))
 
         force = window.specific_force
-        # Between two samples the rate may have changed at any moment.
+        # Between two samples with others missing the rate may have changed at any moment.
+        is_gap = step > LONG * np.median(np.diff(window.time))
         change = np.diff(rate, axis=0)[rows] * step[:, None]
+        doubt = np.where(is_gap[:, None], change**2 / 12.0, 0.0)
         return cls(
             mean(rate[rows], rate[rows + 1]) * seconds[:, None],
             mean(force[rows], force[rows + 1]),
             mean(attitude[rows] @ back, attitude[rows + 1] @ back),
-            np.add.reduceat(change**2 / 12.0, begin, axis=0),
+            np.add.reduceat(doubt, begin, axis=0),
         )
 
 

@@ -12,7 +12,7 @@ from uneven_turns import ROBOT, collected, driven, evenly
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.methods.smoother_one import fit, fit_turn
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -119,22 +119,3 @@ def test_squared_errors_are_as_large_as_their_variance():
         estimate = fit(measure(robot, turn(), rng, gyro=True), known(robot))
         ratios.append((error_of(estimate, robot) / predicted_heading_sigma(estimate, 0.0)) ** 2)
     assert np.mean(ratios) < 1.5
-
-
-@pytest.mark.parametrize("per_mean", [6, 15, 30])
-@pytest.mark.parametrize("seed", [2, 3])
-def test_means_over_a_second_hold_the_turn_and_what_its_sway_shows(per_mean, seed, monkeypatch):
-    """The sway alone tells the vertical hard iron, and the gyro sees little of it in such means."""
-    monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
-    _, window = driven(evenly, ROBOT, 8.0, seed=seed)
-    count = len(window.time) // per_mean
-
-    def mean(values):
-        cut = values[: count * per_mean]
-        return cut.reshape(count, per_mean, *values.shape[1:]).mean(axis=1)
-
-    each = (window.time, window.field, window.specific_force, window.angular_rate)
-    estimate = fit_turn(collected(Window(*(mean(values) for values in each))))
-    rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
-    assert rms[LEVEL_TILT] < 0.3 * DEGREE
-    assert rms.max() < 4.0 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
