@@ -38,7 +38,7 @@ SCALES = {"°": DEGREES, "%": 100.0, " µT": 1e6, " ms": 1e3}
 
 SITS_OTHERWISE = (
     "does the sensor sit so? Then give its pose with mount_rpy_deg; if not, the axes are shown"
-    " wrongly: turn the full circle on the spot, with a gyro"
+    " wrongly: turn again on the spot, with a gyro"
 )
 """What to ask where the installation error is too large."""
 
