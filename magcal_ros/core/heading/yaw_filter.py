@@ -110,21 +110,19 @@ class YawFilter:
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
         by_disturbance = self._yaw_disturbance + self._disturbance
-        self.bias += by_bias * left
-        self.disturbance += by_disturbance * left
-        self.yaw_variance -= by_yaw * by_yaw / spread
-        self._bias -= by_bias * by_bias / spread
-        self._disturbance -= by_disturbance * by_disturbance / spread
-        self._yaw_bias -= by_yaw * by_bias / spread
-        self._yaw_disturbance -= by_yaw * by_disturbance / spread
-        self._bias_disturbance -= by_bias * by_disturbance / spread
-        return by_yaw * left
+        return self._correct(left, spread, by_yaw, by_bias, by_disturbance)
 
     def observe_yaw(self, innovation: float, noise: float) -> float:
         """Take a yaw that no field disturbs less the propagated one; otherwise as `observe`."""
         spread = self.yaw_variance + noise
         left = innovation / spread
-        by_yaw, by_bias, by_disturbance = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
+        gains = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
+        return self._correct(left, spread, *gains)
+
+    def _correct(
+        self, left: float, spread: float, by_yaw: float, by_bias: float, by_disturbance: float
+    ) -> float:
+        """Take an innovation over its variance, by the covariances of the three with it."""
         self.bias += by_bias * left
         self.disturbance += by_disturbance * left
         self.yaw_variance -= by_yaw * by_yaw / spread
