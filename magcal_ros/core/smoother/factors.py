@@ -23,6 +23,7 @@ from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.rests import Course
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
+    ACCELERATION,
     AT,
     ATTITUDE,
     BODY_FIELD,
@@ -212,6 +213,7 @@ def force(course: Course, state: State) -> Linear:
     by[:, :, AT["lever_arm"]] = by_arm
     by[:, :, AT["force_offset"]] = np.eye(3)
     by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
+    by[:, :, AT["mounting_yaw"]] = (acceleration @ QUARTER.T @ level.T)[:, :, None]
     arm = shared[AT["lever_arm"]]
     sideways = mean @ QUARTER.T @ level.T
     # Of w x (w x r) and of the turning about up, with w = measured - bias.
@@ -361,6 +363,14 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     free.residual[:, 2] -= nodes.seconds * state.local[:-1, RATE][:, 0]
     free.here[:, 2, RATE] = nodes.seconds[:, None]
     return free
+
+
+def velocity(state: State, keeps: FloatArray, seconds: FloatArray) -> Linear:
+    """Return what the acceleration at the nodes says of the velocity's change to the next."""
+    linear = process(state, VELOCITY, keeps)
+    linear.residual[:] += seconds[:, None] * state.local[:-1, ACCELERATION]
+    linear.here[:, :, ACCELERATION] = -seconds[:, None, None] * np.eye(2)
+    return linear
 
 
 def process(state: State, which: slice, keeps: FloatArray) -> Linear:

@@ -38,8 +38,8 @@ class Tolerances:
         Steps at most and at least.
     step : float
         Of the answer, in its own sigmas.
-    size : float
-        Relative change of a noise's size.
+    evidence : float
+        Change of minus twice the logarithm of the evidence.
     largest_turn : float
         Radians that a step may turn any node; longer steps are shortened.
     places_at : tuple of int
@@ -53,7 +53,7 @@ class Tolerances:
     rounds: int = 40
     fewest: int = 8
     step: float = 0.05
-    size: float = 0.05
+    evidence: float = 0.5
     largest_turn: float = 0.4
     places_at: tuple[int, ...] = (7, 11)
     held: int = 3
@@ -66,6 +66,7 @@ class Fit:
 
     Parameters
     ----------
+    kind : KindOfMotion
     model : Model
     point : Point
     covariance : ndarray, shape (SHARED, SHARED)
@@ -78,6 +79,7 @@ class Fit:
     converged : bool
     """
 
+    kind: KindOfMotion
     model: Model
     point: Point
     covariance: FloatArray
@@ -116,7 +118,7 @@ def fit(
     kind : KindOfMotion
     tolerances : Tolerances
     like : Fit, optional
-        The optimum of another kind of motion to begin at.
+        Where to begin: an optimum of another kind of motion, or a fit of this one that goes on.
 
     Raises
     ------
@@ -124,29 +126,33 @@ def fit(
         If a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
-    point, sizes = (
-        Point.begin(model, start) if like is None else like.point.moved_to(model),
-        _Sizes(),
-    )
+    goes_on = like is not None and like.kind == kind
+    if like is None:
+        point = Point.begin(model, start)
+    else:
+        point = like.point if goes_on else like.point.moved_to(model)
+    sizes, before = _Sizes(), math.inf
+    first = max(tolerances.places_at) + 1 if goes_on else 0
     fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
-    for rounds in range(tolerances.rounds + 1):
+    for rounds in range(first, tolerances.rounds + 1):
         if model.travels and rounds in tolerances.places_at:
             point = _with_places(model, point)
         weighted, solution = solve_at(model, point)
+        found = evidence(model, point, weighted, solution)
         share, moved = _share(solution, tolerances), _moved(model, solution)
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
-        converged = converged and sizes.change < tolerances.size
+        converged = converged and abs(found - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
-        sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
+        before = found
+        sizes, point = sizes.next(model, point, weighted, solution, rounds > first)
         point = _stepped(model, point, solution, share)
         if rounds >= tolerances.held:
             point = replace(point, groups=effect_factors(model, point, solution))
         if rounds >= tolerances.gaussian:
             point = replace(point, is_robust=True)
-    found = evidence(model, point, weighted, solution)
-    covariance = _covariance(model, point, solution, sizes.shown)
-    return Fit(model, point, covariance, found, weighted, rounds, converged)
+    covariance = _covariance(model, point, weighted, solution)
+    return Fit(kind, model, point, covariance, found, weighted, rounds, converged)
 
 
 def _share(solution: Solution, tolerances: Tolerances) -> float:
@@ -185,12 +191,6 @@ class _Sizes:
 
     pace: dict[str, float] | None = None
     steps: dict[str, float] | None = None
-    shown: dict[str, float] | None = None
-
-    @property
-    def change(self) -> float:
-        """The largest relative step."""
-        return max((abs(step) for step in (self.steps or {}).values()), default=math.inf)
 
     def next(
         self,
@@ -203,7 +203,7 @@ class _Sizes:
         """Return the change and the point after it; where steps alternate, they get shorter."""
         if not counted:
             return self, point
-        wanted, shown, doubt = noise_sizes(model, point, weighted, solution)
+        wanted, _, doubt = noise_sizes(model, point, weighted, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
             step = math.log(size / point.sizes[name])
@@ -212,11 +212,11 @@ class _Sizes:
             pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
-        return _Sizes(pace, steps, shown), replace(point, sizes=sizes, doubt=doubt)
+        return _Sizes(pace, steps), replace(point, sizes=sizes, doubt=doubt)
 
 
 def _covariance(
-    model: Model, point: Point, solution: Solution, shown: dict[str, float] | None
+    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
 ) -> FloatArray:
     """Return the covariance of the shared unknowns, that of the sizes included.
 
@@ -224,9 +224,9 @@ def _covariance(
     counts by its mean square. What motors add may be a step or go with the rate: an even turn does
     not tell, so that each may be as large as both together.
     """
-    beliefs = model.priors.sizes
+    beliefs, (_, shown, _) = model.priors.sizes, noise_sizes(model, point, weighted, solution)
     wide = {
-        name: expected_square(size, (shown or {}).get(name, 0.0), beliefs[name])
+        name: expected_square(size, shown.get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
     }
     expected = effect_factors(model, point, solution, frozenset({"axes"}))

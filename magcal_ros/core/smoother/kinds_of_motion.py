@@ -13,7 +13,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
-from magcal_ros.core.smoother.fit import Fit, fit
+from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
@@ -31,6 +31,8 @@ ANY: Mapping[str, float] = {}
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
+ROUGHLY, HOPELESS = Tolerances(rounds=12), 150.0
+"""How a kind of motion is tried, and from what difference of evidence then it is left out."""
 SPREADS = 3.0
 """Of the size of a gyro's noise, within which it is one that gyros have."""
 
@@ -129,13 +131,18 @@ def _weighed(
 ) -> Smoothed:
     """Fit the kinds of motion that are not fitted yet, and weigh all."""
     for name in KINDS.keys() - fits.keys():
-        _try(fits, name, nodes, priors, state)
+        _try(fits, name, nodes, priors, state, tolerances=ROUGHLY)
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
+    least = min(each.evidence for each in fits.values())
+    fits = {name: each for name, each in fits.items() if each.evidence < least + HOPELESS}
+    for name, rough in tuple(fits.items()):
+        if not rough.converged:
+            _try(fits, name, nodes, priors, state, rough)
     best = min(fits, key=lambda name: fits[name].evidence)
     for name in KINDS:
         # Another kind may have stopped at a worse optimum than the best one's lies at.
-        if name != best:
+        if name != best and name in fits:
             _try(fits, name, nodes, priors, state, fits[best])
     return mixed(fits, nodes, knowledge)
 
@@ -168,10 +175,11 @@ def _try(
     priors: Priors,
     state: State,
     like: Fit | None = None,
+    tolerances: Tolerances = Tolerances(),
 ) -> None:
     """Fit one kind of motion, and keep the fit if it is the most likely one of its kind."""
     try:
-        found = fit(nodes, priors, state, KINDS[name], like=like)
+        found = fit(nodes, priors, state, KINDS[name], tolerances, like)
     except np.linalg.LinAlgError:
         return
     known = fits.get(name)

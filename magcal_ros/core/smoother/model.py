@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
@@ -16,6 +17,8 @@ from magcal_ros.core.smoother.rests import Course, level_axes
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
+    AHEAD,
+    SIDE,
     AT,
     BODY_FIELD,
     EARTH,
@@ -49,8 +52,8 @@ class Model:
     axes : ndarray, shape (3, 3)
         The body's level axes (`level_axes`).
     priors : Priors
-    speed : float
-        m/s per axis that are usual for the kind of motion.
+    speed : ndarray, shape (2,)
+        m/s per axis, ahead and sideways, that are usual for the kind of motion.
     travels : bool
         Whether the kind of motion leaves the spot.
     """
@@ -58,7 +61,7 @@ class Model:
     nodes: Nodes
     axes: FloatArray
     priors: Priors
-    speed: float
+    speed: FloatArray
     travels: bool
 
     @classmethod
@@ -66,9 +69,13 @@ class Model:
         """Return the model of one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
+        if kind.aside == 1.0: scale[AT["mounting_yaw"]] = 0.0
+        sizes = dict(priors.sizes)
+        sizes["acceleration"] = sizes["acceleration"]._replace(usual=kind.acceleration)
+        sizes["slip"] = sizes["slip"]._replace(usual=kind.acceleration*kind.aside)
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
-        return cls(nodes, axes, replace(priors, scale=scale), kind.speed, travels)
+        return cls(nodes, axes, replace(priors, scale=scale, sizes=sizes), kind.speed*np.array([1.,kind.aside]), travels)
 
     @property
     def no_places(self) -> Places:
@@ -122,7 +129,7 @@ class Point:
             },
             _usual_groups(model.priors, state),
             model.no_places,
-            np.full(len(model.nodes), 2.0 * model.speed**2),
+            np.full(len(model.nodes), float(model.speed @ model.speed)),
         )
 
     def freedom(self, model: Model, name: str) -> float:
@@ -136,8 +143,8 @@ class Point:
             return self
         state = places.retold(self.state, self.places.disturbance(self.state))
         local = state.local.copy()
-        local[:, VELOCITY] *= min(
-            1.0, model.speed / max(float(np.abs(local[:, VELOCITY]).max()), 1e-9)
+        local[:, VELOCITY] *= np.minimum(
+            1.0, model.speed / np.maximum(np.abs(local[:, VELOCITY]).max(axis=0), 1e-9)
         )
         return replace(self, state=replace(state, local=local), places=places)
 
@@ -156,7 +163,9 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
 def course_at(model: Model, state: State) -> Course:
     """Return where the robot rests, by the bias at a state."""
     bias = state.shared[AT["gyro_bias"]]
-    return Course.of(model.nodes, model.axes, bias, model.priors.lengths)
+    yaw = state.shared[AT["mounting_yaw"]]
+    axes = model.axes @ rotation_about(np.array([0.,0.,1.]), yaw)[0]
+    return Course.of(model.nodes, axes, bias, model.priors.lengths)
 
 
 def weigh(model: Model, point: Point) -> dict[str, Weighted]:
@@ -189,7 +198,7 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         variance = sizes[name] ** 2 * seconds + nodes.unseen[:, axes].mean(axis=1)
         return Weighted(gyro.part(axes), variance, point.freedom(model, name))
 
-    course, change = point.course, sizes["speed_change"] / model.speed
+    course = point.course
     steps = way_between(model, point) / places.length
     # What motors do while they run says nothing of the rest before or after.
     still = course.still
@@ -210,8 +219,26 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         "gyro": turned("gyro", LEVEL_AXES),
         "gyro_up": turned("gyro_up", UP_AXIS),
         "street": forgets("street", STREET, steps, sizes["street"]),
-        "speed_change": forgets("speed_change", VELOCITY, 0.5 * seconds * change**2, model.speed),
+        "speed_change": _velocity(model, point, 0, "acceleration"),
+        "side_change": _velocity(model, point, 1, "slip"),
+        "acceleration": forgets(
+            "acceleration", AHEAD, seconds / lengths.acceleration, sizes["acceleration"]
+        ),
+        "slip": forgets("slip", SIDE, seconds / lengths.acceleration, sizes["slip"]),
     }
+
+
+def _velocity(model: Model, point: Point, axis: int, by: str) -> Weighted:
+    """Return the velocity's process: it spreads by accelerations until it has its usual size."""
+    seconds = model.nodes.seconds
+    speed = model.speed[axis]
+    name = ("speed_change", "side_change")[axis]
+    by_jolts = point.sizes[name] ** 2
+    spreads = by_jolts + 2.0 * model.priors.lengths.acceleration * point.sizes[by] ** 2
+    keeps = np.exp(-0.5 * seconds * spreads / speed**2)
+    variance = by_jolts / spreads * speed**2 * (1.0 - keeps**2) + LEAST_VARIANCE
+    linear = factors.velocity(point.state, keeps, seconds).part(slice(axis, axis + 1))
+    return Weighted(linear, variance, point.freedom(model, name))
 
 
 def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
@@ -266,6 +293,8 @@ def prior_at(model: Model, point: Point) -> Prior:
     local[0, VELOCITY] = model.speed**-2.0
     local[0, STREET] = sizes["street"] ** -2.0
     local[0, BODY_FIELD] = _body_field_at_first(point) ** -2.0
+    local[0, AHEAD] = sizes["acceleration"] ** -2.0
+    local[0, SIDE] = sizes["slip"] ** -2.0
     local[point.course.still, VELOCITY] = model.priors.lengths.creep**-2.0
     count = SHARED + 3 * len(places)
     information = np.zeros((count, count))
@@ -306,9 +335,12 @@ def evidence(
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values()) + solution.log_determinant
     levels = (
-        (VELOCITY, model.speed),
+        (slice(3, 4), model.speed[0]),
+        (slice(4, 5), model.speed[1]),
         (STREET, sizes["street"]),
         (BODY_FIELD, _body_field_at_first(point)),
+        (AHEAD, sizes["acceleration"]),
+        (SIDE, sizes["slip"]),
     )
     for which, level in levels:
         first = state.local[0, which]

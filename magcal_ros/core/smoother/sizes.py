@@ -97,7 +97,7 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
         if abs(step) < 1e-4:
             break
     least = belief.usual * math.exp(-SMALLEST * belief.spread)
-    return max(least, size * math.exp(max(-0.7, min(0.7, change))))
+    return min(belief.most, max(least, size * math.exp(max(-0.7, min(0.7, change)))))
 
 
 def expected_square(size: float, shown: float, belief: Size) -> float:

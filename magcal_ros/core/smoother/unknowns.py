@@ -19,9 +19,12 @@ MICROTESLA = 1e6
 """Microtesla in a tesla."""
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
+ACCELERATION = slice(11, 13)
+AHEAD, SIDE = slice(11, 12), slice(12, 13)
 """Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
-local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT)."""
-LOCAL = 11
+local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
+lasting change of the velocity (m/s², level axes of the body)."""
+LOCAL = 13
 RATE = slice(5, 6)
 """Without a gyro, in place of the local disturbance: the turn rate about the turn's axis, rad/s."""
 
@@ -75,6 +78,7 @@ class Size(NamedTuple):
     meaning: str
     source: str
     start: float = math.nan
+    most: float = math.inf
 
 
 UNKNOWNS: dict[str, Unknown] = {
@@ -133,6 +137,9 @@ UNKNOWNS: dict[str, Unknown] = {
     "height": Unknown(
         (0.2,), 0.0, 1.0, "m", "accelerometer above the pivot of its sway", "robots: 0 to .6"
     ),
+    "mounting_yaw": Unknown(
+        (0.06,), 0.7, 8.0, "rad", "forward of the vehicle, left of x of the body", "by hand"
+    ),
     "gradient": Unknown(
         (0.4,) * 6,
         1.2,
@@ -143,21 +150,26 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
 }
 
+import os
+MOSTG=float(os.environ.get("MOSTG","0.004"))
 SIZES: dict[str, Size] = {
     "field": Size(
         0.07, 0.7, 6.0, "µT", "noise of a node's field beside white noise", "steps of resolution"
     ),
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's level force", "vibration: .01 to .5"),
     "force_up": Size(0.03, 1.5, 4.0, "m/s²", "the same along z", "bumps of the road: to 1"),
-    "gyro": Size(0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003"),
-    "gyro_up": Size(0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003"),
+    "gyro": Size(0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003", most=MOSTG),
+    "gyro_up": Size(0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003", most=MOSTG),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
     # It begins wide: else the local disturbance takes what motors do.
     "motors_noise": Size(
         0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
     ),
-    "speed_change": Size(0.05, 1.2, 4.0, "m/s/√s", "change of velocity", "cars .5, on the spot 0"),
+    "speed_change": Size(0.02, 1.2, 4.0, "m/s/√s", "jolts of the velocity", "cars .1, on the spot 0"),
+    "side_change": Size(0.02, 1.2, 4.0, "m/s/√s", "the same sideways", "cars .1, on the spot 0"),
+    "acceleration": Size(0.01, 1.0, 4.0, "m/s²", "change of the velocity", "cars 1, on the spot 0"),
+    "slip": Size(0.01, 1.0, 4.0, "m/s²", "the same sideways", "wheels .03"),
 }
 
 STANDING = Size(
@@ -173,17 +185,21 @@ RARE_IRON = 0.0005, 2.0
 
 
 class KindOfMotion(NamedTuple):
-    """A kind of motion: the usual velocity (m/s per axis) and lever arm (m)."""
+    """A kind of motion: the usual velocity (m/s per axis), acceleration (m/s²), lever arm (m)."""
 
     speed: float
     lever_arm: float
+    acceleration: float
+    aside: float = 1.0
 
 
 ON_THE_SPOT, SMALL_CIRCLE, DRIVE = "on the spot", "small circle", "drive"
+CAR = "car"
 KINDS: dict[str, KindOfMotion] = {
-    ON_THE_SPOT: KindOfMotion(0.02, 0.08),
-    SMALL_CIRCLE: KindOfMotion(0.8, 0.15),
-    DRIVE: KindOfMotion(6.0, 1.0),
+    ON_THE_SPOT: KindOfMotion(0.02, 0.08, 0.01),
+    SMALL_CIRCLE: KindOfMotion(0.8, 0.15, 0.1),
+    CAR: KindOfMotion(6.0, 1.0, 0.7, 0.05),
+    DRIVE: KindOfMotion(6.0, 1.0, 0.7),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 
@@ -198,6 +214,8 @@ class Lengths:
         Metres over which the local disturbance is alike (e to the minus one).
     body_field : float
         Seconds over which the body's coloured noise is alike.
+    acceleration : float
+        Seconds over which the change of velocity is alike.
     beside : float
         Metres of the magnetometer from the pivot: the way it goes while the robot turns.
     creep : float
@@ -208,6 +226,7 @@ class Lengths:
 
     street: float = 30.0
     body_field: float = 4.0
+    acceleration: float = 3.0
     beside: float = 0.15
     creep: float = 0.01
     moving: float = 0.03
