@@ -23,7 +23,6 @@ from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.rests import Course
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
-    ACCELERATION,
     AT,
     ATTITUDE,
     BODY_FIELD,
@@ -365,12 +364,29 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     return free
 
 
-def velocity(state: State, keeps: FloatArray, seconds: FloatArray) -> Linear:
-    """Return what the acceleration at the nodes says of the velocity's change to the next."""
-    linear = process(state, VELOCITY, keeps)
-    linear.residual[:] += seconds[:, None] * state.local[:-1, ACCELERATION]
-    linear.here[:, :, ACCELERATION] = -seconds[:, None, None] * np.eye(2)
-    return linear
+def followed(
+    state: State, row: int, keeps: FloatArray, by: tuple[int, int]
+) -> Linear:
+    """Return what a process of second order says of one unknown, x[k + 1] = keeps x[k] + noise.
+
+    Parameters
+    ----------
+    state : State
+    row : int
+        Which of the nodes' unknowns.
+    keeps : ndarray, shape (2, n - 1)
+        By which two it follows.
+    by : tuple of int
+        Which two.
+    """
+    values, count = state.local, len(state.local) - 1
+    here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
+    residual = -values[1:, row]
+    for share, column in zip(keeps, by, strict=True):
+        residual = residual + share * values[:-1, column]
+        here[:, 0, column] = -share
+    there[:, 0, row] = 1.0
+    return Linear(residual[:, None], here, there)
 
 
 def process(state: State, which: slice, keeps: FloatArray) -> Linear:

@@ -17,6 +17,7 @@ from magcal_ros.core.smoother.rests import Course, level_axes
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
+    ACCELERATION,
     AHEAD,
     SIDE,
     AT,
@@ -38,6 +39,7 @@ GAUSSIAN = 1e9
 LEAST_VARIANCE = 1e-9
 """Added to the variance of the processes' steps, which would be zero at rest."""
 
+VELOCITY_PARTS = "velocity ahead", "velocity sideways"
 LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most
 """µT per axis."""
 
@@ -70,12 +72,9 @@ class Model:
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
         if kind.aside == 1.0: scale[AT["mounting_yaw"]] = 0.0
-        sizes = dict(priors.sizes)
-        sizes["acceleration"] = sizes["acceleration"]._replace(usual=kind.acceleration)
-        sizes["slip"] = sizes["slip"]._replace(usual=kind.acceleration*kind.aside)
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
-        return cls(nodes, axes, replace(priors, scale=scale, sizes=sizes), kind.speed*np.array([1.,kind.aside]), travels)
+        return cls(nodes, axes, replace(priors, scale=scale), kind.speed*np.array([1.,kind.aside]), travels)
 
     @property
     def no_places(self) -> Places:
@@ -219,26 +218,43 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
         "gyro": turned("gyro", LEVEL_AXES),
         "gyro_up": turned("gyro_up", UP_AXIS),
         "street": forgets("street", STREET, steps, sizes["street"]),
-        "speed_change": _velocity(model, point, 0, "acceleration"),
-        "side_change": _velocity(model, point, 1, "slip"),
-        "acceleration": forgets(
-            "acceleration", AHEAD, seconds / lengths.acceleration, sizes["acceleration"]
-        ),
-        "slip": forgets("slip", SIDE, seconds / lengths.acceleration, sizes["slip"]),
+        **_motion(model, point, 0),
+        **_motion(model, point, 1),
     }
 
 
-def _velocity(model: Model, point: Point, axis: int, by: str) -> Weighted:
-    """Return the velocity's process: it spreads by accelerations until it has its usual size."""
-    seconds = model.nodes.seconds
-    speed = model.speed[axis]
-    name = ("speed_change", "side_change")[axis]
-    by_jolts = point.sizes[name] ** 2
-    spreads = by_jolts + 2.0 * model.priors.lengths.acceleration * point.sizes[by] ** 2
-    keeps = np.exp(-0.5 * seconds * spreads / speed**2)
-    variance = by_jolts / spreads * speed**2 * (1.0 - keeps**2) + LEAST_VARIANCE
-    linear = factors.velocity(point.state, keeps, seconds).part(slice(axis, axis + 1))
-    return Weighted(linear, variance, point.freedom(model, name))
+def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
+    """Return what is believed of velocity and acceleration along one of the level axes.
+
+    The velocity v and its change a follow dv/dt = a, da/dt = -a / T - (A / V)^2 v + noise, in
+    which V and A are their usual sizes.
+    """
+    seconds, name = model.nodes.seconds, ("acceleration", "slip")[axis]
+    speed, size = model.speed[axis], point.sizes[name]
+    by_v, by_a = _followed(seconds, 1.0 / model.priors.lengths.acceleration, size / speed)
+    v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
+    a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
+    found = {}
+    for kind, keeps, variance, column in (
+        (VELOCITY_PARTS[axis], by_v, v_square, VELOCITY),
+        (name, by_a, a_square, ACCELERATION),
+    ):
+        linear = factors.followed(point.state, column.start + axis, keeps, (VELOCITY.start + axis, ACCELERATION.start + axis))
+        found[kind] = Weighted(
+            linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name)
+        )
+    return found
+
+
+def _followed(seconds: FloatArray, damping: float, pace: float) -> FloatArray:
+    """Return the rows of exp(A t), A = [[0, 1], [-pace^2, -damping]], shape (2, 2, n)."""
+    root = np.sqrt(complex(0.25 * damping**2 - pace**2))
+    root = root if abs(root) > 1e-6 else complex(1e-6)
+    fades = np.exp(-0.5 * damping * seconds)
+    even = np.real(fades * np.cosh(root * seconds))
+    odd = np.real(fades * np.sinh(root * seconds) / root)
+    half = 0.5 * damping * odd
+    return np.array([[even + half, odd], [-(pace**2) * odd, even - half]])
 
 
 def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:

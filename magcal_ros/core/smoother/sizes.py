@@ -36,6 +36,8 @@ def noise_sizes(
     free = counted_unknowns(model, point.places)
     sizes, shown = {}, {}
     for name, part in weighted.items():
+        if name not in point.sizes:
+            continue
         counted, linear = np.isfinite(part.variance), part.linear
         spent = part.weight * _variance(linear, solution, own, beside, free)
         square = part.weight * np.sum(linear.residual**2, axis=1)

@@ -166,10 +166,8 @@ SIZES: dict[str, Size] = {
     "motors_noise": Size(
         0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
     ),
-    "speed_change": Size(0.02, 1.2, 4.0, "m/s/√s", "jolts of the velocity", "cars .1, on the spot 0"),
-    "side_change": Size(0.02, 1.2, 4.0, "m/s/√s", "the same sideways", "cars .1, on the spot 0"),
-    "acceleration": Size(0.01, 1.0, 4.0, "m/s²", "change of the velocity", "cars 1, on the spot 0"),
-    "slip": Size(0.01, 1.0, 4.0, "m/s²", "the same sideways", "wheels .03"),
+    "acceleration": Size(0.03, 2.0, 4.0, "m/s²", "change of the velocity", "cars 1, on the spot 0", 0.3),
+    "slip": Size(0.03, 2.0, 4.0, "m/s²", "the same sideways", "wheels .03", 0.3),
 }
 
 STANDING = Size(
