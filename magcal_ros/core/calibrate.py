@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from magcal_ros.core.assessment.verdict import TUNING as VERDICT
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import Estimate, in_doubt
@@ -116,22 +115,19 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    if method != METHODS[0]:
+    if method != METHODS[0] or not _for_the_smoother(window, knowledge):
         return calibrate_by(window, knowledge, method)
-    stays = turn_by_smoother(window, knowledge)
-    if stays and stays.verdict.accepted and _heading_sigma(stays) <= VERDICT.rough:
-        return stays
-    turn = calibrate_by(window, knowledge, method)
-    if log is None and window.angular_rate is not None and len(window):
-        from magcal_ros.core.smoothing.log import log_of
+    return calibrate_by(window, knowledge, "smoother_one")
 
-        log = log_of(window)
-    if log is None:
-        return turn
-    if stays is None:
-        return drive_instead(turn, log, knowledge)
-    # The robot turned on the spot: a drive would take its motors for places that were left.
-    return turn if turn.verdict.accepted else _without_gyro(turn, log, knowledge) or stays
+
+def _for_the_smoother(window: Window, knowledge: Knowledge) -> bool:
+    """Return whether the smoother answers a window.
+
+    Without a gyro, and for sensors without systematic errors, the turn's model does.
+    """
+    from magcal_ros.core.smoother.without_gyro import living_axes
+
+    return living_axes(window.angular_rate)[2] and not knowledge.systematics.are_none
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -212,28 +208,6 @@ def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome
     if doubt is None:
         return turn
     return judged(in_doubt(drive.estimate, doubt), knowledge, log.window) if doubt else drive
-
-
-def turn_by_smoother(window: Window, knowledge: Knowledge) -> Outcome | None:
-    """Return what the smoother makes of a turn on the spot; None where it has no answer.
-
-    That is so without a gyro, for a drive, where the body weakens the level field, where the
-    answer is rough and no rest says that the robot stayed, and for sensors without systematic
-    errors, for which the turn's model is exact.
-    """
-    from magcal_ros.core.methods.smoother_one import fit_turn
-
-    if knowledge.systematics.are_none or window.angular_rate is None:
-        return None
-    try:
-        estimate = fit_turn(window, knowledge)
-    except Refusal:
-        return None
-    if estimate is None or Figure.LEVEL_SHARE in estimate.figures:
-        return None
-    if not window.rests and predicted_heading_sigma(estimate, 0.0) > VERDICT.rough:
-        return None
-    return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:

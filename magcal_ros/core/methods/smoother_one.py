@@ -8,6 +8,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
@@ -24,11 +25,12 @@ from magcal_ros.core.methods.maximum_likelihood.screening import (
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import QUARTER, distortion
 from magcal_ros.core.smoother.fit import Fit
-from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth, smooth_turn
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
 from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    DRIVES,
     MICROTESLA,
     ON_THE_SPOT,
     ROLL_PITCH,
@@ -39,6 +41,14 @@ from magcal_ros.core.smoother.unknowns import (
 from magcal_ros.core.smoother.without_gyro import living_axes
 
 METHOD = "smoother_one"
+SECTORS, FEWEST_SECTORS = 12, 4
+"""Of heading, and how many of them a drive has to go to."""
+LARGEST_STREET = 12.0
+"""µT of a local disturbance beyond which the sensors do not belong together."""
+DEAD_AXES = (
+    "the gyro measures about its z axis only, so that acceleration and lean of a robot that drives"
+    " cannot be separated; turn once on the spot, or mend the gyro"
+)
 FEWEST_SAMPLES = 20
 BELIEVED = 0.3
 """Student weight above which a node counts as an inlier."""
@@ -67,13 +77,38 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
         If the samples cannot carry a calibration.
     """
     refuse_empty(window, FEWEST_SAMPLES)
-    if living_axes(window.angular_rate)[2]:
-        return _estimate(smooth(window, knowledge), window, knowledge)
+    living = living_axes(window.angular_rate)
+    if living[2]:
+        found = smooth(window, knowledge)
+        estimate = _estimate(found, window, knowledge)
+        if found.mode in DRIVES:
+            _check_drive(found, estimate, all(living))
+        return estimate
     check_window(window, knowledge)
     found = smooth_by_field(window, knowledge)
     estimate = _estimate(found, window, knowledge)
     _check(found, estimate, knowledge)
     return estimate
+
+
+def _check_drive(found: Smoothed, estimate: Estimate, lives: bool) -> None:
+    """Refuse a drive of which too little is known."""
+    if not lives:
+        raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
+    street = found.fit.point.sizes["street"]
+    if street > LARGEST_STREET:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            f"along the drive the field deviates by {street:.0f} µT from where gyro and gravity"
+            " turn it; check that the axes of both sensors belong together, and drive away from"
+            " iron",
+        )
+    sectors = estimate.figures[Figure.HEADINGS_DRIVEN]
+    if sectors < FEWEST_SECTORS:
+        raise Refusal(
+            Reason.ARC_TOO_SHORT,
+            f"the drive went to {sectors:.0f} of 12 headings only; drive on, round a block",
+        )
 
 
 def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
@@ -89,17 +124,6 @@ def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     check_radius(float(across), estimate.inclination)
     check_arc(estimate.arc, solved_by_knowledge=knowledge.reference.is_complete)
     check_rival(rival_gap(found), knowledge, estimate.arc)
-
-
-def fit_turn(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate | None:
-    """Find the twelve numbers of a turn on the spot or in a small circle; None if it was none.
-
-    Parameters and errors as of `fit`.
-    """
-    refuse_empty(window, FEWEST_SAMPLES)
-    lives = living_axes(window.angular_rate)[2]
-    found = smooth_turn(window, knowledge) if lives else None
-    return None if found is None else _estimate(found, window, knowledge)
 
 
 def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
@@ -179,6 +203,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     share = 1.0 + shared[SHIELDING]
     weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
     return {
+        **(_of_a_drive(found) if found.mode in DRIVES else {}),
         **({Figure.LEVEL_SHARE: float(share)} if weakened else {}),
         Figure.STEADY_PULL: _pull(best) / STANDARD_GRAVITY,
         Figure.POSSIBLE_PULL: found.by_pull,
@@ -191,4 +216,16 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.ON_THE_SPOT: sum(
             share for name, share in found.weights.items() if name.startswith(ON_THE_SPOT)
         ),
+    }
+
+
+def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
+    nodes, course = found.nodes, found.fit.point.course
+    attitude = found.fit.state.attitude[course.moving > 0.0]
+    yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
+    sectors = np.unique(np.floor(np.mod(yaw, math.tau) * SECTORS / math.tau))
+    return {
+        Figure.HEADINGS_DRIVEN: float(len(sectors)),
+        Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
+        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
     }

@@ -145,7 +145,7 @@ def fit(
         if converged or rounds == tolerances.rounds:
             break
         before = found
-        sizes, point = sizes.next(model, point, weighted, solution, rounds > first)
+        sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
         point = _stepped(model, point, solution, share)
         if rounds >= tolerances.held:
             point = replace(point, groups=effect_factors(model, point, solution))

@@ -18,7 +18,7 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import DRIVE, KINDS, ON_THE_SPOT, SIZES, Priors, priors_of
+from magcal_ros.core.smoother.unknowns import KINDS, SIZES, USUAL, Priors, priors_of
 from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
 
 BELIEVED = 0.25
@@ -26,15 +26,12 @@ BELIEVED = 0.25
 
 It is approximate (Laplace, at the most likely sizes), and real robots differ from the model."""
 
-ANY: Mapping[str, float] = {}
-"""Where all kinds of motion are as usual."""
-
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
-ROUGHLY, HOPELESS = Tolerances(rounds=12), 150.0
+ROUGHLY, HOPELESS = Tolerances(rounds=20), 150.0
 """How a kind of motion is tried, and from what difference of evidence then it is left out."""
-SPREADS = 3.0
-"""Of the size of a gyro's noise, within which it is one that gyros have."""
+NEARLY = 0.95
+"""Share of the largest noise of a gyro, beyond which the gyro does not belong to the rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,51 +83,7 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     """
     nodes, state, priors = _started(window, knowledge)
     fits: dict[str, Fit] = {}
-    _try(fits, ON_THE_SPOT, nodes, priors, state)
-    return _weighed(fits, nodes, state, priors, knowledge)
-
-
-def smooth_turn(window: Window, knowledge: Knowledge) -> Smoothed | None:
-    """Fit a window like `smooth`, if it is a turn on the spot or in a small circle; else None.
-
-    On the spot the gyro and gravity belong together. A vehicle's acceleration would have to be a
-    noise of the gyro that no gyro has, which the first fit shows.
-
-    Raises
-    ------
-    Refusal
-        If no fit could be had.
-    """
-    nodes, state, priors = _started(window, knowledge)
-    fits: dict[str, Fit] = {}
-    _try(fits, ON_THE_SPOT, nodes, priors, state)
-    if ON_THE_SPOT not in fits or not gyro_is_usual(fits[ON_THE_SPOT]):
-        return None
-    found = _weighed(fits, nodes, state, priors, knowledge)
-    return found if gyro_is_usual(found.fit) and found.mode != DRIVE else None
-
-
-def gyro_is_usual(fit: Fit) -> bool:
-    """Return whether the gyro's noise is one that gyros have, on axes that live."""
-    believed = fit.model.priors.sizes
-    return all(
-        fit.point.sizes[name] < SIZES[name].usual * math.exp(SPREADS * SIZES[name].spread)
-        for name in ("gyro", "gyro_up")
-        if believed[name] == SIZES[name]
-    )
-
-
-def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
-    nodes = nodes_of(window, knowledge.mounting.to_body)
-    priors = priors_of(knowledge, window.bias_sigma)
-    return nodes, *start(nodes, with_dead_axes(priors, living_axes(window.angular_rate)))
-
-
-def _weighed(
-    fits: dict[str, Fit], nodes: Nodes, state: State, priors: Priors, knowledge: Knowledge
-) -> Smoothed:
-    """Fit the kinds of motion that are not fitted yet, and weigh all."""
-    for name in KINDS.keys() - fits.keys():
+    for name in KINDS:
         _try(fits, name, nodes, priors, state, tolerances=ROUGHLY)
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
@@ -147,8 +100,24 @@ def _weighed(
     return mixed(fits, nodes, knowledge)
 
 
+def gyro_is_usual(fit: Fit) -> bool:
+    """Return whether the gyro's noise is one that gyros have, on axes that live."""
+    believed = fit.model.priors.sizes
+    return all(
+        fit.point.sizes[name] < NEARLY * SIZES[name].most
+        for name in ("gyro", "gyro_up")
+        if believed[name] == SIZES[name]
+    )
+
+
+def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
+    nodes = nodes_of(window, knowledge.mounting.to_body)
+    priors = priors_of(knowledge, window.bias_sigma)
+    return nodes, *start(nodes, with_dead_axes(priors, living_axes(window.angular_rate)))
+
+
 def mixed(
-    fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = ANY
+    fits: dict[str, Fit], nodes: Nodes, knowledge: Knowledge, usual: Mapping[str, float] = USUAL
 ) -> Smoothed:
     """Weigh fits by their evidence, and by how usual their kinds of motion are."""
     least = min(each.evidence for each in fits.values())

@@ -18,8 +18,6 @@ from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
-    AHEAD,
-    SIDE,
     AT,
     BODY_FIELD,
     EARTH,
@@ -39,7 +37,11 @@ GAUSSIAN = 1e9
 LEAST_VARIANCE = 1e-9
 """Added to the variance of the processes' steps, which would be zero at rest."""
 
-VELOCITY_PARTS = "velocity ahead", "velocity sideways"
+CHANGES = "acceleration", "slip"
+"""The sizes of the change of velocity, ahead and sideways."""
+VELOCITIES = "velocity ahead", "velocity sideways"
+"""Residuals that have no size of their own: velocity follows its change."""
+
 LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].most
 """µT per axis."""
 
@@ -71,10 +73,11 @@ class Model:
         """Return the model of one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
-        if kind.aside == 1.0: scale[AT["mounting_yaw"]] = 0.0
+        if not kind.has_wheels:
+            scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
-        return cls(nodes, axes, replace(priors, scale=scale), kind.speed*np.array([1.,kind.aside]), travels)
+        return cls(nodes, axes, replace(priors, scale=scale), kind.velocity, travels)
 
     @property
     def no_places(self) -> Places:
@@ -162,8 +165,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
 def course_at(model: Model, state: State) -> Course:
     """Return where the robot rests, by the bias at a state."""
     bias = state.shared[AT["gyro_bias"]]
-    yaw = state.shared[AT["mounting_yaw"]]
-    axes = model.axes @ rotation_about(np.array([0.,0.,1.]), yaw)[0]
+    axes = model.axes @ rotation_about(factors.Z, state.shared[AT["mounting_yaw"]])[0]
     return Course.of(model.nodes, axes, bias, model.priors.lengths)
 
 
@@ -229,17 +231,18 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     The velocity v and its change a follow dv/dt = a, da/dt = -a / T - (A / V)^2 v + noise, in
     which V and A are their usual sizes.
     """
-    seconds, name = model.nodes.seconds, ("acceleration", "slip")[axis]
+    seconds, name = model.nodes.seconds, CHANGES[axis]
     speed, size = model.speed[axis], point.sizes[name]
     by_v, by_a = _followed(seconds, 1.0 / model.priors.lengths.acceleration, size / speed)
     v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
     a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
     found = {}
     for kind, keeps, variance, column in (
-        (VELOCITY_PARTS[axis], by_v, v_square, VELOCITY),
+        (VELOCITIES[axis], by_v, v_square, VELOCITY),
         (name, by_a, a_square, ACCELERATION),
     ):
-        linear = factors.followed(point.state, column.start + axis, keeps, (VELOCITY.start + axis, ACCELERATION.start + axis))
+        by = VELOCITY.start + axis, ACCELERATION.start + axis
+        linear = factors.followed(point.state, column.start + axis, keeps, by)
         found[kind] = Weighted(
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name)
         )
@@ -309,8 +312,7 @@ def prior_at(model: Model, point: Point) -> Prior:
     local[0, VELOCITY] = model.speed**-2.0
     local[0, STREET] = sizes["street"] ** -2.0
     local[0, BODY_FIELD] = _body_field_at_first(point) ** -2.0
-    local[0, AHEAD] = sizes["acceleration"] ** -2.0
-    local[0, SIDE] = sizes["slip"] ** -2.0
+    local[0, ACCELERATION] = [sizes[name] ** -2.0 for name in CHANGES]
     local[point.course.still, VELOCITY] = model.priors.lengths.creep**-2.0
     count = SHARED + 3 * len(places)
     information = np.zeros((count, count))
@@ -351,12 +353,10 @@ def evidence(
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values()) + solution.log_determinant
     levels = (
-        (slice(3, 4), model.speed[0]),
-        (slice(4, 5), model.speed[1]),
+        *zip(_columns(VELOCITY), model.speed, strict=True),
         (STREET, sizes["street"]),
         (BODY_FIELD, _body_field_at_first(point)),
-        (AHEAD, sizes["acceleration"]),
-        (SIDE, sizes["slip"]),
+        *zip(_columns(ACCELERATION), (sizes[name] for name in CHANGES), strict=True),
     )
     for which, level in levels:
         first = state.local[0, which]
@@ -369,6 +369,10 @@ def evidence(
     for name, belief in model.priors.sizes.items():
         cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
     return cost + _cost_of_shared(model, point)
+
+
+def _columns(which: slice) -> tuple[slice, slice]:
+    return slice(which.start, which.start + 1), slice(which.start + 1, which.stop)
 
 
 def _body_field_at_first(point: Point) -> float:

@@ -20,7 +20,6 @@ MICROTESLA = 1e6
 
 ATTITUDE, VELOCITY, STREET, BODY_FIELD = slice(0, 3), slice(3, 5), slice(5, 8), slice(8, 11)
 ACCELERATION = slice(11, 13)
-AHEAD, SIDE = slice(11, 12), slice(12, 13)
 """Unknowns of a node: attitude increment (rad, body axes), velocity (m/s, level axes of the body),
 local disturbance of the Earth's field (µT, world axes), coloured noise of the body's field (µT),
 lasting change of the velocity (m/s², level axes of the body)."""
@@ -69,6 +68,8 @@ class Size(NamedTuple):
     unit, meaning, source : str
     start : float
         Where the iterations begin, if not at the median.
+    most : float
+        Beyond it no sensor or robot is.
     """
 
     usual: float
@@ -138,7 +139,7 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.2,), 0.0, 1.0, "m", "accelerometer above the pivot of its sway", "robots: 0 to .6"
     ),
     "mounting_yaw": Unknown(
-        (0.06,), 0.7, 8.0, "rad", "forward of the vehicle, left of x of the body", "by hand"
+        (0.06,), 0.7, 8.0, "rad", "ahead of wheels, left of the x axis", "boards fixed by hand"
     ),
     "gradient": Unknown(
         (0.4,) * 6,
@@ -150,24 +151,30 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
 }
 
-import os
-MOSTG=float(os.environ.get("MOSTG","0.004"))
 SIZES: dict[str, Size] = {
     "field": Size(
         0.07, 0.7, 6.0, "µT", "noise of a node's field beside white noise", "steps of resolution"
     ),
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's level force", "vibration: .01 to .5"),
     "force_up": Size(0.03, 1.5, 4.0, "m/s²", "the same along z", "bumps of the road: to 1"),
-    "gyro": Size(0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003", most=MOSTG),
-    "gyro_up": Size(0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003", most=MOSTG),
+    # Without a limit the lean of a body is a noise of the gyro, where the robot accelerates.
+    "gyro": Size(
+        0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003", most=0.004
+    ),
+    "gyro_up": Size(
+        0.001, 0.5, 3.0, "rad/√s", "the same about z", "MEMS: .0002 to .003", most=0.004
+    ),
     "street": Size(1.0, 1.0, 6.0, "µT", "local disturbance per axis", "cars in cities: 2.5 to 5"),
     "body_field": Size(0.1, 1.0, 6.0, "µT", "coloured noise of the body at rest", "currents"),
     # It begins wide: else the local disturbance takes what motors do.
     "motors_noise": Size(
         0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
     ),
-    "acceleration": Size(0.03, 2.0, 4.0, "m/s²", "change of the velocity", "cars 1, on the spot 0", 0.3),
-    "slip": Size(0.03, 2.0, 4.0, "m/s²", "the same sideways", "wheels .03", 0.3),
+    "acceleration": Size(
+        0.01, 2.0, 4.0, "m/s²", "change of the velocity ahead", "cars .1 to .3, on the spot 0",
+        most=3.0,
+    ),
+    "slip": Size(0.01, 2.0, 4.0, "m/s²", "the same sideways", "wheels .01 to .05", most=3.0),
 }
 
 STANDING = Size(
@@ -183,23 +190,46 @@ RARE_IRON = 0.0005, 2.0
 
 
 class KindOfMotion(NamedTuple):
-    """A kind of motion: the usual velocity (m/s per axis), acceleration (m/s²), lever arm (m)."""
+    """A kind of motion.
+
+    Parameters
+    ----------
+    speed : float
+        Usual velocity ahead, m/s.
+    aside : float
+        Usual velocity sideways over that ahead: wheels roll ahead.
+    lever_arm : float
+        Usual distance of the accelerometer from the pivot, metres per axis.
+    """
 
     speed: float
+    aside: float
     lever_arm: float
-    acceleration: float
-    aside: float = 1.0
+
+    @property
+    def velocity(self) -> FloatArray:
+        """Usual velocity ahead and sideways, m/s, shape (2,)."""
+        return self.speed * np.array([1.0, self.aside])
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether the robot goes ahead, so that its accelerations tell where ahead is."""
+        return self.aside < 1.0
 
 
-ON_THE_SPOT, SMALL_CIRCLE, DRIVE = "on the spot", "small circle", "drive"
-CAR = "car"
+ON_THE_SPOT, SMALL_CIRCLE = "on the spot", "small circle"
+ON_WHEELS, ANY_WAY = "drive on wheels", "drive any way"
+DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
-    ON_THE_SPOT: KindOfMotion(0.02, 0.08, 0.01),
-    SMALL_CIRCLE: KindOfMotion(0.8, 0.15, 0.1),
-    CAR: KindOfMotion(6.0, 1.0, 0.7, 0.05),
-    DRIVE: KindOfMotion(6.0, 1.0, 0.7),
+    ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08),
+    SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
+USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
+"""How usual the kinds of motion are, where not as usual as the others: most robots have wheels, and turn
+beside rather than on a spot."""
 
 
 @dataclass(frozen=True)
