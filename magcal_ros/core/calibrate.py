@@ -12,7 +12,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import Estimate, in_doubt
+from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal
@@ -93,7 +93,6 @@ def calibrate(
     window: Window,
     knowledge: Knowledge,
     method: str = METHODS[0],
-    log: DriveLog | None = None,
 ) -> Outcome:
     """Fit a window as a turn, or as the drive that it was, and judge the result.
 
@@ -104,30 +103,26 @@ def calibrate(
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`. By the first a turn on the spot with a gyro is the smoother's
-        (`turn_by_smoother`), and what a turn's model refuses or answers only roughly is fitted as
-        a drive, too (`drive_instead`); the others answer alone.
-    log : DriveLog, optional
-        What was driven meanwhile, where more is known of it than the window says, as of speed.
+        One of `METHODS`. By the first a window with a gyro is the smoother's, whether the robot
+        turned on the spot or drove.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    if method != METHODS[0] or not _for_the_smoother(window, knowledge):
-        return calibrate_by(window, knowledge, method)
-    return calibrate_by(window, knowledge, "smoother_one")
+    return calibrate_by(window, knowledge, _best_method(window, knowledge, method))
 
 
-def _for_the_smoother(window: Window, knowledge: Knowledge) -> bool:
-    """Return whether the smoother answers a window.
+def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
+    """Return the method that answers where the recommended one was asked for.
 
-    Without a gyro, and for sensors without systematic errors, the turn's model does.
+    Without a gyro, and for sensors without systematic errors, it is the turn's model.
     """
     from magcal_ros.core.smoother.without_gyro import living_axes
 
-    return living_axes(window.angular_rate)[2] and not knowledge.systematics.are_none
+    lives = living_axes(window.angular_rate)[2] and not knowledge.systematics.are_none
+    return "smoother_one" if lives and method == METHODS[0] else method
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -149,7 +144,8 @@ def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window
     if wrong is not None:
         return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)
-    wrong = None if outcome.verdict.accepted else wrong_stamps(window)
+    explains = estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
+    wrong = None if outcome.verdict.accepted and explains else wrong_stamps(window)
     return outcome if wrong is None else Outcome.refused(wrong, window)
 
 
@@ -173,62 +169,6 @@ def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     except Refusal as refusal:
         return Outcome.refused(refusal, window)
     return _judged_by_axes_too(estimate, knowledge, window)
-
-
-def drive_instead(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome:
-    """Return what comes of a window as a drive, where that tells it better than a turn.
-
-    A turn that was accepted stays with the turn's model, which knows that it came back to the same
-    place. The drive's answers where that refuses, but for what is wrong with the robot; or where
-    the robot went somewhere and the drive tells more (`doubt_of_drive`).
-
-    Parameters
-    ----------
-    turn : Outcome
-        What the turn's model makes of it; returned where a drive tells no better.
-    log : DriveLog
-        What was driven meanwhile.
-    knowledge : Knowledge
-    """
-    from magcal_ros.core.turn_or_drive import doubt_of_drive, leans_more, may_be_a_drive
-
-    if turn.verdict.is_good:
-        return turn
-    if not may_be_a_drive(turn, log, knowledge):
-        return turn
-    drive = calibrate_drive(log, knowledge)
-    if drive.estimate is None or not drive.verdict.accepted:
-        return turn
-    if turn.estimate is None or not turn.verdict.accepted:
-        alone = _without_gyro(turn, log, knowledge)
-        return drive if alone is None else min(alone, drive, key=_heading_sigma)
-    if leans_more(drive.verdict, turn.verdict):
-        return turn
-    doubt = doubt_of_drive(drive.estimate, turn.estimate, log, knowledge)
-    if doubt is None:
-        return turn
-    return judged(in_doubt(drive.estimate, doubt), knowledge, log.window) if doubt else drive
-
-
-def _without_gyro(turn: Outcome, log: DriveLog, knowledge: Knowledge) -> Outcome | None:
-    """Return what a turn is without its gyro, where that alone was bad; None if it is none."""
-    from magcal_ros.core.turn_or_drive import may_be_a_drive, turned_with_a_bad_gyro
-
-    if turn.window is None or not turned_with_a_bad_gyro(turn, log):
-        return None
-    if not may_be_a_drive(turn, log, knowledge):
-        return None
-    window = replace(turn.window, angular_rate=None)
-    alone = calibrate_by(window, knowledge, METHODS[0])
-    if alone.estimate is None or not alone.verdict.accepted:
-        return None
-    figures = {**alone.estimate.figures, Figure.GYRO_CARRIED: 0.0}
-    return judged(replace(alone.estimate, figures=figures), knowledge, window)
-
-
-def _heading_sigma(outcome: Outcome) -> float:
-    """Return what an outcome promises of the heading on the level; infinite without an answer."""
-    return math.inf if outcome.estimate is None else predicted_heading_sigma(outcome.estimate, 0.0)
 
 
 def calibrate_turns(
@@ -311,7 +251,6 @@ def take_turn(
     knowledge: Knowledge,
     method: str,
     accumulate: bool,
-    log: DriveLog | None = None,
 ) -> tuple[Outcome, Kept]:
     """Fit a turn, together with those that are kept if turns are accumulated.
 
@@ -327,8 +266,6 @@ def take_turn(
         Name of the method; only `maximum_likelihood` accumulates.
     accumulate : bool
         Whether turns are put together; such a turn is never fitted as a drive.
-    log : DriveLog, optional
-        As for `calibrate`.
 
     Returns
     -------
@@ -336,7 +273,7 @@ def take_turn(
         A turn that is refused does not join: the others stay as they are.
     """
     if not accumulate:
-        return calibrate(window, knowledge, method, log), Kept()
+        return calibrate(window, knowledge, method), Kept()
     names = (*kept.names, kept.next_name)
     outcome = calibrate_turns([*kept.windows, window], knowledge, method, names)
     several = outcome.several
@@ -367,7 +304,7 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
     Infinite where there is no fit.
     """
     try:
-        estimate = find_method(method)(window, knowledge)
+        estimate = find_method(_best_method(window, knowledge, method))(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

@@ -15,22 +15,19 @@ from typing import Protocol, TypeVar
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair, Pairer, Streams
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.session.turn_states import TurnState
-from magcal_ros.core.smoothing.recorder import DriveRecorder
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 
 SAVING_PATIENCE = 1.5
 """Seconds that a disk may take to store a calibration while the node is being ended."""
 
-NOTHING: Triple = (0.0, 0.0, 0.0)
 
 T = TypeVar("T")
 
@@ -115,8 +112,6 @@ class Control:
         self._house, self._fits, self._files = house, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
-        self._drive = DriveRecorder()
-        self._own, self._speed = NOTHING, math.nan
         self._worker = WorkerProcess()
         self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
@@ -161,23 +156,12 @@ class Control:
         assert answer is not None
         if was_idle and answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
-            self._drive = DriveRecorder(gyro=gyro)
             self._untold = None
         return answer
 
-    def add(self, sample: FieldSample, own: Triple | None = None, speed: float = math.nan) -> None:
-        """Take a field sample of the stream, if a session wants it.
-
-        Parameters
-        ----------
-        sample : FieldSample
-        own : tuple of float, optional
-            The vehicle's own acceleration, m/s², body axes, where it is known.
-        speed : float
-            m/s; NaN where nobody measures it.
-        """
+    def add(self, sample: FieldSample) -> None:
+        """Take a field sample of the stream, if a session wants it."""
         if self.state is TurnState.COLLECTING:
-            self._own, self._speed = own or NOTHING, speed
             self._pairer.offer(sample)
             self._collect()
 
@@ -231,14 +215,6 @@ class Control:
         if self.state is TurnState.COLLECTING:
             for pair in self._pairer.take():
                 self._tell(ev.PairArrived(pair))
-                self._remember(pair)
-
-    def _remember(self, pair: Pair) -> None:
-        """Keep the pair for a fit of the window as a drive; without a gyro there is none."""
-        (x, y, z), (a, b, c) = pair.imu.force, self._own
-        if math.isfinite(pair.imu.rate[0]):
-            force = (x - a, y - b, z - c)
-            self._drive.add(pair.field.stamp, pair.field.field, force, pair.imu.rate, self._speed)
 
     def _tell(self, event: ev.Event) -> ev.Conclusion | None:
         """Tell the turn what happened and do what it says; returns its answer, if it has one."""
@@ -287,7 +263,7 @@ class Control:
 
     def _fit(self, asked: ev.FitTurn) -> None:
         told = (asked.knowledge, asked.method, asked.accumulate)
-        turn = (asked.kept, asked.window, *told, self._drive.log())
+        turn = (asked.kept, asked.window, *told)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
             lambda found: self._tell(ev.FitDone(asked.turn, *found)),

@@ -224,4 +224,4 @@ class FurtherMagnetometer:
             self._out.publish(moment.field, arrived, self._pipeline.body_frame())
             self._pipeline.take(self.number, moment, arrived)
         if not streams.is_repeated:
-            self._pipeline.remember(self.control, arrived.sample)
+            self.control.add(arrived.sample)

@@ -135,10 +135,6 @@ class HeadingPipeline:
         self.fused.on_field(moment)
         self._travel.on_moment(moment)
 
-    def remember(self, control: Control, sample: FieldSample) -> None:
-        """Give a sample to a turn under way."""
-        control.add(sample, self._travel.own_acceleration, self._travel.speed)
-
     def body_frame(self) -> str:
         """Return the IMU's frame."""
         return self._inputs.imu.frame or (self._origin.imu_frame if self._origin else "")

@@ -219,7 +219,7 @@ class Calibrator(Node):
             if self._watch is not None:
                 self._watch.take(moment)
         if not streams.is_repeated:
-            self._pipeline.remember(self._control, sample)
+            self._control.add(sample)
 
     def _chosen(self) -> str:
         return self._table.settings.calibration_file

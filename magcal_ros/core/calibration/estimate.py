@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -169,23 +169,3 @@ def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArr
     by_iron = -gradient @ correction.matrix
     flat = by_matrix.reshape(*by_matrix.shape[:-2], 9)
     return np.concatenate([flat, by_iron], axis=-1)
-
-
-def in_doubt(estimate: Estimate, heading: float) -> Estimate:
-    """Return an estimate whose heading on the level is less certain.
-
-    An error that goes once round with the robot, whatever made it, is what a hard iron across its
-    axis would make, and enters the covariance as such.
-
-    Parameters
-    ----------
-    estimate : Estimate
-    heading : float
-        Radians RMS over all headings, one sigma, to be added to what is there.
-    """
-    axis = estimate.axis
-    across = heading * estimate.circle_radius * (np.eye(3) - np.outer(axis, axis))
-    iron = np.linalg.solve(estimate.correction.matrix, across)
-    covariance = estimate.covariance.copy()
-    covariance[9:, 9:] += iron @ iron.T
-    return replace(estimate, covariance=covariance)

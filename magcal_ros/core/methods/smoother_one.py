@@ -12,7 +12,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
-from magcal_ros.core.geometry.rotations import chained
+from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import refuse_empty
 from magcal_ros.core.methods.maximum_likelihood.screening import (
@@ -22,8 +22,9 @@ from magcal_ros.core.methods.maximum_likelihood.screening import (
     check_rival,
     check_window,
 )
+from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.factors import QUARTER, distortion
+from magcal_ros.core.smoother.factors import QUARTER, distortion, gyro_matrix
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
 from magcal_ros.core.smoother.posterior import motors_of
@@ -77,6 +78,7 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
         If the samples cannot carry a calibration.
     """
     refuse_empty(window, FEWEST_SAMPLES)
+    _check_unit(window)
     living = living_axes(window.angular_rate)
     if living[2]:
         found = smooth(window, knowledge)
@@ -89,6 +91,13 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     estimate = _estimate(found, window, knowledge)
     _check(found, estimate, knowledge)
     return estimate
+
+
+def _check_unit(window: Window) -> None:
+    """Refuse a field in another unit than tesla."""
+    hint = likely_field_unit(float(np.median(np.linalg.norm(window.field, axis=1))))
+    if hint:
+        raise Refusal(Reason.NO_SOLUTION, hint)
 
 
 def _check_drive(found: Smoothed, estimate: Estimate, lives: bool) -> None:
@@ -163,7 +172,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
 
 
 def _swing(found: Smoothed) -> GyroSwing:
-    """Return how the compass swings against the gyro while the robot moves."""
+    """Return how the compass swings against the corrected gyro while the robot moves."""
     best, nodes = found.fit, found.nodes
     shared, course = best.state.shared, best.point.course
     motors = course.moving[:, None] * shared[AT["motors_moving"]]
@@ -172,7 +181,8 @@ def _swing(found: Smoothed) -> GyroSwing:
     body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
     attitude = body_from_enu(best.state.attitude[:, :, 2], body)
     moves = course.moving > 0.0
-    relative = chained(nodes.turned[None])[0]
+    error = nodes.seconds[:, None] * shared[AT["gyro_bias"]] + nodes.angle @ gyro_matrix(shared).T
+    relative = chained((exp_rotations(error) @ nodes.turned)[None])[0]
     return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
 
 

@@ -16,7 +16,6 @@ from magcal_ros.core.calibrate import (
     calibrate,
     calibrate_drive,
     calibrate_turns,
-    drive_instead,
 )
 from magcal_ros.core.doctor.refusal import blamed_on_sensors
 from magcal_ros.core.driving.travel_replay import TravelReplay
@@ -209,13 +208,13 @@ def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHO
         return calibrate_drive(log, knowledge)
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
-        outcome = calibrate(window, knowledge, method, log)
+        outcome = calibrate(window, knowledge, method)
         verdict, slow = outcome.verdict, gathering.slow_field
         if slow and not verdict.accepted:
             verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")
         return replace(outcome, verdict=verdict)
-    turn = Outcome.refused(window)
-    return drive_instead(turn, log, knowledge) if method == METHODS[0] else turn
+    drive = calibrate_drive(log, knowledge) if method == METHODS[0] else None
+    return drive if drive and drive.verdict.accepted else Outcome.refused(window)
 
 
 def fit_several(

@@ -364,9 +364,7 @@ def turning(course: Course, state: State, axes: FloatArray) -> Linear:
     return free
 
 
-def followed(
-    state: State, row: int, keeps: FloatArray, by: tuple[int, int]
-) -> Linear:
+def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:
     """Return what a process of second order says of one unknown, x[k + 1] = keeps x[k] + noise.
 
     Parameters

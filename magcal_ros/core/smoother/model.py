@@ -77,7 +77,14 @@ class Model:
             scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
-        return cls(nodes, axes, replace(priors, scale=scale), kind.velocity, travels)
+        begins = {n: priors.sizes[n]._replace(start=kind.begins) for n in CHANGES}
+        return cls(
+            nodes,
+            axes,
+            replace(priors, scale=scale, sizes={**priors.sizes, **begins}),
+            kind.velocity,
+            travels,
+        )
 
     @property
     def no_places(self) -> Places:

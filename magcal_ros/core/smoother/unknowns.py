@@ -171,7 +171,12 @@ SIZES: dict[str, Size] = {
         0.1, 1.5, 3.0, "µT", "the same while the robot moves", "currents .05, motors to 20", 0.5
     ),
     "acceleration": Size(
-        0.01, 2.0, 4.0, "m/s²", "change of the velocity ahead", "cars .1 to .3, on the spot 0",
+        0.01,
+        2.0,
+        4.0,
+        "m/s²",
+        "change of the velocity ahead",
+        "cars .1 to .3, on the spot 0",
         most=3.0,
     ),
     "slip": Size(0.01, 2.0, 4.0, "m/s²", "the same sideways", "wheels .01 to .05", most=3.0),
@@ -200,11 +205,15 @@ class KindOfMotion(NamedTuple):
         Usual velocity sideways over that ahead: wheels roll ahead.
     lever_arm : float
         Usual distance of the accelerometer from the pivot, metres per axis.
+    begins : float
+        m/s² of the velocity's change where the iterations begin: of a drive it has to be large, or
+        lean takes what accelerates it, and of a turn small.
     """
 
     speed: float
     aside: float
     lever_arm: float
+    begins: float
 
     @property
     def velocity(self) -> FloatArray:
@@ -221,15 +230,15 @@ ON_THE_SPOT, SMALL_CIRCLE = "on the spot", "small circle"
 ON_WHEELS, ANY_WAY = "drive on wheels", "drive any way"
 DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
-    ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08),
-    SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0),
+    ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
+    SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
-"""How usual the kinds of motion are, where not as usual as the others: most robots have wheels, and turn
-beside rather than on a spot."""
+"""How usual the kinds of motion are, where not as usual as the others: most robots have wheels, and
+few turn exactly on a spot."""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
 
     One that never changes is dead; in a simulation without noise it may be right.
     """
-    if rate is None or not np.ptp(rate, axis=0).any():
+    if rate is None or not len(rate) or not np.ptp(rate, axis=0).any():
         return False, False, False
     x, y, z = (bool(spread > 0.0) for spread in np.ptp(rate, axis=0))
     bend = np.abs(np.diff(rate[:, [x, y, z]], 2, axis=0))

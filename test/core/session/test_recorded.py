@@ -88,7 +88,7 @@ def test_a_drive_is_answered_by_the_smoother_there_as_here():
     way = travel(city(rng, 130.0), rng, rate=10.0)
     samples = list(simulated_drive(way, rng, Vehicle(car))._sensors())
     found, expected = fitted(samples, known), live(samples, known)
-    assert found.estimate.method == expected.estimate.method == "smoother"
+    assert Figure.HEADINGS_DRIVEN in found.estimate.figures
     assert found.verdict.summary == expected.verdict.summary
     one, other = found.calibration.correction, expected.calibration.correction
     np.testing.assert_allclose(one.parameters, other.parameters, rtol=1e-6, atol=1e-12)
