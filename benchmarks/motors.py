@@ -22,7 +22,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from realistic import collected, direction
+import shared_cases  # noqa: F401
+from realistic_robots import collected, direction
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration

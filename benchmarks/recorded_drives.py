@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import shared_cases  # noqa: F401
 from changed_recordings import CHANGES, changed
-from recorded_truth import Drive, read_drive
+from recorded_truth import Drive, in_force, read_drive
 from recordings import DEFAULT, recordings_in
 
-from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -28,7 +27,6 @@ from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
 from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.smoothing.log import log_of
 
 WORSE = 0.3
 LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
@@ -89,13 +87,6 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
         print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
     print(flush=True)
-
-
-def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
-    """Yield what may be in force: what all of the drive shows."""
-    found = calibrate_drive(log_of(drive.everything), drive.knowledge).calibration
-    if found is not None:
-        yield found, "its own in force"
 
 
 def score(drive: Drive, calibration: Calibration | None) -> float:

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from realistic import heading_error
-from side_by_side import with_motors
+from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate

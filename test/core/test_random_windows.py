@@ -92,8 +92,7 @@ def test_what_any_window_predicts_is_a_number_or_infinite():
 @pytest.mark.skipif(not IS_LONG, reason="`make soak` runs it; it takes an hour")
 def test_a_wrong_heading_has_a_flag_in_all_but_a_thousandth():
     """Error beyond five sigma and accepted without a warning, in good and bad random turns."""
-    from honesty import Row
-    from honesty_cases import KINDS, draw_case
+    from honesty_cases import KINDS, Row, draw_case
 
     rows = {kind: Row() for kind in KINDS}
     for number in range(10_000):

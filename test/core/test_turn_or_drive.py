@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from honesty_cases import draw_case
 from long_form import first_of
-from realistic import by_turn, collected, drawn, motors, stop_and_go
-from realistic import heading_error as turn_error
+from realistic_robots import by_turn, collected, drawn, motors, stop_and_go
+from realistic_robots import heading_error as turn_error
 from smoothing.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.assessment.grading import Grade

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from recorded_drives import in_force
-from recorded_truth import read_drive
+from recorded_truth import in_force, read_drive
 
 from magcal_ros.core.keeping.decisions import Verb
 from magcal_ros.core.keeping.story import DriveTeller

@@ -15,7 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.calibrate import predicted_sigma
+from magcal_ros.core.calibrate import calibrate_drive, predicted_sigma
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray, runs
 from magcal_ros.core.geometry.attitude import wrap_angle, yaw_from_up_and_field
@@ -28,6 +29,7 @@ from magcal_ros.core.samples.stamps import mended
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
+from magcal_ros.core.smoothing.log import log_of
 from magcal_ros.core.up import UpFollower, propagated_up
 from magcal_ros.files.recording import Recording, read_csv_folder
 
@@ -325,3 +327,10 @@ def _min_max(_: FloatArray, field: FloatArray) -> Heading:
 def _quadric(field: FloatArray, shape: QuadricFit) -> Heading:
     found = fit_quadric(field, shape)
     return lambda up, raw: yaw_from_up_and_field(up, (raw - found.centre) @ found.to_unit_sphere.T)
+
+
+def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
+    """Yield what may be in force: what all of the drive shows."""
+    found = calibrate_drive(log_of(drive.everything), drive.knowledge).calibration
+    if found is not None:
+        yield found, "its own in force"
