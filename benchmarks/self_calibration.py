@@ -21,10 +21,10 @@ from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import run
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.drive import (
@@ -90,7 +90,7 @@ class Heard(SelfCalibration):
         machine.put_in_force(begun)
         for row in self.rows:
             if machine.add(*row):
-                for decision in machine.note(run(machine.job(BOSTON))):
+                for decision in machine.note(answer(machine.job(BOSTON))):
                     made.append((row[0] - self.rows[0][0], decision))
                     if decision.changes and decision.calibration is not None:
                         now = decision.calibration

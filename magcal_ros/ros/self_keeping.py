@@ -15,7 +15,7 @@ from rclpy.node import Node
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import DriveJob, Findings, run
+from magcal_ros.core.keeping.jobs import DriveJob, Findings
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
@@ -224,10 +224,12 @@ class SelfKeeping:
 
 
 def run_kindly(job: DriveJob) -> Findings:
-    """Do a job in a process that lets all others go first."""
+    """Do a job in a process that lets all others go first; only there is loaded what it takes."""
+    from magcal_ros.core.keeping.worker import answer
+
     if hasattr(os, "setpriority"):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    return run(job)
+    return answer(job)
 
 
 def write_page(parent: Path, story: DriveStory, log: DriveLog) -> Path:

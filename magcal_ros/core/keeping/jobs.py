@@ -88,10 +88,3 @@ class Findings:
     since_change: DriveCandidate | None
     finer: DriveCandidate | None
     proofs: dict[str, Proof]
-
-
-def run(job: DriveJob) -> Findings:
-    """Do a job, in whatever process; only there is loaded what it takes."""
-    from magcal_ros.core.keeping.worker import answer
-
-    return answer(job)

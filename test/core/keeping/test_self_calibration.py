@@ -16,10 +16,11 @@ from magcal_ros.core.keeping.candidates import (
     difference,
 )
 from magcal_ros.core.keeping.decisions import Verb
-from magcal_ros.core.keeping.jobs import Findings, run
+from magcal_ros.core.keeping.jobs import Findings
 from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
+from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.simulation.drive import Iron, Vehicle, simulated_drive
 from magcal_ros.core.simulation.legs import Leg, city
@@ -319,7 +320,7 @@ def follow(drive, machine, told=lambda stamp: stamp):
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
         if machine.add(told(stamp), field, force, rate):
-            for decision in machine.note(run(machine.job(BOSTON))):
+            for decision in machine.note(answer(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
                     machine.put_in_force(decision.calibration)
