@@ -16,7 +16,7 @@ import shared_cases  # noqa: F401
 from axes_cases import MOTIONS, good_case, wrong_case
 
 from magcal_ros.core.assessment.axes import find_axes
-from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.geometry.rotations import signed_permutations
 
 
 @dataclass

@@ -52,8 +52,7 @@ def run(options: argparse.Namespace) -> int:
     recording = read_csv_folder(options.folder)
     _require_stamps(options.folder, recording)
     with joined("magcal_replay", ["--ros-args", *options.ros_args]) as node:
-        from magcal_ros.ros.replay import replay
-        from magcal_ros.ros.sensor_source import SensorSource
+        from magcal_ros.ros.sensor_source import SensorSource, replay
 
         source = SensorSource(node, options.imu_frame, options.mag_frame)
         if not _wait_for_listener(source, options.wait):

@@ -21,8 +21,8 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair, Pairer
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import WorkerProcess

@@ -8,10 +8,9 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower

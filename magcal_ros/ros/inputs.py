@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as member
 
-from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import Streams
+from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.files.default_paths import known_as
 
 SILENT_AFTER = 2.0

@@ -12,15 +12,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer
 from magcal_ros.ros.heading_pipeline import FIRST
 from magcal_ros.ros.keeper import CalibrationStore, Keeper
-from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.wire.outgoing import diagnostic, key_values
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""

@@ -21,14 +21,12 @@ from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.calibration_loader import CalibrationLoader
-from magcal_ros.ros.callback_errors import CallbackErrors
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer, Listeners
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
@@ -47,7 +45,7 @@ from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA, SensorGroup
 from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.spinner import Spinner
+from magcal_ros.ros.spinner import CallbackErrors, Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
     diagnostic_array,

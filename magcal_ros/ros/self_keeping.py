@@ -14,9 +14,8 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.keeping.candidates import CourseSwing
-from magcal_ros.core.keeping.decisions import Decision, Verb
+from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
 from magcal_ros.core.keeping.jobs import DriveJob, Findings
-from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample

@@ -11,14 +11,13 @@ from rclpy.node import Node
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.estimate import Installation
 from magcal_ros.core.driving.front import VehicleYaw
-from magcal_ros.core.geometry.sensor_poses import (
+from magcal_ros.core.geometry.frame_tree import (
     Frames,
     SensorPoses,
     pose_in_words,
     sensor_poses,
 )
-from magcal_ros.core.heading.base_view import BaseView
-from magcal_ros.core.heading.mended_pose import MendedPose, mend
+from magcal_ros.core.heading.base_view import BaseView, MendedPose, mend
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as

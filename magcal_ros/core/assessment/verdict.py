@@ -12,10 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS, HEADING_BOUNDS
+from magcal_ros.core.assessment.bounds import (
+    DRIVE_BOUNDS,
+    HEADING_BOUNDS,
+    HELPED_BY_REFERENCE,
+    bounds_of,
+)
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
-from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, bounds_of
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure

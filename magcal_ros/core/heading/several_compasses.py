@@ -14,11 +14,10 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
 from magcal_ros.core.heading.fusion_tuning import SeveralTuning
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.yaw_agreement import (
     SMALLEST_VARIANCE,
     CompassYaw,

@@ -26,11 +26,9 @@ from magcal_ros.core.keeping.candidates import (
     known_sigma,
     narrows,
 )
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Step
+from magcal_ros.core.keeping.decisions import Decision, Mode, Probation, Trial, Verb, is_same
+from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
-from magcal_ros.core.keeping.modes import Mode, Probation, Trial, is_same
-from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.recorder import DriveRecorder

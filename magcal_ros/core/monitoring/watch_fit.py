@@ -26,9 +26,8 @@ from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.monitoring.gyro_compass import compass_less_gyro
-from magcal_ros.core.monitoring.recheck_chance import sectors
-from magcal_ros.core.monitoring.watch_tuning import WatchTuning
+from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
+from magcal_ros.core.monitoring.recheck_chance import compass_less_gyro, sectors
 from magcal_ros.core.samples.coverage import Coverage
 
 

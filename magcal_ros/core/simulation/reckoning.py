@@ -9,8 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.coloured import exponential_noise
-from magcal_ros.core.simulation.travel import Travel
+from magcal_ros.core.simulation.travel import Travel, exponential_noise
 
 
 @dataclass(frozen=True)

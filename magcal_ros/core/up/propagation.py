@@ -17,11 +17,9 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     unit_triple,
 )
-from magcal_ros.core.up.field_stillness import FieldStillness
 from magcal_ros.core.up.filter import MotionPrior, UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
-from magcal_ros.core.up.shaken_rest import ShakenRest
-from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
+from magcal_ros.core.up.stillness import ZERO, BlockMeans, FieldStillness, ShakenRest, SteadySpell
 from magcal_ros.core.up.up_tuning import UpTuning
 
 

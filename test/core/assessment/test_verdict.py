@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import estimate
 
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import (
     GYRO_UNUSED,
     NO_GYRO,

@@ -8,11 +8,10 @@ from follow_drive import ROBOT, driven, follow
 from long_form import first_of
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_cells import CourseCells
-from magcal_ros.core.driving.course_offset import fit_course_offset
+from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
 from magcal_ros.core.driving.course_tuning import CourseTuning
 from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
-from magcal_ros.core.simulation.drive import Fence, Vehicle
+from magcal_ros.core.simulation.drive import Fence, StreetField, Streets, Vehicle
 from magcal_ros.core.simulation.legs import (
     Leg,
     circles,
@@ -23,7 +22,6 @@ from magcal_ros.core.simulation.legs import (
     standing,
 )
 from magcal_ros.core.simulation.reckoning import Receiver
-from magcal_ros.core.simulation.street_field import StreetField, Streets
 
 TUNING = CourseTuning()
 LEVEL = 21e-6

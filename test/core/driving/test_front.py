@@ -9,7 +9,7 @@ from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.front import Declination, VehicleYaw, where_is_the_front
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading.mended_pose import mend
+from magcal_ros.core.heading.base_view import mend
 
 DEGREE = math.pi / 180.0
 EAST = Declination(9.0 * DEGREE, 0.5 * DEGREE)

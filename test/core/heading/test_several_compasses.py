@@ -10,10 +10,9 @@ from sample_results import EVIDENCE
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride

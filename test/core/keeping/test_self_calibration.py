@@ -15,10 +15,8 @@ from magcal_ros.core.keeping.candidates import (
     Kind,
     difference,
 )
-from magcal_ros.core.keeping.decisions import Verb
-from magcal_ros.core.keeping.jobs import Findings
-from magcal_ros.core.keeping.modes import Mode
-from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.keeping.decisions import Mode, Verb
+from magcal_ros.core.keeping.jobs import Findings, Proof
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of

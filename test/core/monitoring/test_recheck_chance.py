@@ -7,6 +7,7 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.estimate import GyroSwing
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.monitoring.monitoring_tuning import RECHECK_BOUNDS
 from magcal_ros.core.monitoring.recheck import check
 from magcal_ros.core.monitoring.recheck_chance import (
     chances,
@@ -14,7 +15,6 @@ from magcal_ros.core.monitoring.recheck_chance import (
     scatter_of_means,
     sectors,
 )
-from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 

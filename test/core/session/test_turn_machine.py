@@ -17,8 +17,8 @@ from magcal_ros.core.session.turn_events import (
     PreviewFitted,
     PutInForce,
     SensorsMet,
+    TurnState,
 )
-from magcal_ros.core.session.turn_states import TurnState
 
 
 def asked_for(scene, kind):

@@ -9,11 +9,17 @@ import pytest
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample
-from magcal_ros.core.simulation.drive import Fence, Iron, Vehicle, simulated_drive
+from magcal_ros.core.simulation.drive import (
+    Fence,
+    Iron,
+    StreetField,
+    Streets,
+    Vehicle,
+    simulated_drive,
+)
 from magcal_ros.core.simulation.legs import Leg, circles, city, one_street, parking, reversing
 from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
-from magcal_ros.core.simulation.street_field import StreetField, Streets
 from magcal_ros.core.simulation.travel import Body, travel
 
 QUIET = Vehicle(
