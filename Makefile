@@ -85,12 +85,18 @@ $(VENV)/.test: setup.py | $(VENV)/bin/pip
 	@$(INSTALL) --editable '.[ros,test]'
 	@touch $@ $(VENV)/.demo
 
+$(VENV)/.docs: setup.py | $(VENV)/bin/pip
+	@$(INSTALL) --editable '.[ros,docs]'
+	@touch $@
+
 $(VENV)/.nox: | $(VENV)/bin/pip
 	@$(INSTALL) nox
 	@touch $@
 
-docs: $(VENV)/.test
-	$(BIN)/python -m magcal_ros.ros.generated doc/node.md config/calibrator.yaml doc/drivers.md
+# The generated parts of pages and files, then the site of the pages in build/docs.
+docs: $(VENV)/.docs
+	$(BIN)/python doc/generate.py
+	$(BIN)/python -m sphinx -q -W doc build/docs
 
 clean:
 	rm -rf $(VENV) .nox dist build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info
