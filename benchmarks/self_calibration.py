@@ -14,6 +14,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+import shared_cases  # noqa: F401
+from long_windows import (
+    PAPER_SOFT_IRON,
+    swaying,
+    swaying_robot,
+    swaying_window,
+)
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
@@ -35,12 +42,6 @@ from magcal_ros.core.simulation.drive import (
     simulated_drive,
 )
 from magcal_ros.core.simulation.legs import Leg, city, joined, one_street, parking
-from magcal_ros.core.simulation.long_windows import (
-    PAPER_SOFT_IRON,
-    swaying,
-    swaying_robot,
-    swaying_window,
-)
 from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.fit import fit_nodes
 from magcal_ros.core.smoothing.log import log_of

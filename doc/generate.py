@@ -37,6 +37,31 @@ def as_markdown(table: dict[str, Any]) -> str:
     return "\n".join([title, rule, *rows]) + "\n"
 
 
+def parameters_as_yaml() -> str:
+    """Return the table as the parameter file that is shipped in `config/`."""
+    lines = ["# Every parameter of the calibrator node with its default.", "/**:"]
+    lines.append("  ros__parameters:")
+    group = ""
+    for spec in parameter_table.PARAMETERS:
+        prefix, _, name = spec.name.rpartition(".")
+        if prefix and prefix != group:
+            lines.append(f"    {prefix}:")
+        group = prefix
+        indent = "      " if prefix else "    "
+        lines.append(f"{indent}# {spec.full_description}")
+        lines.append(f"{indent}{name or spec.name}: {spec.yaml_default}")
+    return "\n".join(lines) + "\n"
+
+
+def parameters_as_markdown() -> str:
+    """Return the table as it stands in doc/node.md."""
+    lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
+    for spec in parameter_table.PARAMETERS:
+        row = (f"`{spec.name}`", f"`{spec.yaml_default}`", spec.constraints, spec.description)
+        lines.append("| " + " | ".join(row) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def contents() -> dict[Path, str]:
     """Return every generated file as it should be."""
     found: dict[Path, str] = {}
@@ -45,11 +70,11 @@ def contents() -> dict[Path, str]:
         found[path] = with_table(found.get(path) or path.read_text(encoding="utf-8"), name, table)
 
     doc = CHECKOUT / "doc"
-    put(doc / "node.md", "parameters", parameter_table.as_markdown())
+    put(doc / "node.md", "parameters", parameters_as_markdown())
     put(doc / "drivers.md", "drivers", quirks.as_markdown())
     for table in json.loads(MEASURED.read_text(encoding="utf-8")):
         put(doc / "measured" / f"{table['page']}.md", table["table"], as_markdown(table))
-    found[CHECKOUT / "config" / "calibrator.yaml"] = parameter_table.as_yaml()
+    found[CHECKOUT / "config" / "calibrator.yaml"] = parameters_as_yaml()
     return found
 
 

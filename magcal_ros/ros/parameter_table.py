@@ -274,28 +274,3 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),
     Spec("rotate.frame_id", "base_link", "Frame of the TwistStamped"),
 )
-
-
-def as_yaml() -> str:
-    """Return the table as the parameter file that is shipped in `config/`."""
-    lines = ["# Every parameter of the calibrator node with its default.", "/**:"]
-    lines.append("  ros__parameters:")
-    group = ""
-    for spec in PARAMETERS:
-        prefix, _, name = spec.name.rpartition(".")
-        if prefix and prefix != group:
-            lines.append(f"    {prefix}:")
-        group = prefix
-        indent = "      " if prefix else "    "
-        lines.append(f"{indent}# {spec.full_description}")
-        lines.append(f"{indent}{name or spec.name}: {spec.yaml_default}")
-    return "\n".join(lines) + "\n"
-
-
-def as_markdown() -> str:
-    """Return the table as it stands in doc/node.md."""
-    lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
-    for spec in PARAMETERS:
-        row = (f"`{spec.name}`", f"`{spec.yaml_default}`", spec.constraints, spec.description)
-        lines.append("| " + " | ".join(row) + " |")
-    return "\n".join(lines) + "\n"
