@@ -72,6 +72,13 @@ def test_the_site_has_every_page():
     assert "myst_parser" in settings["extensions"]
 
 
+def test_the_files_that_architecture_names_are_there():
+    text = (CHECKOUT / "doc" / "architecture.md").read_text()
+    named = re.findall(r"`((?:core|ros|files|report|cli)/[\w/]+\.py)`", text)
+    assert len(named) > 25
+    assert [name for name in named if not (CHECKOUT / "magcal_ros" / name).is_file()] == []
+
+
 def test_the_readme_is_read_in_three_minutes():
     assert len(PAGES[0].read_text().split()) < 900
 
