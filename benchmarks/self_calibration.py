@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
@@ -66,9 +66,9 @@ def some_fence(seed: int) -> Fence:
 
 
 def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    teller = DriveTeller(BOSTON, begun)
-    teller.take(drive._sensors(), drive.speeds if speed else ())
-    return teller.story()
+    replay = DriveReplay(BOSTON, begun)
+    replay.take(drive._sensors(), drive.speeds if speed else ())
+    return replay.story()
 
 
 class Heard(SelfCalibration):
@@ -100,7 +100,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    DriveTeller(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
+    DriveReplay(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
     return taken
 
 

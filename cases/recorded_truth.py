@@ -25,7 +25,7 @@ from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.stamps import mended
+from magcal_ros.core.samples.stamps import spread_bursts
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, Pair, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Session, Stage
@@ -174,7 +174,7 @@ def read_drive(folder: Path, field: tuple[float, float] | None) -> Drive:
     known = Knowledge() if field is None else knowledge_of(field[0], inclination_deg=field[1])
     path, recording = folder / "truth.csv", read_csv_folder(folder)
     for table in (recording.imu, recording.field):
-        even = mended(table[:, 0])
+        even = spread_bursts(table[:, 0])
         table[:, 0] = table[:, 0] if even is None else even
     return Drive(folder.name, recording, _read_truth(path) if path.exists() else None, known)
 

@@ -97,7 +97,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
     except OSError as error:
         raise FileTrouble(
             f"cannot make a folder for the report in {parent}: {error.strerror or error}. "
-            "Choose a writable place, or mend its permissions."
+            "Choose a writable place, or correct its permissions."
         ) from error
     raise AssertionError("counting does not end")
 

@@ -155,7 +155,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "vehicle_yaw_deg",
         UNSET,
         "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
-        "what the robot's description says, mended by up to 15° by what driving shows",
+        "what the robot's description says, corrected by up to 15° by what driving shows",
         -360.0,
         360.0,
         "°",

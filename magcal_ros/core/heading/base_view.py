@@ -90,8 +90,8 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class MendingTuning:
-    """When a yaw found by driving mends the described one.
+class DescribedPoseTuning:
+    """When a yaw found by driving corrects the described one.
 
     Attributes
     ----------
@@ -112,12 +112,12 @@ class MendingTuning:
     smallest: float = math.radians(3.0)
 
 
-TUNING = MendingTuning()
+TUNING = DescribedPoseTuning()
 
 
 @dataclass(frozen=True, eq=False)
-class MendedPose:
-    """A pose of the IMU in the base, shape (3, 3); None where nothing is known to mend.
+class CorrectedPose:
+    """A pose of the IMU in the base, shape (3, 3); None where none is described.
 
     `contradiction` says in words that driving shows another yaw; empty if it does not.
     """
@@ -126,9 +126,9 @@ class MendedPose:
     contradiction: str = ""
 
 
-def mend(
+def corrected_pose(
     described: FloatArray | None, by_hand: float | None, found: VehicleYaw | None
-) -> MendedPose:
+) -> CorrectedPose:
     """Return the pose that attitudes of the base are made with.
 
     Parameters
@@ -141,20 +141,20 @@ def mend(
         Yaw that driving shows.
     """
     if described is None:
-        return MendedPose(None)
+        return CorrectedPose(None)
     yaw = rpy_from_rotation(described)[2]
     if by_hand is not None:
-        return MendedPose(_turned(described, by_hand - yaw), _doubt(found, by_hand))
+        return CorrectedPose(_turned(described, by_hand - yaw), _doubt(found, by_hand))
     if found is None or found.sigma > TUNING.useful:
-        return MendedPose(described)
+        return CorrectedPose(described)
     gap = math.remainder(found.offset - yaw, math.tau)
     if abs(gap) > TUNING.far_off:
-        return MendedPose(
+        return CorrectedPose(
             described,
-            f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: mend "
-            "its joint, or give vehicle_yaw_deg; it is used as described",
+            f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: "
+            "correct its joint, or give vehicle_yaw_deg; it is used as described",
         )
-    return MendedPose(_turned(described, gap))
+    return CorrectedPose(_turned(described, gap))
 
 
 def _turned(pose: FloatArray, angle: float) -> FloatArray:

@@ -91,8 +91,8 @@ class _Point:
     speed: float
 
 
-class DriveTeller:
-    """Takes a recording and tells its story.
+class DriveReplay:
+    """Runs self-calibration on a recording, and says what it decided.
 
     Parameters
     ----------

@@ -60,13 +60,13 @@ def _block(rng: np.random.Generator, fastest: float, ramps: float) -> list[Leg]:
     """From one light to the next, with a bend at its end."""
     pace = fastest / 13.0
     cruise, slow = pace * rng.uniform(6.0, 13.0), pace * 4.0
-    pull, brake = rng.uniform(0.8, 2.0, 2)
+    gain, brake = rng.uniform(0.8, 2.0, 2)
     angle = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 1.7)
     radius = rng.uniform(8.0, 20.0) * max(pace, 0.1)
     pitch = math.radians(rng.uniform(-5.0, 5.0)) if rng.random() < ramps else 0.0
     legs = [Leg(rng.uniform(3.0, 12.0))] if rng.random() < 0.7 else []
     legs += [
-        Leg(cruise / pull, cruise),
+        Leg(cruise / gain, cruise),
         Leg(rng.uniform(3.0, 10.0), cruise, pitch=pitch),
         Leg(rng.uniform(3.0, 12.0), cruise, rng.normal(0.0, 0.002) / max(pace, 0.1), pitch=pitch),
         Leg((cruise - slow) / brake, slow),
@@ -97,13 +97,13 @@ def reversing(rng: np.random.Generator, trips: int, share: float = 0.5) -> list[
     legs = standing(3.0)
     for _ in range(trips):
         sign = -1.0 if rng.random() < share else 1.0
-        speed, pull = sign * rng.uniform(1.5, 5.0), rng.uniform(0.6, 1.5)
+        speed, gain = sign * rng.uniform(1.5, 5.0), rng.uniform(0.6, 1.5)
         curvature = float(rng.choice([0.0, 0.05, -0.05]))
         legs += [
-            Leg(abs(speed) / pull, speed),
+            Leg(abs(speed) / gain, speed),
             Leg(rng.uniform(3.0, 10.0), speed),
             Leg(rng.uniform(3.0, 8.0), speed, curvature),
-            Leg(abs(speed) / pull),
+            Leg(abs(speed) / gain),
             Leg(rng.uniform(2.0, 6.0)),
         ]
     return legs
@@ -126,11 +126,11 @@ def one_street(
         Whether each second time goes the other way; otherwise the vehicle backs up for it.
     """
     legs = standing(5.0)
-    pull, radius = 1.5, 6.0
-    rolling = max(0.0, length - speed**2 / pull) / speed
+    gain, radius = 1.5, 6.0
+    rolling = max(0.0, length - speed**2 / gain) / speed
     for time in range(times):
         way = 1.0 if back or time % 2 == 0 else -1.0
-        legs += [Leg(speed / pull, way * speed), Leg(rolling, way * speed), Leg(speed / pull)]
+        legs += [Leg(speed / gain, way * speed), Leg(rolling, way * speed), Leg(speed / gain)]
         legs += [Leg(2.0)]
         if back:
             legs += [Leg(2.0, 3.0), Leg(math.pi * radius / 3.0 - 1.0, 3.0, 1.0 / radius)]

@@ -304,7 +304,7 @@ class GyroPropagation:
         if self._is_given:
             speed, acceleration = tuning.given_speed, tuning.given_acceleration
         if is_steady:
-            acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.pull))
+            acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:

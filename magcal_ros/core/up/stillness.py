@@ -118,7 +118,7 @@ class SteadySpell:
         Mean gyro reading of the spell, rad/s.
     count : int
         Messages in it.
-    sway, pull : float
+    sway, shake : float
         Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
     """
 
@@ -128,7 +128,7 @@ class SteadySpell:
 
     def end(self) -> None:
         """Forget the spell: it is over."""
-        self.seconds = self.sway = self.pull = 0.0
+        self.seconds = self.sway = self.shake = 0.0
         self.count = 0
         self.force = self.rate = ZERO
 
@@ -153,13 +153,13 @@ class SteadySpell:
                 share = count / self.count
                 third = (1.0 - share) / 3.0
                 self.sway += share * (third * distance(rate, self.rate) ** 2 - self.sway)
-                self.pull += share * (third * distance(force, self.force) ** 2 - self.pull)
+                self.shake += share * (third * distance(force, self.force) ** 2 - self.shake)
                 self.force = between(self.force, force, share)
                 self.rate = between(self.rate, rate, share)
                 self.seconds += seconds
                 return True
         self.seconds, self.count, self.force, self.rate = seconds, count, force, rate
-        self.sway = self.pull = 0.0
+        self.sway = self.shake = 0.0
         return False
 
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:

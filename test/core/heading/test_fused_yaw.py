@@ -295,6 +295,7 @@ def test_missing_late_repeated_and_reordered_messages(seed):
     assert np.mean(ratio**2) < 3.0
 
 
+@pytest.mark.nightly
 def test_it_gains_on_a_hand_held_drive_with_truth(recording):
     folder = recording("broad05")
     bias = np.array([-0.14e-6, 0.20e-6, 0.39e-6])

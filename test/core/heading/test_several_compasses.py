@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 from sample_results import EVIDENCE
 
 from magcal_ros.core.calibration.calibration import Calibration
@@ -138,7 +139,7 @@ def test_one_alone_is_what_it_was_before():
     assert joined.heading.yaw_variance == pytest.approx(moment.heading.yaw_variance)
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", first_of([1, 2]))
 @pytest.mark.parametrize("way", ["dead", "frozen"])
 def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
     scene = two()
@@ -157,7 +158,7 @@ def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
     assert np.abs(scene.run(5.0, 0.4)[:, 1]).max() < math.radians(4.0)
 
 
-@pytest.mark.parametrize("iron", [(0.0, 12e-6, 0.0), (0.0, 0.0, 20e-6)])
+@pytest.mark.parametrize("iron", first_of([(0.0, 12e-6, 0.0), (0.0, 0.0, 20e-6)]))
 def test_what_disturbs_one_alone_is_left_out_within_a_second_and_said(iron):
     scene = two()
     scene.run(10.0, 0.3)

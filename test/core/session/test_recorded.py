@@ -81,6 +81,7 @@ def test_it_finds_what_the_node_finds(gyro):
     assert (found.calibration.covariance == expected.calibration.covariance).all()
 
 
+@pytest.mark.nightly
 def test_a_drive_is_answered_by_the_smoother_there_as_here():
     rng = np.random.default_rng(4)
     car = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)
