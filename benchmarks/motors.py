@@ -24,6 +24,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import shared_cases  # noqa: F401
 from realistic_robots import collected, direction
+from simulated.drive import Drive, Streets, Vehicle, simulated_drive
+from simulated.legs import Leg, seconds_of
+from simulated.travel import Travel, exponential_noise, travel
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration
@@ -37,10 +40,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import Drive, Streets, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, seconds_of
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import Travel, exponential_noise, travel
 from magcal_ros.core.up import UpFollower
 
 SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "side")

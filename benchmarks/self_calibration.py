@@ -21,6 +21,16 @@ from long_windows import (
     swaying_robot,
     swaying_window,
 )
+from simulated.drive import (
+    Drive,
+    Fence,
+    Iron,
+    Vehicle,
+    random_vehicle,
+    simulated_drive,
+)
+from simulated.legs import Leg, city, joined, one_street, parking
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
@@ -33,16 +43,6 @@ from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import (
-    Drive,
-    Fence,
-    Iron,
-    Vehicle,
-    random_vehicle,
-    simulated_drive,
-)
-from magcal_ros.core.simulation.legs import Leg, city, joined, one_street, parking
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.fit import fit_nodes
 from magcal_ros.core.smoothing.log import log_of
 

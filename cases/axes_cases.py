@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotation, rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.geometry import FloatArray, exp_rotation, rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import (
     DEGREE,
     Motion,
     Robot,

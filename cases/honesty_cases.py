@@ -11,14 +11,12 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
-from magcal_ros.core.calibration.estimate import Estimate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field as yaw_of
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.calibration import Estimate, predicted_heading_sigma
+from magcal_ros.core.geometry import FloatArray, rotation_about
+from magcal_ros.core.geometry import yaw_from_up_and_field as yaw_of
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, Systematics
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import (
     DEGREE,
     LEVEL_TILT,
     Motion,

@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 from axes_cases import cheap_robot
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry import FloatArray, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.simulation.simulator import DEGREE, UP_ENU, smooth_wobble
+from magcal_ros.core.simulation import DEGREE, UP_ENU, smooth_wobble
 
 FINE = 200.0
 """Hertz at which the truth lives."""

@@ -10,11 +10,9 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import UP_ENU, Motion, Robot
+from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, rotation_about
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import UP_ENU, Motion, Robot
 
 ALONG_X: FloatArray = np.array([1.0, 0.0, 0.0])
 ALONG_Y: FloatArray = np.array([0.0, 1.0, 0.0])

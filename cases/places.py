@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.simulation.simulator import Motion
+from magcal_ros.core.geometry import FloatArray
+from magcal_ros.core.simulation import Motion
 
 PERMEABILITY = 1e-7
 """T·m/A, over four pi."""

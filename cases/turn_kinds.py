@@ -9,15 +9,8 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import exp_rotations, minimal_rotation, rotation_about
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    UP_ENU,
-    Motion,
-    Robot,
-    smooth_wobble,
-)
+from magcal_ros.core.geometry import FloatArray, exp_rotations, minimal_rotation, rotation_about
+from magcal_ros.core.simulation import DEGREE, UP_ENU, Motion, Robot, smooth_wobble
 
 KINDS = ("even", "uneven", "there and back", "stops", "fast", "slope", "bent ground", "steep field")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot, measure, turn
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "doc").rglob("*.md"))]

@@ -7,21 +7,12 @@ from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures
+from magcal_ros.core.calibration import Calibration, Figure, common_figures
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors, measure, turn
 
 ROBOT = Robot()
 TURN_METHODS = ("maximum_likelihood", "design_tip")

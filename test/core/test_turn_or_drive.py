@@ -9,6 +9,8 @@ from honesty_cases import draw_case
 from long_form import first_of
 from realistic_robots import by_turn, collected, drawn, motors, stop_and_go
 from realistic_robots import heading_error as turn_error
+from simulated.drive import random_vehicle
+from simulated.legs import circles, joined, standing
 from smoothing.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.assessment.grading import Grade
@@ -16,8 +18,6 @@ from magcal_ros.core.calibrate import calibrate, calibrate_by, calibrate_drive, 
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma, rms_apart
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import random_vehicle
-from magcal_ros.core.simulation.legs import circles, joined, standing
 from magcal_ros.core.smoothing.log import log_of
 
 TURN = "maximum_likelihood"

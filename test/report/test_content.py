@@ -12,8 +12,8 @@ from subjects import ROBOT, good, refused, subject_of, troubled
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot, measure, slope_rpy, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import Robot, measure, slope_rpy, turn
 from magcal_ros.report import write_report
 
 LARGEST_PAGE = 1_000_000

@@ -9,11 +9,11 @@ from long_form import first_of
 
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.calibrate import METHODS, calibrate_by
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import measure, turn
 from magcal_ros.report import turn as turn_module
 from magcal_ros.report.figures.heading import caption_of_gyro, deviations
 from magcal_ros.report.turn import Subject, Turn

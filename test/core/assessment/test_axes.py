@@ -8,10 +8,10 @@ from long_form import first_of
 from magcal_ros.core.assessment.axes import find_axes, mount_of, parameter_line
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, signed_permutations
+from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
 
 EVERY = signed_permutations()
 NED = np.diag([1.0, -1.0, -1.0])

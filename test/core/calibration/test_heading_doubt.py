@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from sample_results import SKEWED, estimate, small_covariance
 
-from magcal_ros.core.calibration.estimate import in_doubt
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import in_doubt, predicted_heading_sigma
 
 
 @pytest.mark.parametrize("doubt", [0.0, 0.01, 0.2])

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from follow_drive import ROBOT, driven, follow
 from long_form import first_of
-
-from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
-from magcal_ros.core.driving.course_tuning import CourseTuning
-from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
-from magcal_ros.core.simulation.drive import Fence, StreetField, Streets, Vehicle
-from magcal_ros.core.simulation.legs import (
+from simulated import (
+    Fence,
     Leg,
+    Receiver,
+    StreetField,
+    Streets,
+    Vehicle,
     circles,
     city,
     joined,
@@ -21,7 +20,11 @@ from magcal_ros.core.simulation.legs import (
     reversing,
     standing,
 )
-from magcal_ros.core.simulation.reckoning import Receiver
+
+from magcal_ros.core.driving.chords import Chord
+from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
+from magcal_ros.core.driving.course_tuning import CourseTuning
+from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
 
 TUNING = CourseTuning()
 LEVEL = 21e-6

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from follow_drive import ROBOT, driven, follow
 from long_form import first_of
-
-from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.mounting_watch import SpeedFault, fault_words
-from magcal_ros.core.simulation.drive import Vehicle
-from magcal_ros.core.simulation.legs import (
+from simulated import (
     Leg,
+    Receiver,
+    Vehicle,
+    Wheels,
     circles,
     city,
     joined,
@@ -20,7 +19,9 @@ from magcal_ros.core.simulation.legs import (
     reversing,
     standing,
 )
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
+
+from magcal_ros.core.driving.driving_tuning import SpeedSource
+from magcal_ros.core.driving.mounting_watch import SpeedFault, fault_words
 
 DEGREE = math.pi / 180.0
 ODOMETRY, VELOCITY, FIXES = SpeedSource

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from follow_drive import ROBOT, driven, tilts
 from long_form import first_of
+from simulated import Receiver, Vehicle, Wheels, circles, city
 
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.drive import Vehicle
-from magcal_ros.core.simulation.legs import circles, city
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 
 VEHICLE = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
 KINDS = {

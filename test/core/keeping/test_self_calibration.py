@@ -5,6 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from simulated.drive import Iron, Vehicle, simulated_drive
+from simulated.legs import Leg, city
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -20,10 +23,7 @@ from magcal_ros.core.keeping.jobs import Findings, Proof
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.simulation.drive import Iron, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import travel
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(

@@ -13,8 +13,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
 from magcal_ros.core.monitoring.watch import Watch
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import FieldSample, ImuSample, Window
 from magcal_ros.core.up import UpFollower
 
 PROMISE = promise()

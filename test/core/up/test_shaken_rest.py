@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
 from magcal_ros.core.up.up_tuning import ShakenRestTuning

@@ -17,9 +17,9 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 from magcal_ros.core.simulation.simulator import UP_ENU, Robot
-from magcal_ros.core.simulation.travel import Travel
+from simulated.reckoning import Receiver, Wheels
+from simulated.travel import Travel
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.travel import Travel, exponential_noise
+from simulated.travel import Travel, exponential_noise
 
 
 @dataclass(frozen=True)
