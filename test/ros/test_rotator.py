@@ -105,6 +105,7 @@ def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
     assert "nothing subscribes to /cmd_vel" in answer.message
 
 
+@pytest.mark.nightly
 def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
     robot = base()
     command = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, text=True)
