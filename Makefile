@@ -12,8 +12,9 @@ export OMP_NUM_THREADS := 1
 # The tests start many processes; without compiled files each would compile the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Errors only: setuptools warns of every editable installation.
-INSTALL := $(BIN)/python -m pip install --quiet --quiet
+# Errors only: setuptools warns of every editable installation. Python compiles what is imported
+# when it is; compiling all that is installed takes pip longer than that.
+INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-compile
 
 AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal

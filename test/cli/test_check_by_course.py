@@ -15,7 +15,7 @@ from magcal_ros.files.calibration_file import Origin, write_calibration
 
 def test_the_offset_is_told_and_a_bent_calibration_accused(tmp_path, capsys):
     rng = np.random.default_rng(4)
-    truth = travel(city(rng, 120.0), rng, rate=10.0)
+    truth = travel(city(rng, 180.0), rng, rate=10.0)
     drive = simulated_drive(truth, rng, DRIVE_VEHICLE, streets=None)
     bag = write_bag(tmp_path / "bag", [each for each in map(recorded, drive.samples()) if each])
     robot = DRIVE_VEHICLE.with_iron(np.array([8e-6, 0.0, 0.0])).robot
