@@ -208,7 +208,7 @@ class _Turn:
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _require_life(self) -> None:
-        """End where the node does: the middleware tells of a killed one much later, or never."""
+        """End when the node ends: the middleware reports a killed one much later, or never."""
         if self._heard is not None and time.monotonic() - self._heard > SILENT_AFTER:
             raise MagcalError(
                 f"{self._calibrator} has been silent for {SILENT_AFTER:.0f} s: it has ended or "

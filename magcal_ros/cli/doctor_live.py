@@ -1,4 +1,4 @@
-"""The guided half minute of `magcal doctor`: it asks, watches, ticks, and looks at what came."""
+"""The guided half minute of `magcal doctor`: instructions, progress, and the examination."""
 
 from __future__ import annotations
 

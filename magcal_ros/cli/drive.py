@@ -1,4 +1,4 @@
-"""`magcal drive`: a recorded drive told again, as the node would have decided."""
+"""`magcal drive`: what self-calibration would have decided on a recorded drive."""
 
 from __future__ import annotations
 

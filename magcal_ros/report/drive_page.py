@@ -1,4 +1,4 @@
-"""The page on a drive: what was driven, what was believed, where the field was bent."""
+"""The page on a drive: where it went, which samples were used, where the field was disturbed."""
 
 from __future__ import annotations
 

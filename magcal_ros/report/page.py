@@ -1,4 +1,4 @@
-"""The one page of a report: HTML that needs nothing outside of itself."""
+"""The page of a report: HTML without external files."""
 
 from __future__ import annotations
 

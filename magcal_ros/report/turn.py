@@ -31,7 +31,7 @@ from magcal_ros.core.up.windows import propagated_up
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One calibration, or one attempt, as a report tells it.
+    """One calibration, or one attempt, that a report is about.
 
     Parameters
     ----------

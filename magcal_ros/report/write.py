@@ -103,7 +103,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
 
 
 def mark_in_force(folder: Path) -> None:
-    """Keep a report for good: what it tells of is, or was, in force.
+    """Keep a report for good: its calibration is, or was, in force.
 
     Raises
     ------

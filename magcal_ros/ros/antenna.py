@@ -1,4 +1,4 @@
-"""A heading that a topic tells, as that of two antennas: held against the gyro, put to use."""
+"""A heading from a topic, as of two antennas: compared with the gyro, and used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A turn in the running node: tells the state machine what happens, and does what it says.
+"""A turn in the running node: passes events to the state machine, and carries out its commands.
 
 Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
 its own and the disk a thread, so the corrected field and the yaw keep flowing.

@@ -26,7 +26,7 @@ RATE_LOOKS = 6
 
 @dataclass
 class Sensor:
-    """One topic, as far as it was heard: the newest frame, and when it came (steady clock)."""
+    """One topic: the newest frame, and when a message last came (steady clock)."""
 
     topic: str
     clock: Callable[[], float] = time.monotonic

@@ -48,7 +48,7 @@ class Magnetometers:
         """The further ones that were heard, by their numbers."""
 
     def meet(self, met: FurtherMagnetometer) -> None:
-        """Take note of one that is heard for the first time."""
+        """Take note of one that sends for the first time."""
         self.heard = sorted([*self.heard, met], key=lambda each: each.number)
 
     def save(self, first: CalibrationStore, tell: Tell) -> None:
@@ -85,7 +85,7 @@ class Magnetometers:
         return were_several
 
     def start(self, gyro: GyroAtRest | None) -> None:
-        """Let those that are heard collect the turn that begins."""
+        """Let those that send collect the turn that begins."""
         for each in self.heard:
             each.start(gyro)
 
@@ -100,7 +100,7 @@ class Magnetometers:
             each.repeat_bias(stamp)
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
-        """Look after those that were heard, once a second."""
+        """Update those that send, once a second."""
         for each in self.heard:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
@@ -227,7 +227,7 @@ class Magnetometers:
 
 
 def told_together(asked: Mapping[str, Ask], tell: Tell) -> None:
-    """Ask several, by the topics of their magnetometers, and tell the answers as one."""
+    """Ask several, by the topics of their magnetometers, and join the answers."""
     answers: dict[str, Conclusion] = {}
 
     def note(topic: str, conclusion: Conclusion) -> None:

@@ -1,4 +1,4 @@
-"""What the motors do at the moment, and what is known of their field."""
+"""What the motors do at the moment, and the field that they add."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Motors:
             compass.use_motors(compass.motors.and_of(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
-        """Return what `~/status` tells of the motors; None where nothing is known of them."""
+        """Return the part of `~/status` on the motors; None where nothing is known of them."""
         motors = None if compass is None else compass.motors
         if motors is None:
             return None
@@ -133,7 +133,7 @@ class Motors:
         }
 
     def _source(self, which: MotorInput) -> str:
-        """Return who tells an input, for people."""
+        """Return the source of an input, in words."""
         if which is MotorInput.CURRENT:
             return self._topic
         if which in (MotorInput.TURN_RATE, MotorInput.SIDE):

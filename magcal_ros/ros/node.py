@@ -1,4 +1,4 @@
-"""The calibrator node: topics in, one turn, a compass out."""
+"""The calibrator node."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ class Calibrator(Node):
         return self._table.settings.calibration_file
 
     def _meet(self) -> None:
-        """Take note of sensors that are heard for the first time, or under another name."""
+        """Take note of sensors that send for the first time, or under another name."""
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")

@@ -1,4 +1,4 @@
-"""A calibration that keeps itself, in the node: fits in a process beside it, decisions told."""
+"""Self-calibration in the node: fits in a process of its own, decisions in log and status."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class SelfKeeping:
         self._machine.put_in_force(calibration)
 
     def meet(self, sensors: str) -> None:
-        """Take note of the sensors that are heard: data of others does not count."""
+        """Take note of the present sensors: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
         self._sensors = sensors

@@ -1,4 +1,4 @@
-"""What the node tells the world about itself: the status topic and the diagnostics."""
+"""The status topic and the diagnostics of the node."""
 
 from __future__ import annotations
 

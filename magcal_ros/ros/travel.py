@@ -1,4 +1,4 @@
-"""Speed and fixes in: up through starts and bends, the vehicle's front, the compass by course."""
+"""Speed and fixes: they improve up, and show the vehicle's front and the compass against course."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ class Travel:
 
     @property
     def has_wheels(self) -> bool:
-        """Whether wheels tell a speed often enough to time starts and stops by it."""
+        """Whether the speed of wheels comes often enough to time starts and stops by it."""
         track = self._travelling.speedometer.track
         if track is None or track.source is not SpeedSource.ODOMETRY:
             return False
@@ -216,7 +216,7 @@ class Travel:
         return course_fault(check_by_course(self._travelling.course))
 
     def facts(self) -> dict[str, Any] | None:
-        """Return what `~/status` tells of the drive; None where no speed and no fix came."""
+        """Return the part of `~/status` on the drive; None where no speed and no fix came."""
         travelling, yaw = self._travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None

@@ -1,4 +1,4 @@
-"""What a calibration is: the correction, how sure it is, what speaks for it."""
+"""What a calibration is: the correction, its covariance, the evidence for it."""
 
 from magcal_ros.core.calibration.calibration import (
     Calibration,

@@ -149,7 +149,7 @@ class CourseCells:
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
-    """What course tells of the compass.
+    """What course shows of the compass.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The vehicle's own acceleration, taken off the force: late by what the speed is late."""
+"""The vehicle's own acceleration, subtracted from the specific force at the speed's delay."""
 
 from __future__ import annotations
 

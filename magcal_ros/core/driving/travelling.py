@@ -1,4 +1,4 @@
-"""A vehicle under way: IMU, speed, fixes and compass in; what they tell of one another out."""
+"""A moving vehicle: compares IMU, speed, fixes and compass with one another."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ class Travelling:
 
     @property
     def known_mounting(self) -> MountingYaw | None:
-        """The yaw of the IMU in the vehicle, where enough was seen to tell it."""
+        """The yaw of the IMU in the vehicle, where enough was seen to determine it."""
         return self.mounting.known
 
     @property

@@ -162,7 +162,7 @@ class LocalPlane:
         self._origin: Place | None = None
 
     def position(self, fix: Fix) -> PositionSample | None:
-        """Return a fix in the plane, metres; None if it tells no place."""
+        """Return a fix in the plane, metres; None if it has no position."""
         place = place_of(fix)
         if isinstance(place, str):
             return None

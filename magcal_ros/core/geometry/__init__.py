@@ -1,4 +1,4 @@
-"""Shapes and turns in space, without a word of calibration."""
+"""Vectors, rotations and shapes in space; nothing about calibration."""
 
 from magcal_ros.core.geometry.arrays import (
     BoolArray,

@@ -1,4 +1,4 @@
-"""How the frames of a robot sit in one another, as far as they do not move; the sensors' poses."""
+"""The fixed transforms between a robot's frames, and the poses of its sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a worker is asked for by self-calibration, and what it answers."""
+"""The jobs that self-calibration gives to a worker process, and their results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recorded drive told again: what self-calibration would have decided, and where the field bent.
+"""What self-calibration would have decided on a recorded drive, and where the field was disturbed.
 
 The same streams, up, speed and machine as in the node; fits are done at once.
 """
@@ -92,7 +92,7 @@ class _Point:
 
 
 class DriveReplay:
-    """Runs self-calibration on a recording, and says what it decided.
+    """Runs self-calibration on a recording, and keeps what it decided.
 
     Parameters
     ----------

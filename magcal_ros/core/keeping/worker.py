@@ -1,4 +1,4 @@
-"""What a worker computes for self-calibration: fits and proofs of one look."""
+"""The fits and comparisons that a worker process computes for self-calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What course says of the calibration in force: a compass that swings once around is bent."""
+"""The calibration in force against course: a deviation once per turn shows hard iron."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much a good calibration may seem to have changed: what chance makes of a recheck's figures.
+"""How much the figures of a recheck scatter although the calibration is still good.
 
 Two things do. The calibration was uncertain when it was made, and what its hard iron is off shows
 as a swing around the turn. And fields differ from place to place: headings that were seen in other

@@ -1,4 +1,4 @@
-"""What course, or an autopilot's own yaw, tells of a calibration on a recorded drive."""
+"""A calibration against course, or against an autopilot's own yaw, on a recorded drive."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the corrected field of a drive says about the calibration behind it.
+"""What the corrected field of a drive shows of the calibration.
 
 On records of many headings three patterns part what may have changed. With n the level direction
 of magnetic north in body axes, B, H and V the strength and its level and downward parts:

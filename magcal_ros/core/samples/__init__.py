@@ -1,4 +1,4 @@
-"""What sensors say: streams of samples, paired windows, and what is wrong with them."""
+"""Samples of the sensors: streams, paired windows, and their faults."""
 
 from magcal_ros.core.samples.streams import (
     STREAMS,

@@ -110,7 +110,7 @@ class TurnMachine:
 
     @property
     def outcome_is_of_others(self) -> bool:
-        """Whether the last outcome is of other sensors than those that are heard now."""
+        """Whether the last outcome is of other sensors than the present ones."""
         return bool(_changes(self._sensors_of_outcome, self._sensors))
 
     @property

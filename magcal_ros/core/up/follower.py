@@ -142,7 +142,7 @@ class UpFollower:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the robot stands, or rolls on so evenly that nothing tells the difference."""
+        """Whether the robot stands, or rolls on so evenly that no sensor shows the difference."""
         return self.is_propagated and self._propagation.is_settled
 
     @property
@@ -156,7 +156,7 @@ class UpFollower:
         return self._ups[-1][0] if self._ups else -math.inf
 
     def add_field(self, stamp: float, field: Triple) -> None:
-        """Take a raw field sample: whether it turns tells a slow turn from a gyro's bias.
+        """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class UpFollower:
 
 
 def has_gyro(sample: ImuSample) -> bool:
-    """Whether a sample carries a turn rate: a possible one, and not a field nobody filled."""
+    """Whether a sample carries a turn rate: a possible one, and not a field that was left empty."""
     return 0.0 < length(sample.rate) < LARGEST_RATE
 
 

@@ -1,4 +1,4 @@
-"""Up propagated by the gyro from message to message; the filter is asked once a block."""
+"""Up propagated by the gyro from message to message; the filter runs once a block."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ class GyroPropagation:
         self._rest_sigma = math.hypot(tuning.turning_sigma, noise / math.sqrt(self._turning))
 
     def _settle(self, doubt: float | None, noise: float) -> None:
-        """Believe the accelerometer once it is steady for long enough, or its length speaks."""
+        """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
         spell, following = self._spell, self._filter
         sigma = self._settled_sigma(doubt)
         if sigma is None or (doubt and not self._gains_by(sigma)):

@@ -204,7 +204,7 @@ class ShownAtRest(NamedTuple):
 
 
 class ShakenRest:
-    """Averages blocks, and tells the gyro's bias once the means have stayed for some seconds.
+    """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds.
 
     Parameters
     ----------

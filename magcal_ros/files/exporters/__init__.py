@@ -1,4 +1,4 @@
-"""A calibration in the words of other programs, one function a consumer.
+"""A calibration in the formats of other programs, one function each.
 
 An exporter is a function from a calibration to the text its consumer reads. What the consumer
 cannot hold is said in a comment of that text; what would make its heading wrong is refused.
