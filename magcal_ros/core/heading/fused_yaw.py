@@ -66,7 +66,7 @@ class FusedYaw:
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
-        """Go on with another calibration, where the yaw comes from something else than the compass."""
+        """Go on with another calibration, where another device than the compass gives the yaw."""
         expected = Expected(calibration.strength, calibration.inclination)
         self.detector = DisturbanceDetector(
             expected,
