@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
         source = SensorSource(node, options.imu_frame, options.mag_frame)
         if not _wait_for_listener(source, options.wait):
-            print("magcal: nobody listens; publishing all the same", file=sys.stderr)
+            print("magcal: there is no subscriber; publishing all the same", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
     print(plain_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD

@@ -43,7 +43,7 @@ FIGURES: dict[Figure, Unit] = {
     Figure.POSSIBLE_PULL: Unit(
         "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
     ),
-    Figure.INLIER_FRACTION: Unit("samples that were believed", 100.0, "%"),
+    Figure.INLIER_FRACTION: Unit("samples that the fit used", 100.0, "%"),
     Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
     Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
     Figure.ELLIPSE_RATIO: Unit("ellipse in the turn's plane, longer axis over shorter"),

@@ -280,7 +280,7 @@ class Calibrator(Node):
 
     def _accept_turn(self, calibration: Calibration, tell: Tell) -> None:
         if self._control.turn.outcome_is_of_others:
-            tell(Conclusion(False, "the last fit is of other sensors than those heard now"))
+            tell(Conclusion(False, "the last fit is of other sensors than the present ones"))
             return
         self._reporter.put_in_force()
         self._keeping.put_in_force(calibration.on_users_word(), tell)

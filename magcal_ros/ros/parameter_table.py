@@ -148,7 +148,7 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "base_frame",
         "",
-        "Frame that the attitudes are published for, told by the fixed joints of "
+        "Frame that the attitudes are published for, given by the fixed joints of "
         "robot_description or the static transforms. Empty: the IMU's own",
     ),
     Spec(

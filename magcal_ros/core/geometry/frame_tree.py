@@ -124,7 +124,7 @@ def _climbed(joints: list[FrameJoint], shared: set[str]) -> FloatArray:
         if joint.kind != FIXED:
             raise FrameTrouble(
                 f"the joint {joint.name!r} between {joint.parent!r} and {joint.child!r} moves "
-                f"({joint.kind}), so the sensors' pose is not told; give mount_rpy_deg by hand"
+                f"({joint.kind}), so the sensors' pose is not known; give mount_rpy_deg by hand"
             )
         pose = joint.pose @ pose
     return pose

@@ -271,7 +271,7 @@ class SeveralCompasses:
             return "it is silent"
         if not self._is_new(member.changed):
             return "it says the same values again and again"
-        return "its stamps are far from the others', or its field tells no direction"
+        return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
         """Leave out who is wrong.

@@ -13,7 +13,7 @@ SWING_ONCE = Bound(
     Figure.COURSE_SWING_ONCE,
     4.0,
     8.0,
-    "made where the field was bent: heading swings once around by",
+    "made where the field was disturbed: heading swings once around by",
     "calibrate in the open, away from steel",
 )
 SWING_TWICE = Bound(

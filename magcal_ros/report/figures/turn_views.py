@@ -179,7 +179,7 @@ def caption_of_residuals(turn: Turn) -> str:
         return f"{ring} {RAW_FIELD}"
     return (
         f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
-        "grey band is sensor noise; waves tell of iron that turns with the robot, bumps of "
+        "grey band is sensor noise; waves show iron that turns with the robot, bumps of "
         "something that passed by."
     )
 
