@@ -12,8 +12,9 @@ export OMP_NUM_THREADS := 1
 # The tests start many processes; without compiled files each would compile the package anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Errors only: setuptools warns of every editable installation.
-INSTALL := $(BIN)/python -m pip install --quiet --quiet
+# Errors only: setuptools warns of every editable installation. Python compiles what is imported
+# when it is; compiling all that is installed takes pip longer than that.
+INSTALL := $(BIN)/python -m pip install --quiet --quiet --no-compile
 
 AFTER_OTHERS := nice -n 15
 BY_TWO := --numprocesses 2 --dist worksteal
@@ -85,12 +86,18 @@ $(VENV)/.test: setup.py | $(VENV)/bin/pip
 	@$(INSTALL) --editable '.[ros,test]'
 	@touch $@ $(VENV)/.demo
 
+$(VENV)/.docs: setup.py | $(VENV)/bin/pip
+	@$(INSTALL) --editable '.[ros,docs]'
+	@touch $@
+
 $(VENV)/.nox: | $(VENV)/bin/pip
 	@$(INSTALL) nox
 	@touch $@
 
-docs: $(VENV)/.test
-	$(BIN)/python -m magcal_ros.ros.generated doc/node.md config/calibrator.yaml doc/drivers.md
+# The generated parts of pages and files, then the site of the pages in build/docs.
+docs: $(VENV)/.docs
+	$(BIN)/python doc/generate.py
+	$(BIN)/python -m sphinx -q -W doc build/docs
 
 clean:
 	rm -rf $(VENV) .nox dist build install log .pytest_cache .mypy_cache .ruff_cache .hypothesis *.egg-info

@@ -84,6 +84,13 @@ def ros(session: nox.Session, extra: str) -> None:
 
 
 @nox.session(python="3.12")
+def docs(session: nox.Session) -> None:
+    """Build the site of the pages in doc/; every warning is an error."""
+    session.install("--editable", ".[docs]")
+    session.run("sphinx-build", "-q", "-W", "doc", str(Path(session.create_tmp(), "site")))
+
+
+@nox.session(python="3.12")
 def package(session: nox.Session) -> None:
     """Build the sdist, the wheel from it, and look at both."""
     session.install("build", "twine")

@@ -49,6 +49,8 @@ PX4_LOGS = ["pyulog>=1.0"]
 
 REPORT = ["matplotlib>=3.5.1"]
 
+DOCS = ["myst-parser>=2", "sphinx>=7"]
+
 TEST_TOOLS = [
     "colcon-common-extensions==0.3.0",
     "hypothesis>=6.100",
@@ -95,6 +97,7 @@ setup(
     extras_require={
         "ardupilot": ARDUPILOT_LOGS,
         "bags": BAG_READER,
+        "docs": DOCS,
         "live": LIVE_VIEW,
         "px4": PX4_LOGS,
         "report": REPORT,

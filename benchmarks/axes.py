@@ -12,10 +12,11 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
+import shared_cases  # noqa: F401
 from axes_cases import MOTIONS, good_case, wrong_case
 
 from magcal_ros.core.assessment.axes import find_axes
-from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.geometry.rotations import signed_permutations
 
 
 @dataclass

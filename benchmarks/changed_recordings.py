@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import shared_cases  # noqa: F401
 from recorded_truth import Drive, Truth
 
 from magcal_ros.core.geometry.arrays import FloatArray

@@ -14,7 +14,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import shared_cases  # noqa: F401
 from moving import CARS, exact, show
+from simulated.drive import (
+    AnySample,
+    Drive,
+    Iron,
+    Streets,
+    Vehicle,
+    simulated_drive,
+)
+from simulated.legs import Leg, city, one_street, reversing, standing
+from simulated.reckoning import Receiver, Wheels
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.driving.course_offset import CourseOffset
@@ -27,11 +39,6 @@ from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceFiel
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.core.simulation.drive import AnySample, Drive, Iron, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, city, one_street, reversing, standing
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
-from magcal_ros.core.simulation.street_field import Streets
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 

@@ -18,16 +18,17 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
+import shared_cases  # noqa: F401
 import stage
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import NavSatFix
+from simulated.drive import Drive, random_vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
-from magcal_ros.core.simulation.drive import Drive, random_vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.ros.sensor_source import SensorSource, set_time
 
 WARM_UP = 30.0

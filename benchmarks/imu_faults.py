@@ -17,6 +17,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
+import shared_cases  # noqa: F401
 from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
 from magcal_ros.core.doctor.page import examine

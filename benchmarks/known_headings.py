@@ -20,6 +20,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shared_cases  # noqa: F401
+from simulated.drive import Drive, Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -39,10 +43,7 @@ from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.session.antenna import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading
-from magcal_ros.core.simulation.drive import Drive, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, slope_rpy
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up import UpFollower
 

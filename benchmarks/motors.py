@@ -22,27 +22,25 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from realistic import collected, direction
+import shared_cases  # noqa: F401
+from realistic_robots import collected, direction
+from simulated.drive import Drive, Streets, Vehicle, simulated_drive
+from simulated.legs import Leg, seconds_of
+from simulated.travel import Travel, exponential_noise, travel
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.coloured import exponential_noise
-from magcal_ros.core.simulation.drive import Drive, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, seconds_of
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.street_field import Streets
-from magcal_ros.core.simulation.travel import Travel, travel
 from magcal_ros.core.up import UpFollower
 
 SHAPES = ("step", "speed", "turn rate", "current", "current, no battery", "side")

@@ -13,6 +13,10 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import shared_cases  # noqa: F401
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
@@ -24,11 +28,8 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder
 

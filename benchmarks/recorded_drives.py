@@ -11,24 +11,22 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import shared_cases  # noqa: F401
 from changed_recordings import CHANGES, changed
-from recorded_truth import Drive, read_drive
+from recorded_truth import Drive, in_force, read_drive
 from recordings import DEFAULT, recordings_in
 
-from magcal_ros.core.calibrate import calibrate_drive
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.keeping.candidates import difference
-from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.smoothing.log import log_of
 
 WORSE = 0.3
 LONG, CHANGE_AT, ADDED = 360.0, 120.0, 10e-6
@@ -60,17 +58,17 @@ def main() -> None:
 def told(drive: Drive, begun: Calibration | None, first: float, last: float) -> DriveStory:
     time = drive.everything.time
     start, stop = (time[0] + share * (time[-1] - time[0]) for share in (first, last))
-    teller = DriveTeller(drive.knowledge, begun)
-    teller.take((each for each in drive.recording.samples() if start <= each.stamp <= stop), ())
-    return teller.story()
+    replay = DriveReplay(drive.knowledge, begun)
+    replay.take((each for each in drive.recording.samples() if start <= each.stamp <= stop), ())
+    return replay.story()
 
 
 def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     """Add iron on the way, and say what comes of it: degrees from what is then right."""
     iron = ADDED * np.array([math.cos(way), math.sin(way), 0.0])
     start = drive.everything.time[0] + CHANGE_AT
-    teller = DriveTeller(drive.knowledge, begun)
-    teller.take(
+    replay = DriveReplay(drive.knowledge, begun)
+    replay.take(
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and each.stamp > start
@@ -83,19 +81,12 @@ def _tell_change(drive: Drive, begun: Calibration, way: float) -> None:
     right = replace(begun, correction=Correction(old.matrix, old.hard_iron + iron))
     print(f"{drive.name:28s}10 µT added at {CHANGE_AT:.0f} s, off by", end=" ")
     print(f"{math.degrees(difference(begun, right)):.0f}°:", end=" ")
-    for at, made in teller.story().decisions:
+    for at, made in replay.story().decisions:
         left = ""
         if made.calibration is not None:
             left = f" ({math.degrees(difference(made.calibration, right)):.1f}°)"
         print(f"{made.verb.value} after {at - CHANGE_AT:.0f} s{left}", end=" ")
     print(flush=True)
-
-
-def in_force(drive: Drive) -> Iterator[tuple[Calibration, str]]:
-    """Yield what may be in force: what all of the drive shows."""
-    found = calibrate_drive(log_of(drive.everything), drive.knowledge).calibration
-    if found is not None:
-        yield found, "its own in force"
 
 
 def score(drive: Drive, calibration: Calibration | None) -> float:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import shared_cases  # noqa: F401
 from changed_recordings import CHANGES, changed
 from recorded_truth import Drive, Heading, Score, asked_on_the_way, peers, read_drive, windows
 from truth_fit import told_by_truth

@@ -14,20 +14,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import run
-from magcal_ros.core.keeping.modes import Mode
-from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.keeping.story import DriveStory, DriveTeller
-from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import (
+import shared_cases  # noqa: F401
+from long_windows import (
+    PAPER_SOFT_IRON,
+    swaying,
+    swaying_robot,
+    swaying_window,
+)
+from simulated.drive import (
     Drive,
     Fence,
     Iron,
@@ -35,14 +29,20 @@ from magcal_ros.core.simulation.drive import (
     random_vehicle,
     simulated_drive,
 )
-from magcal_ros.core.simulation.legs import Leg, city, joined, one_street, parking
-from magcal_ros.core.simulation.long_windows import (
-    PAPER_SOFT_IRON,
-    swaying,
-    swaying_robot,
-    swaying_window,
-)
-from magcal_ros.core.simulation.travel import travel
+from simulated.legs import Leg, city, joined, one_street, parking
+from simulated.travel import travel
+
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
+from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.keeping.story import DriveReplay, DriveStory
+from magcal_ros.core.keeping.worker import answer
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.fit import fit_nodes
 from magcal_ros.core.smoothing.log import log_of
 
@@ -66,9 +66,9 @@ def some_fence(seed: int) -> Fence:
 
 
 def told(drive: Drive, begun: Calibration | None, speed: bool = True) -> DriveStory:
-    teller = DriveTeller(BOSTON, begun)
-    teller.take(drive._sensors(), drive.speeds if speed else ())
-    return teller.story()
+    replay = DriveReplay(BOSTON, begun)
+    replay.take(drive._sensors(), drive.speeds if speed else ())
+    return replay.story()
 
 
 class Heard(SelfCalibration):
@@ -90,7 +90,7 @@ class Heard(SelfCalibration):
         machine.put_in_force(begun)
         for row in self.rows:
             if machine.add(*row):
-                for decision in machine.note(run(machine.job(BOSTON))):
+                for decision in machine.note(answer(machine.job(BOSTON))):
                     made.append((row[0] - self.rows[0][0], decision))
                     if decision.changes and decision.calibration is not None:
                         now = decision.calibration
@@ -100,7 +100,7 @@ class Heard(SelfCalibration):
 
 def heard(drive: Drive) -> Heard:
     taken = Heard()
-    DriveTeller(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
+    DriveReplay(BOSTON, None, taken).take(drive._sensors(), drive.speeds)
     return taken
 
 

@@ -13,17 +13,18 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from realistic import (
+import shared_cases  # noqa: F401
+from realistic_robots import (
     FULL_TURN,
     SAMPLES,
     SECONDS,
     SENSORS,
     Course,
     Scene,
+    Scenes,
     by_effect,
     by_rested_turn,
     by_turn,
@@ -33,9 +34,9 @@ from realistic import (
     evenly,
     heading_error,
     rate_of,
-    switched,
     with_field,
     with_force,
+    with_motors,
 )
 
 from magcal_ros.core.calibrate import calibrate
@@ -51,32 +52,12 @@ from magcal_ros.core.simulation.simulator import (
     turn,
 )
 
-Case = Callable[[int], tuple[Scene, Knowledge]]
 TILTED = "no gyro, no reference, swaying: at 10°, "
 """How rows are called whose heading is judged on slopes of 10°."""
 METHODS = ("maximum_likelihood", "smoother_one")
 
 
-def with_motors(kind: str, size: float) -> Case:
-    """Return turns from rest to rest of a robot whose motors add a field (tesla)."""
-
-    def case(number: int) -> tuple[Scene, Knowledge]:
-        rng = np.random.default_rng([5, number])
-        scene, known = drawn(rng, evenly)
-        scene = SENSORS["typical"](rng, scene)
-        rate = scene.motion.angular_rate[:, 2]
-        shapes = {
-            "in step": (np.abs(rate) > 0.02).astype(float),
-            "by rate": rate / np.abs(rate).max(),
-            "switching": (np.abs(rate) > 0.02) * switched(rng, scene.window.time),
-        }
-        added = size * np.outer(shapes[kind], direction(rng))
-        return replace(with_field(scene, added), has_course=True), known
-
-    return case
-
-
-def small_circle(radius: float, course: Course | None = None) -> Case:
+def small_circle(radius: float, course: Course | None = None) -> Scenes:
     """Return circles that are driven smoothly; without a course they begin and end in motion."""
 
     def case(number: int) -> tuple[Scene, Knowledge]:
@@ -91,7 +72,7 @@ def small_circle(radius: float, course: Course | None = None) -> Case:
     return case
 
 
-def drifting(size: float) -> Case:
+def drifting(size: float) -> Scenes:
     """Return turns from rest to rest during which the hard iron drifts by so many tesla."""
 
     def case(number: int) -> tuple[Scene, Knowledge]:
@@ -105,7 +86,7 @@ def drifting(size: float) -> Case:
     return case
 
 
-def shifting(size: float) -> Case:
+def shifting(size: float) -> Scenes:
     """Return turns whose accelerometer shifts by so many m/s² while the robot turns."""
 
     def case(number: int) -> tuple[Scene, Knowledge]:
@@ -120,7 +101,7 @@ def shifting(size: float) -> Case:
     return case
 
 
-def swaying(height: float) -> Case:
+def swaying(height: float) -> Scenes:
     """Return turns of a robot in a field nobody knows, with its IMU so many metres up (no gyro).
 
     Its sway shakes the accelerometer in proportion to the lean.
@@ -143,7 +124,7 @@ def swaying(height: float) -> Case:
     return case
 
 
-def without_gyro(case: Case) -> Case:
+def without_gyro(case: Scenes) -> Scenes:
     """Return the same turns without their gyro."""
 
     def deaf(number: int) -> tuple[Scene, Knowledge]:
@@ -153,7 +134,7 @@ def without_gyro(case: Case) -> Case:
     return deaf
 
 
-def rows_without_gyro() -> dict[str, Case]:
+def rows_without_gyro() -> dict[str, Scenes]:
     """Return the rows of turns without a gyro."""
     found = {
         f"rest, turn, rest: {sensors}, {course}": by_rested_turn(course, sensors, "open")
@@ -175,7 +156,7 @@ def rows_without_gyro() -> dict[str, Case]:
     return blind | {f"{TILTED}{height} m up": swaying(height) for height in (0.1, 0.3, 0.6)}
 
 
-def rows() -> dict[str, Case]:
+def rows() -> dict[str, Scenes]:
     """Return the rows by name."""
     found = {
         f"rest, turn, rest: {sensors}, {course}": by_rested_turn(course, sensors, "open")

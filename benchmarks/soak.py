@@ -38,6 +38,7 @@ PATIENCE = 0.05
 """Seconds after which what has not come back is lost."""
 
 MOST_GROWTH_MB = 10.0
+MOST_LOST = 0.05
 MOST_MORE = 3
 """Open files or threads: a report or a fit may be under way at either mark."""
 
@@ -174,6 +175,8 @@ def faults(marks: list[Mark], most_growth_mb: float = MOST_GROWTH_MB) -> list[st
             f"open files went from {first.handles} to {marks[-1].handles}, threads from "
             f"{first.threads} to {marks[-1].threads}"
         )
+    if marks[-1].lost > MOST_LOST * marks[-1].messages:
+        found.append(f"{marks[-1].lost} of {marks[-1].messages} messages were lost")
     if marks[-1].calibrations < len(marks):
         found.append(f"{len(marks) - marks[-1].calibrations} calibrations failed")
     worst = max(abs(mark.yaw_error) for mark in marks)

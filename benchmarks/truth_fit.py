@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import shared_cases  # noqa: F401
 from recorded_truth import LEAST_SCORED, STEEPEST, Drive
 
 from magcal_ros.core.calibration.correction import Correction

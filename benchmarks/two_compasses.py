@@ -18,22 +18,28 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+import shared_cases  # noqa: F401
+from simulated.drive import (
+    Drive,
+    Iron,
+    StreetField,
+    Streets,
+    Vehicle,
+    simulated_drive,
+)
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample
-from magcal_ros.core.simulation.drive import Drive, Iron, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.street_field import StreetField, Streets
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import UpFollower
 
 FAILS_AT, SECONDS = 60.0, 150.0

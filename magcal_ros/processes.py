@@ -1,4 +1,4 @@
-"""How this package's programs run: one thread of linear algebra, and no code from where they run.
+"""How this package's programs run: one thread of linear algebra, no code from the current folder.
 
 Python looks for modules in the current folder where a program is started by `-m` or `-c`, and
 where PYTHONPATH has an empty entry. A robot's node may be started anywhere, also in a folder in

@@ -15,7 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # What tests share lies beside them; pytest before 7 has no setting for it.
 HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE / "core"), str(HERE), str(HERE.parent / "benchmarks")]
+sys.path[:0] = [str(HERE / "core"), str(HERE), str(HERE.parent / "cases")]
 
 DOMAINS = 100
 """Their ports lie below those that the system gives away."""

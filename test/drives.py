@@ -11,12 +11,11 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from simulated import Vehicle
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
-from magcal_ros.core.simulation.drive import Vehicle
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Ride, Robot
 
 ROBOT = Robot()
 IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"

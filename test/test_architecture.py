@@ -103,6 +103,54 @@ def test_rooms_import_only_what_lies_below_them():
     assert where_not(foreign) == {}
 
 
+def module_of(path):
+    parts = path.relative_to(ROOT.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def needed_modules(path):
+    """Modules of the package that a file imports anywhere, also inside of functions."""
+    known = {module_of(each) for each in FILES}
+    for node in nodes_of(path):
+        if isinstance(node, ast.ImportFrom):
+            inner = {f"{node.module}.{name.name}" for name in node.names}
+            yield from inner & known or {node.module} & known
+        elif isinstance(node, ast.Import):
+            yield from {name.name for name in node.names} & known
+
+
+def test_no_modules_import_one_another_in_a_circle():
+    needs = {module_of(path): set(needed_modules(path)) for path in FILES}
+    # What imports nothing that is left is taken away; a circle never is.
+    while free := {module for module, needed in needs.items() if not needed & set(needs)}:
+        needs = {module: needed for module, needed in needs.items() if module not in free}
+    assert needs == {}
+
+
+MAY_SIMULATE = {"cli/demo.py", "ros/rehearsal.py"}
+
+
+def test_only_the_demo_and_the_rehearsal_simulate():
+    def simulates(path):
+        return {name for name in imported_modules(path) if "core.simulation" in name}
+
+    inside = {str(path.relative_to(ROOT)) for path in (ROOT / "core/simulation").rglob("*.py")}
+    assert set(where_not(simulates)) - inside == MAY_SIMULATE
+
+
+def test_tests_import_nothing_from_the_benchmarks():
+    checkout = Path(__file__).resolve().parents[1]
+    scripts = {path.stem for path in (checkout / "benchmarks").glob("*.py")}
+    helpers = {path.stem for path in (checkout / "test").rglob("*.py")}
+    tests = [*(checkout / "test").rglob("*.py"), *(checkout / "cases").glob("*.py")]
+    found = {
+        str(path): wrong
+        for path in tests
+        if (wrong := set(imported_modules(path)) & scripts - helpers)
+    }
+    assert found == {}
+
+
 def test_the_core_reads_no_clock_and_prints_nothing():
     def unlike_core(path):
         names = {node.id for node in nodes_of(path) if isinstance(node, ast.Name)}

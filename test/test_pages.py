@@ -1,13 +1,14 @@
 """What README and doc/ say can be followed: links lead somewhere, lines work as typed."""
 
 import re
+import runpy
 import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot, measure, turn
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PAGES = [CHECKOUT / "README.md", *sorted((CHECKOUT / "doc").rglob("*.md"))]
@@ -30,7 +31,7 @@ def anchors(page):
 
 def blocks(page, *languages):
     """Return the fenced blocks of some languages."""
-    fenced = re.findall(r"(?ms)^ *```(\w*)\n(.*?)^ *```$", page.read_text())
+    fenced = re.findall(r"(?ms)^ *```([{}\w]*)\n(.*?)^ *```$", page.read_text())
     return [text for language, text in fenced if language in languages]
 
 
@@ -55,9 +56,27 @@ def test_every_link_leads_to_something_that_is_there(page):
 
 def test_every_page_is_linked_from_the_first_or_from_the_index_of_its_folder():
     for page in PAGES[1:]:
+        if page.name == "index.md":
+            continue
         folder = page.parent
         index = PAGES[0] if folder.name == "doc" else folder.with_suffix(".md")
         assert f"({folder.name}/{page.name})" in index.read_text()
+
+
+def test_the_site_has_every_page():
+    index = CHECKOUT / "doc" / "index.md"
+    named = re.findall(r"(?m)^([\w/]+)$", "".join(blocks(index, "{toctree}")))
+    pages = {str(page.relative_to(index.parent).with_suffix("")) for page in PAGES[1:]}
+    assert sorted(named) == sorted(pages - {"index"})
+    settings = runpy.run_path(str(index.with_name("conf.py")))
+    assert "myst_parser" in settings["extensions"]
+
+
+def test_the_files_that_architecture_names_are_there():
+    text = (CHECKOUT / "doc" / "architecture.md").read_text()
+    named = re.findall(r"`((?:core|ros|files|report|cli)/[\w/]+\.py)`", text)
+    assert len(named) > 25
+    assert [name for name in named if not (CHECKOUT / "magcal_ros" / name).is_file()] == []
 
 
 def test_the_readme_is_read_in_three_minutes():

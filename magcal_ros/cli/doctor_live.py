@@ -1,4 +1,4 @@
-"""The guided half minute of `magcal doctor`: it asks, watches, ticks, and looks at what came."""
+"""The guided half minute of `magcal doctor`: instructions, progress, and the examination."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.geometry.frame_tree import pose_in_words
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.sensor_poses import pose_in_words
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample

@@ -1,4 +1,4 @@
-"""`magcal drive`: a recorded drive told again, as the node would have decided."""
+"""`magcal drive`: what self-calibration would have decided on a recorded drive."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from magcal_ros.cli.recorded import (
     opened,
 )
 from magcal_ros.cli.reference import reference_in_use
-from magcal_ros.core.keeping.story import DriveStory, DriveTeller
+from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recorded_course import recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
@@ -52,13 +52,13 @@ def run(options: argparse.Namespace) -> int:
     folder = new_or_named(options.output, "magcal_drive")
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
-        teller = DriveTeller(Knowledge(reference.field, mounting_from(options)), begun)
+        replay = DriveReplay(Knowledge(reference.field, mounting_from(options)), begun)
         mended = RepairedReadings(source, for_drive=True)
         travel = source.travel()
         with at_work(lambda: f"fitting the drive, {100.0 * mended.share:.0f} % of it", sys.stderr):
-            teller.take(mended, travel)
+            replay.take(mended, travel)
         frames = source.field_frame, source.imu_frame
-        story = teller.story()
+        story = replay.story()
         if story.ended is not None and travel:
             north = reference.field.declination
             course = recorded_course(story.ended, mended, travel, north)

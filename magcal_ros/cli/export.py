@@ -1,4 +1,4 @@
-"""`magcal export`: a stored calibration in the words of another program."""
+"""`magcal export`: a stored calibration in the format of another program."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joining the ROS graph from a command, with a plain word when that is not possible."""
+"""Joining the ROS graph from a command, with a clear error where that is not possible."""
 
 from __future__ import annotations
 

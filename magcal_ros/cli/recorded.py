@@ -245,7 +245,7 @@ def watched(
     out: TextIO,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Reading]:
-    """Yield what is read of a source, and tell how far it is."""
+    """Yield what is read of a source, and print the progress."""
     line = StatusLine(out, clock)
     for count, reading in enumerate(readings):
         if count % LOOK_EVERY == 0:

@@ -52,12 +52,11 @@ def run(options: argparse.Namespace) -> int:
     recording = read_csv_folder(options.folder)
     _require_stamps(options.folder, recording)
     with joined("magcal_replay", ["--ros-args", *options.ros_args]) as node:
-        from magcal_ros.ros.replay import replay
-        from magcal_ros.ros.sensor_source import SensorSource
+        from magcal_ros.ros.sensor_source import SensorSource, replay
 
         source = SensorSource(node, options.imu_frame, options.mag_frame)
         if not _wait_for_listener(source, options.wait):
-            print("magcal: nobody listens; publishing all the same", file=sys.stderr)
+            print("magcal: there is no subscriber; publishing all the same", file=sys.stderr)
         count = replay(node, source, recording, options.rate, time.sleep, options.clock)
     print(plain_lines(f"replayed {count} samples of {options.folder}"))
     return Exit.GOOD

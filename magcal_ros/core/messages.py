@@ -1,4 +1,4 @@
-"""The messages become numbers: of rclpy and of a bag alike, they have the same names."""
+"""Messages become numbers, whether they come from rclpy or from a bag."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ UNFINISHED = ".magcal-unfinished"
 LEFT_BEHIND = 3600.0
 """Seconds after which nobody is writing it any more."""
 
-REMEDY = "Choose a writable place with the parameter calibration_file, or mend its permissions."
+REMEDY = "Choose a writable place with the parameter calibration_file, or correct its permissions."
 
 
 def write_atomically(

@@ -1,4 +1,4 @@
-"""The calibration as YAML: it says what it is, and nothing else is taken for it."""
+"""The calibration as YAML, with a header by which other files are told apart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names that came from outside, made fit to be shown."""
+"""Makes names from outside safe to print."""
 
 from __future__ import annotations
 

@@ -11,7 +11,12 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
-from magcal_ros.core.samples.stamps import bursts_in_words, bursts_of_a_turn, long_gaps, mended
+from magcal_ros.core.samples.stamps import (
+    bursts_in_words,
+    bursts_of_a_turn,
+    long_gaps,
+    spread_bursts,
+)
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.sources import Source
@@ -80,7 +85,7 @@ class RepairedReadings:
         del readings, begun
         self._ahead = 0
         stamps = _stamps(self._source.readings())
-        even = [mended(each) for each in stamps]
+        even = [spread_bursts(each) for each in stamps]
         self._note(stamps, even)
         imu, field = (
             iter((old if new is None else new).tolist())

@@ -1,4 +1,4 @@
-"""The fixed and moving joints of a robot, as its description (URDF) tells them."""
+"""The fixed and moving joints of a robot, from its description (URDF)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags read with ROS's own `rosbag2_py`, so that a robot needs nothing from elsewhere.
+"""Bags read with ROS's own `rosbag2_py`, so that a robot needs no other library.
 
 It offers what `bags` needs of a reader, with the names that the library rosbags gives it. Held
 against the published source of rosbag2_py from Humble to Rolling: before Jazzy the metadata's
@@ -104,7 +104,7 @@ LATE = 5_000_000_000
 
 
 def _storage_of(path: Path) -> str:
-    """Return the storage by the file's name; a folder's metadata tells it."""
+    """Return the storage by the file's name; a folder's metadata names it."""
     return STORAGES.get(path.suffix, "") if path.is_file() else ""
 
 

@@ -27,7 +27,7 @@ COLUMNS = {
 }
 """Name and unit of each column; a header cell reads `mx [T]`."""
 
-REMEDY = "Choose a writable folder, or mend its permissions."
+REMEDY = "Choose a writable folder, or correct its permissions."
 
 NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")
 GYRO = ("gx", "gy", "gz")

@@ -1,4 +1,4 @@
-"""The page on a drive: what was driven, what was believed, where the field was bent."""
+"""The page on a drive: where it went, which samples were used, where the field was disturbed."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def _map(path: DrivePath | None) -> str:
     if path is None:
         return (
             "<h2>Where the compass can be trusted</h2>"
-            '<p class="missing">No map: no calibration tells a heading on this drive.</p>'
+            '<p class="missing">No map: there was no calibration on this drive.</p>'
         )
     low, high = path.place.min(axis=0), path.place.max(axis=0)
     span = float(max(np.max(high - low), 1.0))

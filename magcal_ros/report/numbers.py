@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
@@ -39,9 +39,11 @@ FIGURES: dict[Figure, Unit] = {
 } | {
     Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
     Figure.GYRO_GAP: Unit("heading left in doubt by other explanations of the gyro", DEGREES, "°"),
-    Figure.STEADY_PULL: Unit("steady pull taken off the accelerometer", DEGREES, "°"),
-    Figure.POSSIBLE_PULL: Unit("heading by a pull that nothing shows (1σ)", DEGREES, "°"),
-    Figure.INLIER_FRACTION: Unit("samples that were believed", 100.0, "%"),
+    Figure.STEADY_PULL: Unit("steady linear acceleration taken off", DEGREES, "°"),
+    Figure.POSSIBLE_PULL: Unit(
+        "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
+    ),
+    Figure.INLIER_FRACTION: Unit("samples that the fit used", 100.0, "%"),
     Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
     Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
     Figure.ELLIPSE_RATIO: Unit("ellipse in the turn's plane, longer axis over shorter"),

@@ -1,15 +1,18 @@
-"""Writing a report: the page, and the samples beside it."""
+"""Writing a report, the page and its samples, into a folder of its own."""
 
 from __future__ import annotations
 
+import contextlib
+import re
+from datetime import datetime
+from itertools import count
 from pathlib import Path
 
-from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.atomic import UNFINISHED, FileTrouble, write_atomically
 from magcal_ros.files.samples import REMEDY, write_samples
 from magcal_ros.report.figures.gallery import pictures
 from magcal_ros.report.page import render
-from magcal_ros.report.subject import Subject
-from magcal_ros.report.turn import Turn
+from magcal_ros.report.turn import Subject, Turn
 
 PAGE = "report.html"
 SAMPLES = "samples.csv"
@@ -48,3 +51,99 @@ def write_report(folder: Path, subject: Subject) -> Path:
     write_samples(folder / SAMPLES, subject.window, believed)
     write_atomically(page, render(subject, turn, pictures(turn)), REMEDY)
     return page
+
+
+IN_FORCE = "in_force.txt"
+"""Marks the report of a turn whose calibration was put in force."""
+
+OURS = ".magcal_ros"
+"""Marks a folder that `new_folder` made: others may have a date for a name as well."""
+
+DATED = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:-(\d+))?")
+
+
+def new_folder(parent: Path, created: datetime) -> Path:
+    """Make a dated folder that was not there before.
+
+    Parameters
+    ----------
+    parent : Path
+        Holds the folders; made if it is missing.
+    created : datetime
+        Names the folder, `2024-05-31_14-03-07`; a second one of the same second ends in `-2`.
+
+    Returns
+    -------
+    Path
+        The new folder, marked as ours and empty otherwise.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be made.
+    """
+    name = created.strftime("%Y-%m-%d_%H-%M-%S")
+    try:
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in count(1):
+            folder = parent / (name if number == 1 else f"{name}-{number}")
+            try:
+                # Making it is the only test that two processes cannot both pass.
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            (folder / OURS).write_text("a report by magcal_ros: removed when it is old\n")
+            return folder
+    except OSError as error:
+        raise FileTrouble(
+            f"cannot make a folder for the report in {parent}: {error.strerror or error}. "
+            "Choose a writable place, or correct its permissions."
+        ) from error
+    raise AssertionError("counting does not end")
+
+
+def mark_in_force(folder: Path) -> None:
+    """Keep a report for good: its calibration is, or was, in force.
+
+    Raises
+    ------
+    OSError
+        If the mark cannot be made.
+    """
+    (folder / IN_FORCE).write_text("put in force: kept when older reports are removed\n")
+
+
+def remove_old(parent: Path, keep: int) -> None:
+    """Remove the oldest reports; those that were put in force stay, and whatever is not ours.
+
+    Parameters
+    ----------
+    parent : Path
+        Holds the folders that `new_folder` made.
+    keep : int
+        How many of those that were not put in force may stay.
+    """
+    with contextlib.suppress(OSError):
+        found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name) and _is_ours(f)]
+        mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists()]
+        for folder in mere[: max(len(mere) - keep, 0)]:
+            remove(folder)
+
+
+def remove(folder: Path) -> None:
+    """Remove a report's own files, and its folder unless somebody put more into it."""
+    with contextlib.suppress(OSError):
+        own = (folder / PAGE, folder / SAMPLES, folder / OURS)
+        for path in (*folder.glob(f".*{UNFINISHED}"), *own):
+            path.unlink(missing_ok=True)
+        folder.rmdir()
+
+
+def _is_ours(folder: Path) -> bool:
+    return not folder.is_symlink() and (folder / OURS).is_file()
+
+
+def _age(folder: Path) -> tuple[str, int]:
+    found = DATED.fullmatch(folder.name)
+    assert found is not None
+    return found[1], int(found[2] or 1)

@@ -1,4 +1,4 @@
-"""What the node says in its log: what is new, and nothing over and over."""
+"""The log lines of the node; none is repeated without news."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A heading that a topic tells, as that of two antennas: held against the gyro, put to use."""
+"""A heading from a topic, as of two antennas: compared with the gyro, and used."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample
 from magcal_ros.core.samples.travel_samples import HeadingSample

@@ -48,12 +48,12 @@ class CalibrationLoader:
         self._resets = 0
 
     def begin(self) -> None:
-        """Load a file that was chosen by its name, before any sensor is heard."""
+        """Load a file that was chosen by its name, before any message arrives."""
         if self._chosen():
             self._read("", is_met=False)
 
     def meet(self, frame: str) -> None:
-        """Take note of the sensor that the field comes from now; it may have been heard before."""
+        """Take note of the sensor that the field comes from now; it may have been used before."""
         self._current = frame
         if frame in self._found:
             self._use(self._found[frame])

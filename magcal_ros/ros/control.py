@@ -1,4 +1,4 @@
-"""A turn in the running node: tells the state machine what happens, and does what it says.
+"""A turn in the running node: passes events to the state machine, and carries out its commands.
 
 Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
 its own and the disk a thread, so the corrected field and the yaw keep flowing.
@@ -20,8 +20,8 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Stre
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 

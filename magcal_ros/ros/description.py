@@ -1,4 +1,4 @@
-"""Hears from the graph how the robot's frames sit in one another."""
+"""Receives the transforms between the robot's frames from the graph."""
 
 from __future__ import annotations
 

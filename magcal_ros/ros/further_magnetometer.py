@@ -17,8 +17,7 @@ from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import Drop, ImuSample, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.calibration_loader import CalibrationLoader

@@ -9,15 +9,14 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.outputs import RELIABLE
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.wire.outgoing import AttitudeTemplate
+from magcal_ros.ros.wire.outgoing import AttitudeTemplate, diagnostic, key_values
 
 TOPIC = "compass/fused/enu/imu"
 

@@ -8,15 +8,13 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.ros.control import Control
 from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Inputs, Sensor
 from magcal_ros.ros.keeper import CalibrationStore, Keeper

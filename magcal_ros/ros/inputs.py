@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from dataclasses import field as member
 
-from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import Streams
+from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.files.default_paths import known_as
 
 SILENT_AFTER = 2.0
@@ -26,7 +26,7 @@ RATE_LOOKS = 6
 
 @dataclass
 class Sensor:
-    """One topic, as far as it was heard: the newest frame, and when it came (steady clock)."""
+    """One topic: the newest frame, and when a message last came (steady clock)."""
 
     topic: str
     clock: Callable[[], float] = time.monotonic

@@ -13,8 +13,7 @@ from rclpy.node import Node
 
 from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer, Streams
 from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.antenna import Antenna, Owner
 from magcal_ros.ros.background_thread import BackgroundThread

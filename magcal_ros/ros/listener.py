@@ -1,4 +1,4 @@
-"""Listens to the two sensors without a node of ours: what comes, from whom, how frames sit."""
+"""Listens to the two sensors for `magcal doctor`: messages, publishers, frames."""
 
 from __future__ import annotations
 

@@ -12,15 +12,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer
 from magcal_ros.ros.heading_pipeline import FIRST
 from magcal_ros.ros.keeper import CalibrationStore, Keeper
-from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.wire.outgoing import diagnostic, key_values
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""
@@ -49,7 +48,7 @@ class Magnetometers:
         """The further ones that were heard, by their numbers."""
 
     def meet(self, met: FurtherMagnetometer) -> None:
-        """Take note of one that is heard for the first time."""
+        """Take note of one that sends for the first time."""
         self.heard = sorted([*self.heard, met], key=lambda each: each.number)
 
     def save(self, first: CalibrationStore, tell: Tell) -> None:
@@ -86,7 +85,7 @@ class Magnetometers:
         return were_several
 
     def start(self, gyro: GyroAtRest | None) -> None:
-        """Let those that are heard collect the turn that begins."""
+        """Let those that send collect the turn that begins."""
         for each in self.heard:
             each.start(gyro)
 
@@ -101,7 +100,7 @@ class Magnetometers:
             each.repeat_bias(stamp)
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
-        """Look after those that were heard, once a second."""
+        """Update those that send, once a second."""
         for each in self.heard:
             each.inputs.streams.max_gap = settings.max_gap
             each.inputs.look(count_publishers)
@@ -228,7 +227,7 @@ class Magnetometers:
 
 
 def told_together(asked: Mapping[str, Ask], tell: Tell) -> None:
-    """Ask several, by the topics of their magnetometers, and tell the answers as one."""
+    """Ask several, by the topics of their magnetometers, and join the answers."""
     answers: dict[str, Conclusion] = {}
 
     def note(topic: str, conclusion: Conclusion) -> None:

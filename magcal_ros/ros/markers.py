@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import Circle, fit_circle_in_space
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.outputs import LATCHED
 

@@ -1,4 +1,4 @@
-"""What the motors do at the moment, and what is known of their field."""
+"""What the motors do at the moment, and the field that they add."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sensor_msgs.msg import BatteryState
 from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample
@@ -112,7 +112,7 @@ class Motors:
             compass.use_motors(compass.motors.and_of(before))
 
     def facts(self, compass: Compass | None) -> dict[str, Any] | None:
-        """Return what `~/status` tells of the motors; None where nothing is known of them."""
+        """Return the part of `~/status` on the motors; None where nothing is known of them."""
         motors = None if compass is None else compass.motors
         if motors is None:
             return None
@@ -133,7 +133,7 @@ class Motors:
         }
 
     def _source(self, which: MotorInput) -> str:
-        """Return who tells an input, for people."""
+        """Return the source of an input, in words."""
         if which is MotorInput.CURRENT:
             return self._topic
         if which in (MotorInput.TURN_RATE, MotorInput.SIDE):

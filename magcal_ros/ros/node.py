@@ -1,4 +1,4 @@
-"""The calibrator node: topics in, one turn, a compass out."""
+"""The calibrator node."""
 
 from __future__ import annotations
 
@@ -21,14 +21,12 @@ from magcal_ros.core.monitoring.watch import Watch
 from magcal_ros.core.samples.streams import Drop, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.calibration_loader import CalibrationLoader
-from magcal_ros.ros.callback_errors import CallbackErrors
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.further_magnetometer import FurtherMagnetometer, Listeners
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
@@ -47,7 +45,7 @@ from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA, SensorGroup
 from magcal_ros.ros.services import Services, Tell
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.spinner import Spinner
+from magcal_ros.ros.spinner import CallbackErrors, Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
     diagnostic_array,
@@ -225,7 +223,7 @@ class Calibrator(Node):
         return self._table.settings.calibration_file
 
     def _meet(self) -> None:
-        """Take note of sensors that are heard for the first time, or under another name."""
+        """Take note of sensors that send for the first time, or under another name."""
         imu, field = self._inputs.imu, self._inputs.field
         self._control.sensors_met(known_as(field.frame), known_as(imu.frame))
         self._keeping.meet(f"{field.frame} {imu.frame}")
@@ -282,7 +280,7 @@ class Calibrator(Node):
 
     def _accept_turn(self, calibration: Calibration, tell: Tell) -> None:
         if self._control.turn.outcome_is_of_others:
-            tell(Conclusion(False, "the last fit is of other sensors than those heard now"))
+            tell(Conclusion(False, "the last fit is of other sensors than the present ones"))
             return
         self._reporter.put_in_force()
         self._keeping.put_in_force(calibration.on_users_word(), tell)

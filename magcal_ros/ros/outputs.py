@@ -16,15 +16,19 @@ from std_msgs.msg import Float64
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.files.plain import plain
-from magcal_ros.ros.messages import azimuth_message, bias_message
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.wire.incoming import FieldArrival
-from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
+from magcal_ros.ros.wire.outgoing import (
+    AttitudeTemplate,
+    FieldTemplate,
+    NumberTemplate,
+    azimuth_message,
+    bias_message,
+)
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = QoSProfile(depth=10)

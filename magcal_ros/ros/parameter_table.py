@@ -5,7 +5,7 @@ from __future__ import annotations
 from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,
@@ -148,14 +148,14 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "base_frame",
         "",
-        "Frame that the attitudes are published for, told by the fixed joints of "
+        "Frame that the attitudes are published for, given by the fixed joints of "
         "robot_description or the static transforms. Empty: the IMU's own",
     ),
     Spec(
         "vehicle_yaw_deg",
         UNSET,
         "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
-        "what the robot's description says, mended by up to 15° by what driving shows",
+        "what the robot's description says, corrected by up to 15° by what driving shows",
         -360.0,
         360.0,
         "°",
@@ -274,28 +274,3 @@ PARAMETERS: tuple[Spec, ...] = (
     Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),
     Spec("rotate.frame_id", "base_link", "Frame of the TwistStamped"),
 )
-
-
-def as_yaml() -> str:
-    """Return the table as the parameter file that is shipped in `config/`."""
-    lines = ["# Every parameter of the calibrator node with its default.", "/**:"]
-    lines.append("  ros__parameters:")
-    group = ""
-    for spec in PARAMETERS:
-        prefix, _, name = spec.name.rpartition(".")
-        if prefix and prefix != group:
-            lines.append(f"    {prefix}:")
-        group = prefix
-        indent = "      " if prefix else "    "
-        lines.append(f"{indent}# {spec.full_description}")
-        lines.append(f"{indent}{name or spec.name}: {spec.yaml_default}")
-    return "\n".join(lines) + "\n"
-
-
-def as_markdown() -> str:
-    """Return the table as it stands in doc/node.md."""
-    lines = ["| parameter | default | range | meaning |", "|---|---|---|---|"]
-    for spec in PARAMETERS:
-        row = (f"`{spec.name}`", f"`{spec.yaml_default}`", spec.constraints, spec.description)
-        lines.append("| " + " | ".join(row) + " |")
-    return "\n".join(lines) + "\n"

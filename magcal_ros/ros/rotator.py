@@ -1,4 +1,4 @@
-"""The base's ear: what a robot that turns itself is told, and zeros on every way out.
+"""Commands the base of a robot that turns itself, and sends zeros at every end.
 
 A guard in a process of its own stands by from the request until the closing zeros are sent, for
 the ways out on which this process can send none.

@@ -1,4 +1,4 @@
-"""A calibration that keeps itself, in the node: fits in a process beside it, decisions told."""
+"""Self-calibration in the node: fits in a process of its own, decisions in log and status."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.keeping.candidates import CourseSwing
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import DriveJob, Findings, run
-from magcal_ros.core.keeping.modes import Mode
+from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
+from magcal_ros.core.keeping.jobs import DriveJob, Findings
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -100,7 +99,7 @@ class SelfKeeping:
         self._machine.put_in_force(calibration)
 
     def meet(self, sensors: str) -> None:
-        """Take note of the sensors that are heard: data of others does not count."""
+        """Take note of the present sensors: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
         self._sensors = sensors
@@ -224,10 +223,12 @@ class SelfKeeping:
 
 
 def run_kindly(job: DriveJob) -> Findings:
-    """Do a job in a process that lets all others go first."""
+    """Do a job in a process that lets all others go first; only there is loaded what it takes."""
+    from magcal_ros.core.keeping.worker import answer
+
     if hasattr(os, "setpriority"):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
-    return run(job)
+    return answer(job)
 
 
 def write_page(parent: Path, story: DriveStory, log: DriveLog) -> Path:

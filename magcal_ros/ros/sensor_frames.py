@@ -11,14 +11,13 @@ from rclpy.node import Node
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.estimate import Installation
 from magcal_ros.core.driving.front import VehicleYaw
-from magcal_ros.core.geometry.sensor_poses import (
+from magcal_ros.core.geometry.frame_tree import (
     Frames,
     SensorPoses,
     pose_in_words,
     sensor_poses,
 )
-from magcal_ros.core.heading.base_view import BaseView
-from magcal_ros.core.heading.mended_pose import MendedPose, mend
+from magcal_ros.core.heading.base_view import BaseView, CorrectedPose, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
@@ -50,7 +49,7 @@ class SensorFrames:
         self._contradiction = ""
         self._found: Installation | None = None
         self._vehicle_yaw: VehicleYaw | None = None
-        self._mended = MendedPose(None)
+        self._corrected = CorrectedPose(None)
 
     def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
@@ -112,14 +111,14 @@ class SensorFrames:
     def complaints(self) -> list[str]:
         """What is missing or contradicts the samples, in words."""
         poses = self.poses
-        words = [*poses.complaints, self._contradiction, self._mended.contradiction]
+        words = [*poses.complaints, self._contradiction, self._corrected.contradiction]
         if self._frames.base:
             words.append(self._description.trouble)
         if poses.is_described and self._found is not None and self._found.angle > FAR_OFF:
             words.append(
                 f"the robot's description has {self._magnetometer_frame!r} in {self._imu_frame!r} "
                 f"at {pose_in_words(poses.magnetometer)}, and the last turn found it "
-                f"{np.degrees(self._found.angle):.0f}° away from that: mend its joint, or give "
+                f"{np.degrees(self._found.angle):.0f}° away from that: correct its joint, or give "
                 "mount_rpy_deg"
             )
         return [each for each in words if each]
@@ -139,8 +138,10 @@ class SensorFrames:
         self._contradiction = ""
         by_hand, found = settings.vehicle_yaw, self._vehicle_yaw
         imu = self._poses.imu
-        mended = self._mended = mend(imu if settings.base_frame else None, by_hand, found)
-        pose = imu if mended.pose is None else mended.pose
+        corrected = self._corrected = corrected_pose(
+            imu if settings.base_frame else None, by_hand, found
+        )
+        pose = imu if corrected.pose is None else corrected.pose
         view = None if pose is None else BaseView(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

@@ -11,8 +11,7 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 
 Tell = Callable[[Conclusion], None]
 

@@ -1,4 +1,4 @@
-"""What the node tells the world about itself: the status topic and the diagnostics."""
+"""The status topic and the diagnostics of the node."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.control import Control
@@ -24,9 +24,9 @@ from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.travel import Travel
+from magcal_ros.ros.wire.outgoing import diagnostic, key_values
 
 
 def status_json(

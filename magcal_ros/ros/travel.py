@@ -1,4 +1,4 @@
-"""Speed and fixes in: up through starts and bends, the vehicle's front, the compass by course."""
+"""Speed and fixes: they improve up, and show the vehicle's front and the compass against course."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.front import Declination, Front, VehicleYaw, where_is_the_front
-from magcal_ros.core.driving.local_plane import LocalPlane
 from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.position import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.monitoring.course_check import (
@@ -33,10 +32,10 @@ from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.messages import diagnostic, key_values
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
+from magcal_ros.ros.wire.outgoing import diagnostic, key_values
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -128,7 +127,7 @@ class Travel:
 
     @property
     def has_wheels(self) -> bool:
-        """Whether wheels tell a speed often enough to time starts and stops by it."""
+        """Whether the speed of wheels comes often enough to time starts and stops by it."""
         track = self._travelling.speedometer.track
         if track is None or track.source is not SpeedSource.ODOMETRY:
             return False
@@ -217,7 +216,7 @@ class Travel:
         return course_fault(check_by_course(self._travelling.course))
 
     def facts(self) -> dict[str, Any] | None:
-        """Return what `~/status` tells of the drive; None where no speed and no fix came."""
+        """Return the part of `~/status` on the drive; None where no speed and no fix came."""
         travelling, yaw = self._travelling, self.yaw
         if not travelling.is_heard and yaw is None:
             return None

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 from drives import DRIVE_VEHICLE, recorded, write_bag
+from simulated.drive import simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.cli.main import main
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.simulation.drive import simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.files.calibration_file import Origin, write_calibration
 
 

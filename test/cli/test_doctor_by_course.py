@@ -6,13 +6,13 @@ import math
 import numpy as np
 import pytest
 from drives import DRIVE_VEHICLE, recorded, write_bag
+from simulated.drive import simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.cli.main import main
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.simulation.drive import simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.travel import travel
 
 LEFT = rotation_from_rpy(0.0, 0.0, math.pi / 2.0)
 

@@ -6,14 +6,14 @@ import math
 import numpy as np
 import pytest
 from drives import write_bag, write_csv
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import Leg, city
+from simulated.travel import travel
 
 from magcal_ros.cli.main import main
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.session.recorded import Gathering
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.level import pull
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.sources import open_recording

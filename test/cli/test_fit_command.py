@@ -211,6 +211,7 @@ def test_progress_is_one_line_on_a_terminal_and_one_in_five_seconds_elsewhere(ou
 
 
 class TestRecordings:
+    @pytest.mark.nightly
     def test_the_car_from_its_bag(self, fit, recording):
         folder = recording("car_circles_neu2025_kiran")
         place = ["--reference-strength-ut", "51.3", "--reference-inclination-deg", "66.3"]

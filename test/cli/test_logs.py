@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from drives import drive
 from log_writers import FRD, GAUSS, logged, write_bin, write_sensor_logger, write_ulog
+from long_form import first_of
 
 from magcal_ros.cli import recorded
 from magcal_ros.cli.main import main
@@ -60,7 +61,7 @@ def test_ardupilot_flies_with_what_was_found_in_its_log(tmp_path, capsys):
     assert level_circle(corrected) < 0.02 < level_circle(before)
 
 
-@pytest.mark.parametrize("rotation", [0, 6])
+@pytest.mark.parametrize("rotation", first_of([6, 0]))
 def test_px4_flies_with_what_was_found_in_its_log(tmp_path, capsys, rotation):
     pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")
     path = write_ulog(tmp_path / "a.ulg", SAMPLES, offset=(0.1, 0.2, -0.1), rotation=rotation)

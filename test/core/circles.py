@@ -5,19 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Motion,
-    Robot,
-    heading_errors,
-    measure,
-)
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Motion, Robot, heading_errors, measure
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -8,8 +8,7 @@ from magcal_ros.core.estimation.model import Evaluation, Samples, State, about_z
 from magcal_ros.core.estimation.parameters import ROLL, Globals
 from magcal_ros.core.estimation.prior import Prior
 from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
-from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.rotations import exp_rotation, exp_rotations, rotation_from_rpy
+from magcal_ros.core.geometry import exp_rotation, exp_rotations, rotation_from_rpy, unit
 
 COUNT = 40
 

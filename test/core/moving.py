@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.simulation import Ride, Robot
 
 DEGREE = math.pi / 180.0
 FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.simulation.simulator import Robot, measure, slope_rpy, turn
+from magcal_ros.core.simulation import Robot, measure, slope_rpy, turn
 
 TILT = math.radians(10.0)
 EAST, NORTH, WEST, SOUTH = (k * math.pi / 2 for k in range(4))

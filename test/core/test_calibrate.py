@@ -3,24 +3,16 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import METHODS, calibrate, find_method
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures
+from magcal_ros.core.calibration import Calibration, Figure, common_figures
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples import Window
 from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    LEVEL_TILT,
-    Robot,
-    heading_errors,
-    measure,
-    turn,
-)
+from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Robot, heading_errors, measure, turn
 
 ROBOT = Robot()
 TURN_METHODS = ("maximum_likelihood", "design_tip")
@@ -77,7 +69,9 @@ class TestEveryMethod:
         assert evidence.figures == estimate.figures
         assert not evidence.accepted_by_user
 
-    @pytest.mark.parametrize("motion", [{"arc": 0.0}, {"samples": 3}, {"arc": 10 * DEGREE}])
+    @pytest.mark.parametrize(
+        "motion", [{"arc": 0.0}, {"samples": 3}, {"samples": 100, "arc": 10 * DEGREE}]
+    )
     def test_samples_that_cannot_carry_it_are_a_verdict_not_an_exception(self, method, motion):
         outcome = calibrate(window_of(**motion), ROBOT.knowledge(), method)
         assert outcome.calibration is None
@@ -156,7 +150,7 @@ class TestCalibration:
 
 @pytest.mark.parametrize("gyro", [True, False])
 @pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("dip", [65.0, 78.0])
+@pytest.mark.parametrize("dip", first_of([65.0, 78.0]))
 def test_a_full_turn_on_its_side_is_not_asked_for_once_more_but_upright(dip, known, gyro):
     robot = Robot(strength=55e-6, inclination=dip * DEGREE)
     lying = turn(axis=np.array([0.0, 1.0, 0.0]), start_rpy=(90.0 * DEGREE, 0.0, 0.0))

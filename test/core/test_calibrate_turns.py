@@ -21,10 +21,10 @@ from slope_turns import (
 )
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Misuse, Reason
 from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.simulation.simulator import heading_errors
+from magcal_ros.core.simulation import heading_errors
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from realistic import heading_error
-from side_by_side import with_motors
+from long_form import first_of
+from realistic_robots import heading_error, with_motors
 from uneven_turns import ROBOT, collected, driven, evenly
 
 from magcal_ros.core.calibrate import calibrate
@@ -16,9 +16,11 @@ from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
 
 
-@pytest.mark.parametrize("by_rate", [False, True])
-@pytest.mark.parametrize("size", [3e-6, 15e-6])
-def test_the_heading_at_rest_is_right_and_the_motors_are_named(size, by_rate):
+@pytest.mark.parametrize(
+    "case", first_of([(15e-6, False), (3e-6, True), (3e-6, False), (15e-6, True)], 2)
+)
+def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
+    size, by_rate = case
     motion, window = driven(evenly, ROBOT, 6.0)
     rate = motion.angular_rate[:, 2]
     shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)
@@ -31,11 +33,10 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(size, by_rate):
     assert "between rest and turn the field changes" in outcome.verdict.summary
 
 
-@pytest.mark.parametrize(
-    ("shape", "size", "number"), [("switching", 10e-6, 3000), ("in step", 20e-6, 504)]
-)
-def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(shape, size, number):
+@pytest.mark.parametrize("case", first_of([("in step", 20e-6, 504), ("switching", 10e-6, 3000)]))
+def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(case):
     """The drives were 17 and 65 degrees wrong, said 1.9 and .5, and were accepted."""
+    shape, size, number = case
     scene, knowledge = with_motors(shape, size)(number)
     outcome = calibrate(collected(scene.window), knowledge)
     assert Figure.HEADINGS_DRIVEN not in outcome.estimate.figures
@@ -44,7 +45,7 @@ def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(shape, size,
     assert not outcome.verdict.accepted or error < 3.0 * sigma
 
 
-@pytest.mark.parametrize("by_rate", [False, True])
+@pytest.mark.parametrize("by_rate", first_of([True, False]))
 def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     """A turn at one rate does not tell a step from what goes with the rate: the sum is known."""
     size = 6e-6

@@ -5,8 +5,7 @@ from types import SimpleNamespace as Message
 
 import pytest
 
-from magcal_ros.core.driving.local_plane import LocalPlane
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.position import Fix, LocalPlane
 from magcal_ros.core.messages import speed_of, velocity_of
 
 

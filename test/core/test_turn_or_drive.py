@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from honesty_cases import draw_case
 from long_form import first_of
-from realistic import by_turn, collected, drawn, motors, stop_and_go
-from realistic import heading_error as turn_error
+from realistic_robots import by_turn, collected, drawn, motors, stop_and_go
+from realistic_robots import heading_error as turn_error
+from simulated.drive import random_vehicle
+from simulated.legs import circles, joined, standing
 from smoothing.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.calibrate import calibrate, calibrate_drive
@@ -16,8 +18,6 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import random_vehicle
-from magcal_ros.core.simulation.legs import circles, joined, standing
 from magcal_ros.core.smoothing.log import log_of
 
 
@@ -30,6 +30,11 @@ def ringed():
     drive = driven(10, legs=legs, vehicle=replace(vehicle, robot=robot))
     rows = drive.time > drive.time[0] + 10.0
     return robot, Window(drive.time[rows], drive.field[rows], drive.force[rows], drive.rate[rows])
+
+
+def nineteen_seconds(window, start):
+    since = window.time - window.time[0] - start
+    return window.take((since >= 0.0) & (since < 19.0))
 
 
 def test_circles_are_told_as_the_drive_they_were(ringed):
@@ -45,11 +50,7 @@ def test_circles_are_told_as_the_drive_they_were(ringed):
 @pytest.mark.parametrize("start", [0.0, 30.0])
 def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
     robot, window = ringed
-    since = window.time - window.time[0] - start
-    rows = (since >= 0.0) & (since < 19.0)
-    columns = window.time, window.field, window.specific_force, window.angular_rate
-    piece = Window(*(column[rows] for column in columns))
-    outcome = calibrate(piece, BOSTON)
+    outcome = calibrate(nineteen_seconds(window, start), BOSTON)
     assert outcome.verdict.accepted
     sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
     assert heading_error(outcome.estimate.correction, robot) < 2.0 * sigma

@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.geometry.rotations import exp_rotations, rotation_about
+from magcal_ros.core.geometry import exp_rotations, rotation_about
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pair
+from magcal_ros.core.samples import FieldSample, ImuSample, Pair
 from magcal_ros.core.session.session import Limits, Session
-from magcal_ros.core.simulation.simulator import DEGREE, Motion, Robot, measure, smooth_wobble
+from magcal_ros.core.simulation import DEGREE, Motion, Robot, measure, smooth_wobble
 
 UP = np.array([0.0, 0.0, 1.0])
 STEP, SECONDS, REST = 1.0 / 30.0, 20.0, 3.0

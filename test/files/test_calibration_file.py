@@ -12,9 +12,7 @@ from examples import examples
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.motors import MotorField, MotorInput
+from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (

@@ -9,9 +9,9 @@ import yaml
 from long_form import first_of
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration import Correction
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot, measure, turn
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.plausibility import require_possible

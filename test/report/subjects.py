@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.simulation.simulator import Robot, Trouble, measure, turn
+from magcal_ros.core.simulation import Robot, Trouble, measure, turn
 from magcal_ros.report import Subject
 
 CREATED = datetime(2024, 5, 31, 14, 3, 7, tzinfo=timezone.utc)

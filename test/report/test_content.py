@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from subjects import ROBOT, good, refused, subject_of, troubled
 
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import NO_YAW, judge
 from magcal_ros.core.calibrate import Outcome, calibrate_turns
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot, measure, slope_rpy, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import Robot, measure, slope_rpy, turn
 from magcal_ros.report import write_report
 
 LARGEST_PAGE = 1_000_000
@@ -201,12 +201,12 @@ def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
 
 
 def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
-    from magcal_ros.report.figures import four_views
+    from magcal_ros.report.figures import turn_views
 
     def fail(*_):
         raise ZeroDivisionError("a <bug>")
 
-    monkeypatch.setattr(four_views, "_draw_solid", fail)
+    monkeypatch.setattr(turn_views, "_draw_solid", fail)
     page = write_report(tmp_path, good()).read_text(encoding="utf-8")
     assert page.count("<svg") == 3
     assert "could not be drawn (ZeroDivisionError: a &lt;bug&gt;)" in page

@@ -7,17 +7,16 @@ import pytest
 from drives import ROBOT
 from long_form import first_of
 
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.calibrate import METHODS, calibrate_by
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import measure, turn
 from magcal_ros.report import turn as turn_module
-from magcal_ros.report.figures.gyro import caption, deviations
-from magcal_ros.report.subject import Subject
-from magcal_ros.report.turn import Turn
+from magcal_ros.report.figures.heading import caption_of_gyro, deviations
+from magcal_ros.report.turn import Subject, Turn
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +51,7 @@ def test_a_car_that_leans_outwards_draws_no_larger_swing_than_is_judged(recordin
     outcome, picture = shown(window, Knowledge())
     judged = math.degrees(outcome.estimate.figures[Figure.GYRO_COMPASS_SWING])
     assert drawn_rms(picture) == pytest.approx(judged, rel=0.3)
-    assert f"{judged:.1f}° rms, which is judged" in caption(picture)
+    assert f"{judged:.1f}° rms, which is judged" in caption_of_gyro(picture)
 
 
 @pytest.mark.parametrize("swing_deg", first_of([12.0, 6.0]))

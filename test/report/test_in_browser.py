@@ -9,7 +9,7 @@ from browser import Browser, find_browser
 from long_form import first_of
 from subjects import good, refused, troubled
 
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.report import write_report

@@ -8,7 +8,7 @@ import pytest
 from subjects import CREATED, good, refused
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Window
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.samples import read_samples, write_samples
 from magcal_ros.report import new_folder, write_report

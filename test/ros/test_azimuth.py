@@ -8,11 +8,10 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from std_msgs.msg import Header
 
-from magcal_ros.core.heading.compass import Heading
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Heading, Moment
 from magcal_ros.core.knowledge import Belief, ReferenceField
-from magcal_ros.ros.messages import azimuth_message
 from magcal_ros.ros.outputs import HeadingOutput
+from magcal_ros.ros.wire.outgoing import azimuth_message
 
 HEADING = Heading(0.0, 0.0, 1.0, 1e-4, 4e-4, 0.0, 0.0)
 DECLINATION = math.radians(7.0)

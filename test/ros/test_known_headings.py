@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Quaternion
 from rclpy.parameter import Parameter
@@ -73,6 +74,7 @@ def test_three_known_headings_calibrate_a_robot_that_never_turns(stage, ros_home
     assert stored.evidence.method == "known_headings"
 
 
+@pytest.mark.nightly
 def test_a_mirrored_heading_is_named_and_leaves_what_is_in_force(stage):
     actor = stage(parameters=REFERENCE, speed=SPEED)
     for heading in DOCKS[:2]:

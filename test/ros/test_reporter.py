@@ -10,7 +10,7 @@ import pytest
 from support import wait_until
 
 from magcal_ros.report import mark_in_force, new_folder, remove_old
-from magcal_ros.report.folder import IN_FORCE
+from magcal_ros.report.write import IN_FORCE
 from magcal_ros.ros import reporter as reporter_module
 from magcal_ros.ros.reporter import Reporter
 

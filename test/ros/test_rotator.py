@@ -13,9 +13,9 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from support import AT_ONCE, PATIENCE, REFERENCE
 
-from magcal_ros.core.session import rotation_limits, self_turn
+from magcal_ros.core.session import rotation_plan, self_turn
 from magcal_ros.ros import guard
-from magcal_ros.ros.end_signals import SIGNALS
+from magcal_ros.ros.main import SIGNALS
 
 TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.8}
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "calibrate", "--skip-preflight"]
@@ -29,7 +29,9 @@ def leisure(monkeypatch):
     monkeypatch.setattr(self_turn, "TUNING", patient)
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(
-        rotation_limits, "TUNING", replace(rotation_limits.TUNING, farthest_beyond=math.pi)
+        rotation_plan,
+        "ROTATION_LIMITS",
+        replace(rotation_plan.ROTATION_LIMITS, farthest_beyond=math.pi),
     )
 
 
@@ -103,6 +105,7 @@ def test_a_base_that_does_not_listen_is_said_with_the_topic(stage, monkeypatch):
     assert "nothing subscribes to /cmd_vel" in answer.message
 
 
+@pytest.mark.nightly
 def test_the_command_warns_and_its_ctrl_c_stops_the_robot(base):
     robot = base()
     command = subprocess.Popen(COMMAND, stdout=subprocess.PIPE, text=True)

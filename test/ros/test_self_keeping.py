@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import Findings
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.files.backups import backup_files
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.status import watch_diagnostic

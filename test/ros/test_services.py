@@ -1,6 +1,7 @@
 """Every service in every state that a user can bring it into."""
 
 import pytest
+from long_form import first_of
 from support import (
     PATIENCE,
     REFERENCE,
@@ -60,15 +61,15 @@ def test_start_and_finish_are_calibrate_in_two_steps(stage):
     assert actor.status["state"] == "calibrated"
 
 
-def test_finish_of_a_turn_that_has_ended_by_itself_answers_with_its_verdict(stage):
+@pytest.mark.parametrize("meanwhile", first_of(["fitting", "calibrated"]))
+def test_finish_of_a_turn_that_has_ended_by_itself_answers_with_its_verdict(stage, meanwhile):
     actor = stage(speed=8.0)
-    for meanwhile in ("fitting", "calibrated"):
-        assert actor.answer(actor.call("start")).success
-        actor.run(PATIENCE, 0.5, lambda: actor.status["state"] == "collecting")
-        actor.run(PATIENCE, 0.5, lambda state=meanwhile: actor.status["state"] == state)
-        answer = actor.answer(actor.call("finish"))
-        assert answer.success, answer.message
-        assert answer.message.startswith("Calibrated")
+    assert actor.answer(actor.call("start")).success
+    actor.run(PATIENCE, 0.5, lambda: actor.status["state"] == "collecting")
+    actor.run(PATIENCE, 0.5, lambda: actor.status["state"] == meanwhile)
+    answer = actor.answer(actor.call("finish"))
+    assert answer.success, answer.message
+    assert answer.message.startswith("Calibrated")
     assert "~/start" in actor.answer(actor.call("finish")).message
 
 

@@ -11,6 +11,9 @@ from geometry_msgs.msg import TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
+from simulated.drive import Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from support import PATIENCE, REFERENCE, store_calibration
@@ -18,10 +21,7 @@ from theatre import FARTHEST_AHEAD, LOST_AFTER
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.outputs import LATCHED
 

@@ -31,6 +31,7 @@ def test_a_level_turn_gives_a_right_heading_and_none_before(stage):
     assert_heading_is_right(actor, headings=3)
 
 
+@pytest.mark.nightly
 def test_a_rest_long_before_shows_a_gyro_that_is_far_off(stage):
     """It drives circles when it is asked, and what pulls in them looks like the gyro's bias."""
     bias = np.array([3.5, 2.0, 1.9]) * DEGREE

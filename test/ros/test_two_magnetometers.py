@@ -29,6 +29,7 @@ def former(ros_home):
     return store_calibration(ros_home / "magcal" / f"{FRAME}.yaml", frame=FRAME)
 
 
+@pytest.mark.nightly
 def test_each_finds_its_own_calibration_and_none_its_neighbours(start_node, actor, ros_home):
     start_node(arguments=named("left"))
     robot = actor(calibrator="/left", speed=8.0)

@@ -9,11 +9,11 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rpy_from_rotation
-from magcal_ros.core.geometry.signed_axes import (
+from magcal_ros.core.geometry.rotations import (
     is_mirrored,
     likely_slip,
     rank_of,
+    rpy_from_rotation,
     signed_permutations,
     spoken,
 )

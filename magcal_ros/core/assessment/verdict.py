@@ -12,10 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.drive_bounds import DRIVE_BOUNDS, HEADING_BOUNDS
+from magcal_ros.core.assessment.bounds import (
+    DRIVE_BOUNDS,
+    HEADING_BOUNDS,
+    HELPED_BY_REFERENCE,
+    bounds_of,
+)
 from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
 from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
-from magcal_ros.core.assessment.turn_bounds import HELPED_BY_REFERENCE, bounds_of
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -49,13 +53,13 @@ class VerdictTuning:
         Radians of heading sigma from which a calibration is called rough. In a car full of steel it
         may be the best possible, and the first words of the summary should say so.
     nearly_full : float
-        Radians of arc from which a steady sideways pull can be told from a slope.
+        Radians of arc from which a steady sideways acceleration can be told from a slope.
     mostly_pull : float
         Share of the heading's variance from which an acceleration that nothing shows is the main
         cause.
     weighed_pull_deg : float
-        Degrees of sideways pull that are no warning where the fit has weighed what it may be, and
-        the heading's sigma includes what it could not determine.
+        Degrees of sideways acceleration that are no warning where the fit has weighed what it may
+        be, and the heading's sigma includes what it could not determine.
     one_axis : float
         Share of the gyro's squares about one axis from which a turn has one; a sensor that is
         turned over by hand has none, and what counts is how it usually lies.

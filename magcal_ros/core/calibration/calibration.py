@@ -1,4 +1,4 @@
-"""A calibration in force: the correction, how sure it is, and what speaks for it."""
+"""A calibration: the correction, its covariance, and the evidence for it."""
 
 from __future__ import annotations
 

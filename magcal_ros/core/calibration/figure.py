@@ -232,7 +232,7 @@ class Figure(str, Enum):
 
     @property
     def key(self) -> str:
-        """The name under which JSON and status tell it.
+        """The name of the figure in JSON and status.
 
         A recheck's and a drive's comparison of gyro and compass keep the one that readers know.
         """

@@ -1,4 +1,4 @@
-"""The field that a robot's motors add while they run, by what the robot tells of itself."""
+"""The field that a robot's motors add while they run, from its speed, turn rate and current."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class MotorField:
         return replace(self, beside=np.zeros_like(self.beside))
 
     def and_of(self, older: MotorField) -> MotorField:
-        """Return the same with the inputs that only an older field tells of."""
+        """Return the same with the inputs that only an older field has."""
         rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
         numbers = [3 * k + axis for k in rows for axis in range(3)]
         count = len(numbers)

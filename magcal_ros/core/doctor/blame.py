@@ -13,7 +13,7 @@ from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.upright import TUNING as UPRIGHT
 from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
-from magcal_ros.core.geometry.signed_axes import is_mirrored, rank_of, spoken, swapped
+from magcal_ros.core.geometry.rotations import is_mirrored, rank_of, spoken, swapped
 from magcal_ros.core.knowledge import Knowledge
 
 STANDARD = np.eye(3)

@@ -13,8 +13,7 @@ from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.signed_axes import is_mirrored, spoken
+from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, SOFT
 

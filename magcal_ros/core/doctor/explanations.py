@@ -19,7 +19,7 @@ from magcal_ros.core.assessment.axes import inclination_misfit, most_turned
 from magcal_ros.core.doctor.gravity_turns import gravity_misfit
 from magcal_ros.core.doctor.log_stretch import LogStretch, stretch_of_log
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.signed_axes import is_mirrored, signed_permutations
+from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning

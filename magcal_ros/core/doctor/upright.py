@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.signed_axes import DIRECTIONS
+from magcal_ros.core.geometry.rotations import DIRECTIONS
 from magcal_ros.core.samples.sensor_log import SensorLog
 
 

@@ -1,1 +1,1 @@
-"""What a drive tells of the vehicle: its own acceleration, its front, its compass by course."""
+"""What a drive shows of the vehicle: acceleration, front, and the compass against course."""

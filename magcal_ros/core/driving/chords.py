@@ -1,4 +1,4 @@
-"""Straight pieces of way: the compass's yaw against the course."""
+"""Straight stretches of road: the yaw of the compass against the course."""
 
 from __future__ import annotations
 

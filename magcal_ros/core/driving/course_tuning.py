@@ -1,4 +1,4 @@
-"""What is taken for granted of the compass against course."""
+"""The assumptions about the compass against course."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ChordTuning:
-    """Which pieces of way are straight enough to tell a course.
+    """Which stretches of road are straight enough for a course.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is taken for granted of drives, by subject: each number with its unit and its reason."""
+"""The assumptions about drives, by subject: each number with its unit and its reason."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Span = TypeVar("Span", float, FloatArray)
 
 
 class SpeedSource(str, Enum):
-    """Who tells the speed, the best first."""
+    """Sources of the speed, the best first."""
 
     ODOMETRY = "odometry"
     VELOCITY = "velocity"

@@ -131,7 +131,7 @@ def _joined(mounting: MountingYaw, course: CourseOffset, declination: Declinatio
 
 
 def _missing_declination(gap: float, sigma: float, tuning: FrontTuning) -> str:
-    """Say what the declination seems to be, where nobody has told it."""
+    """Say what the declination seems to be, where it is not known."""
     if sigma > tuning.useful or abs(gap) < tuning.clear * sigma:
         return ""
     return (

@@ -49,7 +49,7 @@ class Judged(NamedTuple):
 
     @property
     def is_good(self) -> bool:
-        """Whether it tells the yaw, and nothing is wrong with it."""
+        """Whether it shows the yaw, and no fault is known."""
         return self.fitted is not None and self.fault is None
 
 
@@ -87,7 +87,7 @@ class MountingWatch:
 
     @property
     def known(self) -> MountingYaw | None:
-        """The yaw, where enough was seen to tell it."""
+        """The yaw, where enough was seen to determine it."""
         found = self.found
         return found if found is not None and found.is_known(self._tuning.mounting) else None
 

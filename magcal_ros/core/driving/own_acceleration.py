@@ -1,4 +1,4 @@
-"""The vehicle's own acceleration, taken off the force: late by what the speed is late."""
+"""The vehicle's own acceleration, subtracted from the specific force at the speed's delay."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from magcal_ros.core.geometry.vec3 import Triple
 class Tried(NamedTuple):
     """Force across up, and change of velocity if the IMU looked ahead, m/s².
 
-    `pull` is the latter's part along the vehicle.
+    `along` is the latter's part along the vehicle.
     """
 
     force: complex
     change: complex
-    pull: float
+    along: float
 
 
 class SpeedTrial:
@@ -46,7 +46,7 @@ class SpeedTrial:
         """Forget them."""
         self._tried.clear()
         self._force = self._change = self._both = 0j
-        self._forces = self._changes = self._pulls = 0.0
+        self._forces = self._changes = self._along = 0.0
 
     def add(self, tried: Tried) -> None:
         """Take the newest, and leave the oldest."""
@@ -75,13 +75,13 @@ class SpeedTrial:
     @property
     def newest(self) -> Tried:
         """The newest, less the means."""
-        count, (force, change, pull) = len(self._tried), self._tried[-1]
-        return Tried(force - self._force / count, change - self._change / count, pull)
+        count, (force, change, along) = len(self._tried), self._tried[-1]
+        return Tried(force - self._force / count, change - self._change / count, along)
 
     @property
-    def pull_share(self) -> float:
+    def share_along(self) -> float:
         """Share of the changes that lies along the vehicle: starts and stops."""
-        return self._pulls / self._changes if self._changes > 0.0 else 0.0
+        return self._along / self._changes if self._changes > 0.0 else 0.0
 
     def scatter(self, turn: complex) -> float:
         """Return the variance of the force less `turn` times the change, (m/s²)²."""
@@ -93,13 +93,13 @@ class SpeedTrial:
         return max(0.0, force - 2.0 * crossed + abs(turn) ** 2 * change)
 
     def _sum(self, tried: Tried, sign: float) -> None:
-        force, change, pull = tried
+        force, change, along = tried
         self._force += sign * force
         self._change += sign * change
         self._both += sign * force * change.conjugate()
         self._forces += sign * abs(force) ** 2
         self._changes += sign * abs(change) ** 2
-        self._pulls += sign * pull * pull
+        self._along += sign * along * along
 
 
 class _Matched(NamedTuple):
@@ -305,10 +305,10 @@ class OwnAcceleration:
         # The speed of a receiver that stands wanders.
         stands = max(abs(last.velocity), abs(first.velocity)) < self._slow
         change = 0j if stands else (last.velocity - first.velocity) / seconds
-        pull = (abs(last.velocity) - abs(first.velocity)) / seconds
-        self._trial.add(Tried(complex(x, y), self.sign * change, pull))
+        along = (abs(last.velocity) - abs(first.velocity)) / seconds
+        self._trial.add(Tried(complex(x, y), self.sign * change, along))
         # Standing is where the force of the trip that follows is counted from, whichever its sign.
-        self._trip.add(Tried(complex(x, y), change if self._is_under_way else 0j, pull))
+        self._trip.add(Tried(complex(x, y), change if self._is_under_way else 0j, along))
         self._judge()
         own = self.sign * change * self._turn
         self._gravity = (last.tick.stamp, (x - own.real, y - own.imag, z))
@@ -325,7 +325,7 @@ class OwnAcceleration:
         quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
         self.is_used = with_it <= (gain * without if without > quiet else quiet)
         # An even circle is seen through without: the speed of mere fixes would only add noise.
-        if self._is_rough and (trial.pull_share < own.pulling or not self.is_yaw_usable):
+        if self._is_rough and (trial.share_along < own.pulling or not self.is_yaw_usable):
             self.is_used = False
 
     def _decide(self) -> None:

@@ -1,4 +1,4 @@
-"""The vehicle's speed at any stamp, from the best source that speaks."""
+"""The vehicle's speed at any stamp, from the best source that is available."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class SpeedTrack:
 
     @property
     def is_slow(self) -> bool:
-        """Whether these are wheels that speak as seldom as a receiver."""
+        """Whether these are wheels with as few messages as a receiver."""
         if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
             return False
         return self._recent[-1][0] - self._recent[-4][0] > 3.0 * self._tuning.seldom
@@ -217,7 +217,7 @@ class Speedometer:
 
     @property
     def track(self) -> SpeedTrack | None:
-        """The best source that speaks and is trusted; None if none does."""
+        """The best source that is available and trusted; None without one."""
         newest = max([track.newest for track in self.tracks.values()])
         for source, track in self.tracks.items():
             is_here = newest - track.newest < self._tuning.silent

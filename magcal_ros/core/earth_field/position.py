@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from magcal_ros.core.earth_field.wmm import VALIDITY, Place
+from magcal_ros.core.samples.travel_samples import PositionSample
 
 
 @dataclass(frozen=True)
@@ -148,3 +149,25 @@ class Fixes:
                 f"{self.place.words}: the reference field has followed"
             ]
         return []
+
+
+RADIUS = 6_371_000.0
+"""Metres, mean radius of the Earth: the plane's scale is right to 0.4%, its angles near it."""
+
+
+class LocalPlane:
+    """The plane that touches the Earth at the first good fix (equirectangular)."""
+
+    def __init__(self) -> None:
+        self._origin: Place | None = None
+
+    def position(self, fix: Fix) -> PositionSample | None:
+        """Return a fix in the plane, metres; None if it has no position."""
+        place = place_of(fix)
+        if isinstance(place, str):
+            return None
+        origin = self._origin = self._origin or place
+        north = math.radians(place.latitude_deg - origin.latitude_deg)
+        east = math.radians(math.remainder(place.longitude_deg - origin.longitude_deg, 360.0))
+        shrink = math.cos(math.radians(origin.latitude_deg))
+        return PositionSample(fix.stamp, RADIUS * east * shrink, RADIUS * north)

@@ -1,4 +1,4 @@
-"""The array type the core speaks, and how foreign numbers enter it."""
+"""The array type of the core, and how numbers from outside are checked."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def _form(coefficients: list[float], shape: QuadricFit) -> FloatArray:
 def _planar() -> Refusal:
     return Refusal(
         Reason.PLANAR,
-        "The samples lie on a plane: no ellipsoid can be told from them. Tumble the sensor through "
+        "The samples lie on a plane: no ellipsoid can be fitted to them. Tumble the sensor through "
         "all orientations, or use a method for turns about one axis.",
     )
 

@@ -1,4 +1,4 @@
-"""Whether the field of the moment is the one that was calibrated, or something bends it."""
+"""Whether the field of the moment is the one that was calibrated, or is disturbed."""
 
 from __future__ import annotations
 
@@ -247,7 +247,7 @@ class FieldDoubt:
         self._stamp = math.nan
 
     def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
-        """Take a field that tells a heading; returns the variance that the yaw has beside its own.
+        """Take a field; returns the variance of the yaw by disturbances, beside its own.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""A yaw that is smooth and never trapped: the gyro propagates it, the compass corrects it.
+"""A smooth yaw: the gyro propagates it, and the compass corrects it.
 
 North is kept as a level direction in body axes and propagated by the gyro; the level part of the
 field corrects it about up alone, so a bent field never tips the attitude (the projection of
@@ -66,7 +66,7 @@ class FusedYaw:
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
-        """Go on with another calibration, where something else than the compass tells the yaw."""
+        """Go on with another calibration, where another device than the compass gives the yaw."""
         expected = Expected(calibration.strength, calibration.inclination)
         self.detector = DisturbanceDetector(
             expected,

@@ -1,4 +1,4 @@
-"""What the fused yaw takes for granted, in one place: each number with its unit and its reason."""
+"""The assumptions of the fused yaw: each number with its unit and its reason."""
 
 from __future__ import annotations
 

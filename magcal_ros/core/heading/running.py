@@ -117,7 +117,7 @@ class MotionSense:
         return turns < self.tuning.slow_rate and drives < self.tuning.slow
 
     def _judged(self, rate: Triple | None, is_at_rest: bool, speed: float) -> bool | None:
-        """Return whether it moves; None where nobody knows."""
+        """Return whether it moves; None where that is not known."""
         if rate is not None and length(rate) > self.tuning.rate:
             return True
         if not math.isnan(speed):

@@ -14,11 +14,10 @@ from typing import NamedTuple
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
 from magcal_ros.core.heading.fusion_tuning import SeveralTuning
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.yaw_agreement import (
     SMALLEST_VARIANCE,
     CompassYaw,
@@ -68,7 +67,7 @@ class _Member:
     share: Share = field(default_factory=lambda: Share(0.0))
 
     def forget(self) -> None:
-        """Begin anew, as a sensor that was never heard."""
+        """Begin anew, as if no message had come."""
         self.moment, self.off = None, math.nan
         self.arrived = self.changed = -math.inf
         self.offset, self.learnt, self.has_agreed = (0.0, 0.0, 0.0), 0.0, False
@@ -144,7 +143,7 @@ class SeveralCompasses:
     def add(
         self, number: int, moment: Moment, now: float, fused: FusedYaw | None = None
     ) -> Moment | None:
-        """Take a magnetometer's moment; returns that of all if this message tells the time.
+        """Take a magnetometer's moment; returns that of all if this magnetometer sets the pace.
 
         The first magnetometer that speaks tells it, so the heading comes at one sensor's rate.
 
@@ -202,7 +201,7 @@ class SeveralCompasses:
     def _compass_yaws(
         self, moment: Moment, up: Triple, fused: FusedYaw | None, seconds: float
     ) -> list[CompassYaw]:
-        """Return what those say that speak, and not always the same."""
+        """Return the yaws of those that send, and do not repeat one value."""
         turned: dict[int, Triple] = {}
         # Where nothing changes at all, a robot with coarse sensors stands.
         changes = any(self._is_new(member.changed) for member in self._members.values())
@@ -272,7 +271,7 @@ class SeveralCompasses:
             return "it is silent"
         if not self._is_new(member.changed):
             return "it says the same values again and again"
-        return "its stamps are far from the others', or its field tells no direction"
+        return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
         """Leave out who is wrong.

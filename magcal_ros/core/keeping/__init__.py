@@ -1,1 +1,1 @@
-"""How a calibration keeps itself: candidates from driving, their probation, the way back."""
+"""Self-calibration while driving: candidates, their probation, the return to the old one."""

@@ -1,4 +1,4 @@
-"""What self-calibration decided, and why, in words."""
+"""What self-calibration may do, what it decided, and why, in words."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.keeping.candidates import DriveCandidate
+from magcal_ros.core.keeping.jobs import Step
 
 
 class Verb(str, Enum):
@@ -45,3 +47,60 @@ class Decision:
     def changes(self) -> bool:
         """Whether another calibration is to be put in force, or offered."""
         return self.calibration is not None
+
+
+class Mode(str, Enum):
+    """What may be done with a proved candidate."""
+
+    PROPOSE = "propose"
+    APPLY = "apply"
+    OFF = "off"
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The calibration before the one in force, still compared with it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    since : float
+        Clock from which road counts, seconds.
+    """
+
+    calibration: Calibration
+    since: float
+
+
+@dataclass(frozen=True, eq=False)
+class Probation:
+    """A candidate that has to prove itself.
+
+    Parameters
+    ----------
+    candidate : DriveCandidate
+        As it is known by now.
+    steps : tuple of Step
+        What it was at each look, for the road from there.
+    """
+
+    candidate: DriveCandidate
+    steps: tuple[Step, ...]
+
+    @staticmethod
+    def of(candidate: DriveCandidate, before: Probation | None = None) -> Probation:
+        """Return the probation of a candidate, or of one that is known better by now."""
+        step = Step(candidate.end, candidate.calibration.correction)
+        return Probation(candidate, (*(before.steps if before else ()), step))
+
+    @property
+    def since(self) -> float:
+        """Clock from which road counts, seconds."""
+        return self.steps[0].since
+
+
+def is_same(one: Calibration | None, other: Calibration | None) -> bool:
+    """Whether the twelve numbers are the same, whoever accepted them."""
+    if one is None or other is None:
+        return one is other
+    return one.correction.is_same(other.correction)

@@ -1,16 +1,80 @@
-"""What a worker is asked for by self-calibration, and what it answers."""
+"""The jobs that self-calibration gives to a worker process, and their results."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.keeping.candidates import DriveCandidate
-from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.keeping.candidates import DriveCandidate, Kind
+from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What the road after a fit says of a new calibration against an old one.
+
+    Parameters
+    ----------
+    seconds : float
+        Of road.
+    turns : int
+        Turns that were compared.
+    turn_score, turn_gain : float
+        Sigmas by which turns are quieter under the new one, and the mean log ratio.
+    likelihood : float
+        Fall of minus log likelihood on all of the road, independent units.
+    halves : tuple of float
+        The same of its two halves.
+    elsewhere : float
+        What of it is left without the quarter of headings that speaks most for the new one: steel
+        on one side of the way speaks in one alone.
+    against : float
+        What the headings that speak against the new one say together: iron that came is seen at
+        nearly all, steel on one side of the way at a few.
+    """
+
+    seconds: float = 0.0
+    turns: int = 0
+    turn_score: float = 0.0
+    turn_gain: float = 0.0
+    likelihood: float = 0.0
+    halves: tuple[float, float] = (0.0, 0.0)
+    elsewhere: float = 0.0
+    against: float = 0.0
+
+    def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind | None = None) -> str:
+        """Return in words by what the new one is proved better; empty if it is not.
+
+        Parameters
+        ----------
+        tuning : KeepingTuning
+        kind : Kind or None
+            Of the new one; None where it was in force before.
+        """
+        enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
+        if kind is Kind.IRON and self.against > tuning.most_against:
+            return ""
+        if (
+            self.turns >= tuning.fewest_turns
+            and self.turn_score > tuning.turn_proof
+            and self.turn_gain > tuning.least_gain
+            and self.likelihood >= 0.0
+        ):
+            gain = 100.0 * (1.0 - math.exp(-self.turn_gain))
+            return f"{self.turns} turns driven since are {gain:.0f}% quieter"
+        if kind is Kind.ALL and self.elsewhere < tuning.elsewhere_proof:
+            return ""
+        if self.likelihood > enough and min(self.halves) > 0.0:
+            return (
+                f"it explains {self.seconds:.0f} s of road driven since better, by"
+                f" {self.likelihood:.0f} units of log likelihood and in both halves"
+            )
+        return ""
 
 
 class Step(NamedTuple):
@@ -88,10 +152,3 @@ class Findings:
     since_change: DriveCandidate | None
     finer: DriveCandidate | None
     proofs: dict[str, Proof]
-
-
-def run(job: DriveJob) -> Findings:
-    """Do a job, in whatever process; only there is loaded what it takes."""
-    from magcal_ros.core.keeping.worker import answer
-
-    return answer(job)

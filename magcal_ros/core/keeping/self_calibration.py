@@ -1,4 +1,4 @@
-"""How a calibration keeps itself: a state machine without a clock or a thread.
+"""Self-calibration while driving: a state machine without a clock or a thread.
 
 Samples go in, jobs come out; whoever owns it has them done in a worker, and brings back what they
 found; decisions come out. Time is that of the samples, and only movement counts.
@@ -26,11 +26,9 @@ from magcal_ros.core.keeping.candidates import (
     known_sigma,
     narrows,
 )
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Step
+from magcal_ros.core.keeping.decisions import Decision, Mode, Probation, Trial, Verb, is_same
+from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
-from magcal_ros.core.keeping.modes import Mode, Probation, Trial, is_same
-from magcal_ros.core.keeping.proofs import Proof
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.recorder import DriveRecorder
@@ -113,7 +111,7 @@ class SelfCalibration:
         self._course = course
 
     def forget(self) -> None:
-        """Forget the drive, and what it led to: the sensors are others, or nobody asks any more."""
+        """Forget the drive and its results: the sensors have changed, or the mode has."""
         self._recorder.begin_anew()
         self._on_probation.clear()
         self._first = self._trial = self.proposal = None
@@ -225,7 +223,7 @@ class SelfCalibration:
         return made + self._notice(findings, self._in_force)
 
     def _begin(self, findings: Findings) -> list[Decision]:
-        """With nothing in force two windows that agree are enough: nobody is harmed by waiting."""
+        """With nothing in force two windows that agree are enough."""
         tuning, clock = self.tuning, findings.clock
         good = [each for each in findings.candidates if self._is_believable(each)]
         for candidate in sorted(good, key=lambda each: each.sigma):
@@ -371,7 +369,7 @@ class SelfCalibration:
         return candidate.sigma <= largest and candidate.sectors >= few
 
     def _is_offered(self, candidate: DriveCandidate) -> bool:
-        """Whether what waits for a person's word is as good: nobody is told twice."""
+        """Whether the present proposal is as good, so that no second one is needed."""
         waits = self.proposal
         if waits is None or is_another(candidate, waits, self.tuning):
             return False

@@ -1,4 +1,4 @@
-"""A recorded drive told again: what self-calibration would have decided, and where the field bent.
+"""What self-calibration would have decided on a recorded drive, and where the field was disturbed.
 
 The same streams, up, speed and machine as in the node; fits are done at once.
 """
@@ -16,11 +16,10 @@ from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import run
+from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
 from magcal_ros.core.keeping.keeping_tuning import KEEPING
-from magcal_ros.core.keeping.modes import Mode
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import PositionSample, TravelSample
@@ -92,8 +91,8 @@ class _Point:
     speed: float
 
 
-class DriveTeller:
-    """Takes a recording and tells its story.
+class DriveReplay:
+    """Runs self-calibration on a recording, and keeps what it decided.
 
     Parameters
     ----------
@@ -159,7 +158,7 @@ class DriveTeller:
         if up is not None and not sample.stamp < due:
             self._points.append(_Point(sample.stamp, sample.field, up, speed))
         if self._machine.add(sample.stamp, sample.field, force, imu.rate, speed):
-            for decision in self._machine.note(run(self._machine.job(self._knowledge))):
+            for decision in self._machine.note(answer(self._machine.job(self._knowledge))):
                 self._decisions.append((sample.stamp - self._first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
                     self._now = decision.calibration

@@ -1,4 +1,4 @@
-"""What course says of the calibration in force: a compass that swings once around is bent."""
+"""The calibration in force against course: a deviation once per turn shows hard iron."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SWING_ONCE = Bound(
     Figure.COURSE_SWING_ONCE,
     4.0,
     8.0,
-    "made where the field was bent: heading swings once around by",
+    "made where the field was disturbed: heading swings once around by",
     "calibrate in the open, away from steel",
 )
 SWING_TWICE = Bound(

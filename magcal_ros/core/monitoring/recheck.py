@@ -26,14 +26,14 @@ from magcal_ros.core.knowledge import (
     Knowledge,
     ReferenceField,
 )
-from magcal_ros.core.monitoring.gyro_compass import gyro_compass
+from magcal_ros.core.monitoring.monitoring_tuning import RecheckTuning
 from magcal_ros.core.monitoring.recheck_chance import (
     chances,
     check_beside_chance,
+    gyro_compass,
     own_swings,
     sectors,
 )
-from magcal_ros.core.monitoring.recheck_tuning import RecheckTuning
 from magcal_ros.core.samples.coverage import Coverage
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window

@@ -1,4 +1,4 @@
-"""What course, or an autopilot's own yaw, tells of a calibration on a recorded drive."""
+"""A calibration against course, or against an autopilot's own yaw, on a recorded drive."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import TravelSample

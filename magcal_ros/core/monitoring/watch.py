@@ -19,9 +19,9 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
-from magcal_ros.core.heading.moment import Moment
+from magcal_ros.core.heading.compass import Moment
+from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
 from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
-from magcal_ros.core.monitoring.watch_tuning import WatchTuning
 from magcal_ros.core.samples.streams import STREAMS
 
 

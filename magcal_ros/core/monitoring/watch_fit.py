@@ -1,4 +1,4 @@
-"""What the corrected field of a drive says about the calibration behind it.
+"""What the corrected field of a drive shows of the calibration.
 
 On records of many headings three patterns part what may have changed. With n the level direction
 of magnetic north in body axes, B, H and V the strength and its level and downward parts:
@@ -26,9 +26,8 @@ from magcal_ros.core.assessment.grading import Bound, Check, Grade
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.monitoring.gyro_compass import compass_less_gyro
-from magcal_ros.core.monitoring.recheck_chance import sectors
-from magcal_ros.core.monitoring.watch_tuning import WatchTuning
+from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
+from magcal_ros.core.monitoring.recheck_chance import compass_less_gyro, sectors
 from magcal_ros.core.samples.coverage import Coverage
 
 

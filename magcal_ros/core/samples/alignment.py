@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.geometry.rotations import signed_permutations
 from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
 from magcal_ros.core.samples.stretch import Stretch
 

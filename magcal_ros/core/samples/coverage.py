@@ -1,4 +1,4 @@
-"""How much of the turn has been seen, and where the hole is."""
+"""How much of the turn has been seen, and where the gap is."""
 
 from __future__ import annotations
 

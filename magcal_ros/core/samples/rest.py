@@ -1,4 +1,4 @@
-"""What the sensors say while their robot does not turn.
+"""What the sensors measure while their robot does not turn.
 
 A robot rests, or rolls straight on, where neither its field nor its turn rate moves. The field is
 needed: a robot that turns evenly has a steady rate, too.

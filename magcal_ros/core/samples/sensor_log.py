@@ -1,4 +1,4 @@
-"""Everything both sensors said over a while, as published."""
+"""All samples of both sensors over a while, as published."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArr
 
 
 def bursts_in_words(long: FloatArray) -> str:
-    """Say what is wrong with stamps that leave such gaps, and what mends it."""
+    """Say what is wrong with stamps that leave such gaps, and what to do about it."""
     return (
         f"the stamps come in bursts, {float(np.median(long)):.2f} s apart: stamp each sample when "
         "it is measured, not when a buffer is read"
@@ -98,7 +98,7 @@ def evenly(time: FloatArray) -> FloatArray:
     return np.asarray(np.polyval(np.polyfit(rank, time, 1), rank))
 
 
-def mended(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray | None:
+def spread_bursts(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray | None:
     """Return stamps that came in bursts as they would have been; None where that is not told.
 
     The sensor is taken to have measured at one rate all along. No sample was measured after its
@@ -151,7 +151,7 @@ class BurstWatch:
 
     @property
     def words(self) -> str:
-        """Say that they do, and what mends it; empty where they do not, or it does no harm."""
+        """Say that they do, and what to do about it; empty where it does no harm."""
         if len(self._long) < self._tuning.fewest:
             return ""
         long = np.array([gap for _, gap in self._long])

@@ -1,4 +1,4 @@
-"""Two raw streams become clean ones, and meet by stamp.
+"""Cleans the two raw streams, and pairs them by stamp.
 
 What is dropped is counted by its reason, so that the user can be told.
 """

@@ -1,4 +1,4 @@
-"""What wheels and satellite receivers say of a vehicle's travel, as numbers."""
+"""Speeds and positions of a vehicle, from wheels and satellite receivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Calibrating while something else tells the heading, as two antennas do."""
+"""Calibrating while another device measures the heading, as two antennas do."""
 
 from __future__ import annotations
 

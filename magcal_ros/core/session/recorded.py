@@ -22,7 +22,6 @@ from magcal_ros.core.driving.travel_replay import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
-from magcal_ros.core.samples.diagnosis import Heard, complaints
 from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
@@ -33,6 +32,7 @@ from magcal_ros.core.samples.streams import (
     slow_field_words,
 )
 from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
 from magcal_ros.core.smoothing.log import DriveLog

@@ -13,8 +13,7 @@ from typing import TypeAlias
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.rotation_limits import RotationLimits
-from magcal_ros.core.session.rotation_plan import Phase, RotationPlan
+from magcal_ros.core.session.rotation_plan import Phase, RotationLimits, RotationPlan
 from magcal_ros.core.session.rotation_proof import RotationProof
 from magcal_ros.core.session.session import Progress
 

@@ -19,7 +19,7 @@ from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.rotation_plan import planned_duration
 from magcal_ros.core.session.self_turn import SelfTurn, Steering
 from magcal_ros.core.session.session import Progress, Session, Stage
-from magcal_ros.core.session.turn_states import (
+from magcal_ros.core.session.turn_events import (
     STATES,
     Collecting,
     Fitting,
@@ -110,7 +110,7 @@ class TurnMachine:
 
     @property
     def outcome_is_of_others(self) -> bool:
-        """Whether the last outcome is of other sensors than those that are heard now."""
+        """Whether the last outcome is of other sensors than the present ones."""
         return bool(_changes(self._sensors_of_outcome, self._sensors))
 
     @property

@@ -1,4 +1,4 @@
-"""A robot with a bad compass: the truth, and what its sensors measure."""
+"""A simulated robot: the truth, and what its sensors measure."""
 
 from __future__ import annotations
 

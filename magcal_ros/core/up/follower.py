@@ -7,14 +7,65 @@ from collections import deque
 from typing import NamedTuple
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.vec3 import Triple, between, length, propagated, unit_triple
+from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
 from magcal_ros.core.up.gyro_check import LivingAxes
-from magcal_ros.core.up.levelling import Levelling
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
-from magcal_ros.core.up.steady import ZERO
-from magcal_ros.core.up.up_tuning import UpTuning
+from magcal_ros.core.up.stillness import ZERO
+from magcal_ros.core.up.up_tuning import LevellingTuning, UpTuning
+
+
+class Levelling:
+    """Smooths the direction of the specific force.
+
+    Parameters
+    ----------
+    force : tuple of float
+        First reading of the accelerometer, over gravity; not zero.
+    tuning : LevellingTuning, optional
+        What is taken for granted.
+
+    Attributes
+    ----------
+    up : tuple of float
+        Unit vector, body axes.
+    """
+
+    def __init__(self, force: Triple, tuning: LevellingTuning | None = None) -> None:
+        self._tuning = tuning or LevellingTuning()
+        self.up = unit_triple(force)
+        self._mean = self.up
+        self._scatter = 0.0
+        self._size = self._rest = length(force)
+        self._seconds = 0.0
+
+    def add(self, force: Triple, seconds: float) -> None:
+        """Take the next reading, so many seconds after the one before."""
+        seen = unit_triple(force)
+        up = between(self.up, seen, 1.0 - math.exp(-seconds / self._tuning.smoothing))
+        self.up = unit_triple(up) if length(up) > 0.0 else seen
+        self._seconds += seconds
+        memory = 1.0 - math.exp(-seconds / self._tuning.memory)
+        self._mean = between(self._mean, self.up, memory)
+        away = distance(self.up, self._mean)
+        self._scatter += memory * (0.5 * away * away - self._scatter)
+        size = length(force)
+        self._size += memory * (size - self._size)
+        self._rest += (
+            seconds / min(self._seconds + seconds, self._tuning.rest_memory) * (size - self._rest)
+        )
+
+    @property
+    def variance(self) -> float:
+        """Variance of up in either direction, rad².
+
+        Up that scatters is not known better than that, and an acceleration of p g across up
+        stretches the accelerometer by p²/2.
+        """
+        stretch = max(0.0, abs(self._size / self._rest - 1.0) - self._tuning.length_floor)
+        return self._tuning.floor**2 + self._scatter + stretch
+
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
 """m/s². Outside, in free fall or a fault of the driver, a reading tells no direction."""
@@ -91,7 +142,7 @@ class UpFollower:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the robot stands, or rolls on so evenly that nothing tells the difference."""
+        """Whether the robot stands, or rolls on so evenly that no sensor shows the difference."""
         return self.is_propagated and self._propagation.is_settled
 
     @property
@@ -105,7 +156,7 @@ class UpFollower:
         return self._ups[-1][0] if self._ups else -math.inf
 
     def add_field(self, stamp: float, field: Triple) -> None:
-        """Take a raw field sample: whether it turns tells a slow turn from a gyro's bias.
+        """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
 
         Parameters
         ----------
@@ -198,7 +249,7 @@ class UpFollower:
 
 
 def has_gyro(sample: ImuSample) -> bool:
-    """Whether a sample carries a turn rate: a possible one, and not a field nobody filled."""
+    """Whether a sample carries a turn rate: a possible one, and not a field that was left empty."""
     return 0.0 < length(sample.rate) < LARGEST_RATE
 
 

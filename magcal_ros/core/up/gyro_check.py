@@ -1,4 +1,4 @@
-"""Whether the gyro turns as the accelerometer does; one that is mirrored must not propagate up."""
+"""Whether gyro and accelerometer agree; a mirrored gyro must not propagate up."""
 
 from __future__ import annotations
 

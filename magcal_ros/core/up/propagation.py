@@ -1,4 +1,4 @@
-"""Up propagated by the gyro from message to message; the filter is asked once a block."""
+"""Up propagated by the gyro from message to message; the filter runs once a block."""
 
 from __future__ import annotations
 
@@ -17,11 +17,9 @@ from magcal_ros.core.geometry.vec3 import (
     propagated,
     unit_triple,
 )
-from magcal_ros.core.up.field_stillness import FieldStillness
 from magcal_ros.core.up.filter import MotionPrior, UpFilter
 from magcal_ros.core.up.gyro_check import GyroCheck
-from magcal_ros.core.up.shaken_rest import ShakenRest
-from magcal_ros.core.up.steady import ZERO, BlockMeans, SteadySpell
+from magcal_ros.core.up.stillness import ZERO, BlockMeans, FieldStillness, ShakenRest, SteadySpell
 from magcal_ros.core.up.up_tuning import UpTuning
 
 
@@ -260,7 +258,7 @@ class GyroPropagation:
         self._rest_sigma = math.hypot(tuning.turning_sigma, noise / math.sqrt(self._turning))
 
     def _settle(self, doubt: float | None, noise: float) -> None:
-        """Believe the accelerometer once it is steady for long enough, or its length speaks."""
+        """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
         spell, following = self._spell, self._filter
         sigma = self._settled_sigma(doubt)
         if sigma is None or (doubt and not self._gains_by(sigma)):
@@ -306,7 +304,7 @@ class GyroPropagation:
         if self._is_given:
             speed, acceleration = tuning.given_speed, tuning.given_acceleration
         if is_steady:
-            acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.pull))
+            acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:

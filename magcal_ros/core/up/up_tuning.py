@@ -1,4 +1,4 @@
-"""What the up filter takes for granted, in one place: each number with its unit and its reason.
+"""The assumptions of the up filter: each number with its unit and its reason.
 
 Accelerations and lengths of the specific force are counted in standard gravity, g.
 """

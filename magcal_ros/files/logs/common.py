@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.driving.local_plane import LocalPlane
-from magcal_ros.core.earth_field.position import Fix, place_of
+from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.travel_samples import TravelSample, VelocitySample

@@ -115,7 +115,7 @@ def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None)
 
 
 class _Watched(io.BufferedReader):
-    """A file whose reading may end by time, and tells how far it is."""
+    """A file whose reading may end by time, with its progress."""
 
     def __init__(self, path: Path, deadline: Deadline, told: Told | None) -> None:
         super().__init__(io.FileIO(path))

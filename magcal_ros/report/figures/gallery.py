@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from magcal_ros.report.figures import four_views, gyro, heading, residuals
+from magcal_ros.report.figures import heading, turn_views
 from magcal_ros.report.figures.canvas import Draw, draw_svg
 from magcal_ros.report.turn import Turn
 
@@ -48,10 +48,12 @@ class Plan:
     caption: Callable[[Turn], str]
 
 
-VIEWS = Plan("views", "The turn in space", four_views.draw, four_views.caption)
-AROUND = Plan("around", "Around the turn", residuals.draw, residuals.caption)
+VIEWS = Plan("views", "The turn in space", turn_views.draw, turn_views.caption)
+AROUND = Plan(
+    "around", "Around the turn", turn_views.draw_residuals, turn_views.caption_of_residuals
+)
 HEADING = Plan("heading", "Heading before and after", heading.draw, heading.caption)
-GYRO = Plan("gyro", "Gyro against compass", gyro.draw, gyro.caption)
+GYRO = Plan("gyro", "Gyro against compass", heading.draw_gyro, heading.caption_of_gyro)
 
 NO_GYRO = Picture(
     GYRO.name,

@@ -8,11 +8,10 @@ from long_form import first_of
 from magcal_ros.core.assessment.axes import find_axes, mount_of, parameter_line
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
 
 EVERY = signed_permutations()
 NED = np.diag([1.0, -1.0, -1.0])
@@ -115,12 +114,13 @@ def test_nothing_is_said_where_nothing_shows(lacks):
 
 
 @pytest.mark.parametrize("axes", first_of([MIRRORED_Z, NED, EVERY[30]]))
-def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes):
+@pytest.mark.parametrize("several", first_of([False, True]))
+def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
     found, window, knowledge = of(axes, "lift")
-    for outcome in (calibrate(window, knowledge), calibrate_turns([window], knowledge)):
-        assert not outcome.verdict.accepted
-        assert outcome.reason is Reason.AXES_DISAGREE
-        assert found.said in outcome.verdict.summary
+    outcome = calibrate_turns([window], knowledge) if several else calibrate(window, knowledge)
+    assert not outcome.verdict.accepted
+    assert outcome.reason is Reason.AXES_DISAGREE
+    assert found.said in outcome.verdict.summary
 
 
 def test_a_gyro_that_belongs_to_nothing_is_said():

@@ -8,9 +8,9 @@ from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import DEGREE, Robot, measure, smooth_wobble, turn
 
 STRENGTH = 48e-6
 

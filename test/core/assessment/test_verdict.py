@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import estimate
 
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
-from magcal_ros.core.assessment.turn_bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.verdict import (
     GYRO_UNUSED,
     NO_GYRO,
@@ -18,11 +18,11 @@ from magcal_ros.core.assessment.verdict import (
     judge,
     refuse,
 )
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import Robot
 
 KNOWN = Robot().knowledge()
 BY_FIGURE = {bound.figure: bound for bound in TURN_BOUNDS}

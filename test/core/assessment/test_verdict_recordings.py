@@ -10,7 +10,7 @@ from long_form import first_of
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Window
 
 UNKNOWN = Knowledge()
 
@@ -60,6 +60,7 @@ class TestHandHeldTurn:
         verdict = calibrate(window(recording("broad05")), self.known).verdict
         assert verdict.quality is Grade.WARN
 
+    @pytest.mark.nightly
     def test_axes_that_are_not_the_imus_are_refused(self, turn):
         swapped = Window(
             turn.time, turn.field[:, [1, 0, 2]], turn.specific_force, turn.angular_rate
@@ -89,7 +90,7 @@ class TestHandHeldTurn:
         negated = Window(turn.time, turn.field, -turn.specific_force, turn.angular_rate)
         assert not calibrate(negated, self.known).verdict.accepted
 
-    @pytest.mark.parametrize("seconds", [0.7, 1.5])
+    @pytest.mark.parametrize("seconds", first_of([1.5, 0.7]))
     def test_a_short_arc_is_refused_or_warned_of(self, turn, seconds):
         start = turn.time[0] + 5.0
         piece = turn.take((turn.time >= start) & (turn.time <= start + seconds))
@@ -102,7 +103,8 @@ class TestHandHeldTurn:
         verdict = calibrate(in_g, self.known).verdict
         assert any("looks like g published" in check.words for check in verdict.checks)
 
-    @pytest.mark.parametrize("known", first_of([known, UNKNOWN]))
+    @pytest.mark.nightly
+    @pytest.mark.parametrize("known", [known, UNKNOWN])
     def test_a_unit_of_field_is_named(self, turn, known):
         gauss = Window(turn.time, turn.field * 1e4, turn.specific_force, turn.angular_rate)
         verdict = calibrate(gauss, known).verdict

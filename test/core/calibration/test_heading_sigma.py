@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from sample_results import SKEWED, estimate, small_covariance
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.estimate import Installation
-from magcal_ros.core.calibration.heading_sigma import (
+from magcal_ros.core.calibration import (
+    Correction,
+    Installation,
     arc_sigma,
     common_figures,
     predicted_heading_sigma,
     sideways_pull,
 )
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import LEVEL_TILT, Robot, heading_errors, measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors, measure, turn
 
 TRUTH = Robot()
 

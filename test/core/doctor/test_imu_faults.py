@@ -17,8 +17,7 @@ from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.doctor.upright import UserAnswers
-from magcal_ros.core.geometry.rotations import chained, exp_rotations
-from magcal_ros.core.geometry.signed_axes import signed_permutations
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn

@@ -15,8 +15,8 @@ from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, 
 @pytest.fixture(scope="module")
 def window():
     rng = np.random.default_rng(2)
-    sway = smooth_wobble(rng, 600, 20.0, 0.0175, (0.2, 2.0))
-    motion = turn(arc=6.8, samples=600, duration=20.0, start_rpy=(0.02, 0.03, 0.0), wobble=sway)
+    sway = smooth_wobble(rng, 300, 20.0, 0.0175, (0.2, 2.0))
+    motion = turn(arc=6.8, samples=300, duration=20.0, start_rpy=(0.02, 0.03, 0.0), wobble=sway)
     robot = Robot(noise_field=0.3e-6, noise_force=0.05, noise_rate=2e-3)
     return measure(robot, motion, rng, gyro=True)
 

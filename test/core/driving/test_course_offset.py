@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from follow_drive import ROBOT, driven, follow
 from long_form import first_of
-
-from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_cells import CourseCells
-from magcal_ros.core.driving.course_offset import fit_course_offset
-from magcal_ros.core.driving.course_tuning import CourseTuning
-from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
-from magcal_ros.core.simulation.drive import Fence, Vehicle
-from magcal_ros.core.simulation.legs import (
+from simulated import (
+    Fence,
     Leg,
+    Receiver,
+    StreetField,
+    Streets,
+    Vehicle,
     circles,
     city,
     joined,
@@ -22,8 +20,11 @@ from magcal_ros.core.simulation.legs import (
     reversing,
     standing,
 )
-from magcal_ros.core.simulation.reckoning import Receiver
-from magcal_ros.core.simulation.street_field import StreetField, Streets
+
+from magcal_ros.core.driving.chords import Chord
+from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
+from magcal_ros.core.driving.course_tuning import CourseTuning
+from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
 
 TUNING = CourseTuning()
 LEVEL = 21e-6
@@ -142,7 +143,7 @@ def test_hard_iron_swings_once_around_and_accuses_the_calibration():
     assert math.degrees(swing) == pytest.approx(9.0, abs=2.5)
     assert sigmas > 4.0
     words = course_fault(check_by_course(found))
-    assert "made where the field was bent: heading swings once around by" in words
+    assert "made where the field was disturbed: heading swings once around by" in words
     assert course_fault(check_by_course(fitted(walk(rng, 3000.0, street)))) == ""
     assert check_by_course(None) == ()
 

@@ -8,8 +8,8 @@ import pytest
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.front import Declination, VehicleYaw, where_is_the_front
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
-from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading.mended_pose import mend
+from magcal_ros.core.geometry import rotation_from_rpy, rpy_from_rotation
+from magcal_ros.core.heading.base_view import corrected_pose
 
 DEGREE = math.pi / 180.0
 EAST = Declination(9.0 * DEGREE, 0.5 * DEGREE)
@@ -85,24 +85,24 @@ class TestMended:
         return VehicleYaw(degrees * DEGREE, sigma * DEGREE, "accelerations")
 
     def test_a_yaw_found_by_driving_mends_the_described_one(self):
-        mended = mend(self.DESCRIBED, None, self.found(10.0))
-        assert yaw_deg(mended.pose) == pytest.approx(10.0)
-        assert rpy_from_rotation(mended.pose)[:2] == pytest.approx((0.02, -0.03))
-        assert mended.contradiction == ""
+        corrected = corrected_pose(self.DESCRIBED, None, self.found(10.0))
+        assert yaw_deg(corrected.pose) == pytest.approx(10.0)
+        assert rpy_from_rotation(corrected.pose)[:2] == pytest.approx((0.02, -0.03))
+        assert corrected.contradiction == ""
 
     def test_a_poor_one_does_not(self):
-        assert mend(self.DESCRIBED, None, self.found(10.0, 2.5)).pose is self.DESCRIBED
+        assert corrected_pose(self.DESCRIBED, None, self.found(10.0, 2.5)).pose is self.DESCRIBED
 
     def test_one_far_from_the_description_is_said_and_not_used(self):
-        mended = mend(self.DESCRIBED, None, self.found(90.0))
-        assert mended.pose is self.DESCRIBED
-        assert "mend its joint" in mended.contradiction
+        corrected = corrected_pose(self.DESCRIBED, None, self.found(90.0))
+        assert corrected.pose is self.DESCRIBED
+        assert "correct its joint" in corrected.contradiction
 
     def test_by_hand_wins_and_a_contradiction_is_said(self):
-        mended = mend(self.DESCRIBED, 20.0 * DEGREE, self.found(10.0))
-        assert yaw_deg(mended.pose) == pytest.approx(20.0)
-        assert "vehicle_yaw_deg says 20.0°, which is used" in mended.contradiction
-        assert mend(self.DESCRIBED, 10.5 * DEGREE, self.found(10.0)).contradiction == ""
+        corrected = corrected_pose(self.DESCRIBED, 20.0 * DEGREE, self.found(10.0))
+        assert yaw_deg(corrected.pose) == pytest.approx(20.0)
+        assert "vehicle_yaw_deg says 20.0°, which is used" in corrected.contradiction
+        assert corrected_pose(self.DESCRIBED, 10.5 * DEGREE, self.found(10.0)).contradiction == ""
 
     def test_without_a_description_there_is_nothing_to_mend(self):
-        assert mend(None, 0.3, self.found(10.0)).pose is None
+        assert corrected_pose(None, 0.3, self.found(10.0)).pose is None

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from follow_drive import ROBOT, driven, tilts
 from long_form import first_of
+from simulated import Receiver, Vehicle, Wheels, circles, city
 
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.drive import Vehicle
-from magcal_ros.core.simulation.legs import circles, city
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
 
 VEHICLE = Vehicle(ROBOT, imu_yaw=0.1, imu_roll=0.05)
 KINDS = {
@@ -53,7 +51,6 @@ def test_stop_and_go_does_not_tilt_it(case):
             Wheels(frozen_from=0.0),
             Wheels(is_signed=False),
         ],
-        3,
     ),
 )
 def test_wrong_odometry_makes_it_no_worse(wheels):
@@ -63,7 +60,7 @@ def test_wrong_odometry_makes_it_no_worse(wheels):
     assert rms[0] < 1.1 * rms[1]
 
 
-@pytest.mark.parametrize("wheels", [Wheels(rate=1.0), Wheels(jumps=0.01)])
+@pytest.mark.parametrize("wheels", first_of([Wheels(rate=1.0), Wheels(jumps=0.01)]))
 def test_wheels_that_speak_seldom_or_glitch_now_and_then_do_no_harm(wheels):
     drive = driven(city_legs(2), 2, VEHICLE, wheels=wheels, receiver=None)
     with_it = np.percentile(tilts(drive, Travelling()), 90)

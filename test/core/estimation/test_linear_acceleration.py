@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from circles import circles, error_and_sigma, known
 from long_form import first_of
-from realistic import by_rested_turn, by_turn, collected, heading_error
+from realistic_robots import by_rested_turn, by_turn, collected, heading_error
 
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma

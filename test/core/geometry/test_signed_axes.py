@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.signed_axes import (
+from magcal_ros.core.geometry import (
     is_mirrored,
     likely_slip,
     signed_permutations,

@@ -10,19 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from moving import FORWARD, ROBOT, Course
 from sample_results import EVIDENCE
+from simulated import Vehicle, city, simulated_drive, travel
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration import Calibration, Correction
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.samples.streams import ImuSample, Streams
+from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.samples.travel_samples import SpeedSample
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 
@@ -295,6 +292,7 @@ def test_missing_late_repeated_and_reordered_messages(seed):
     assert np.mean(ratio**2) < 3.0
 
 
+@pytest.mark.nightly
 def test_it_gains_on_a_hand_held_drive_with_truth(recording):
     folder = recording("broad05")
     bias = np.array([-0.14e-6, 0.20e-6, 0.39e-6])

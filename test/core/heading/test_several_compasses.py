@@ -5,19 +5,17 @@ import math
 
 import numpy as np
 import pytest
+from long_form import first_of
 from sample_results import EVIDENCE
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.heading.compass import Compass
+from magcal_ros.core.calibration import Calibration, Correction
+from magcal_ros.core.geometry import wrapped
+from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import PATIENCE
 from magcal_ros.core.heading.fused_yaw import FusedYaw
-from magcal_ros.core.heading.moment import Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.core.up import UpFollower
 
 ROBOT = Robot(noise_field=0.1e-6, noise_force=0.05)
@@ -139,7 +137,7 @@ def test_one_alone_is_what_it_was_before():
     assert joined.heading.yaw_variance == pytest.approx(moment.heading.yaw_variance)
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", first_of([1, 2]))
 @pytest.mark.parametrize("way", ["dead", "frozen"])
 def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
     scene = two()
@@ -158,7 +156,7 @@ def test_when_one_fails_the_other_goes_on_without_a_step(number, way):
     assert np.abs(scene.run(5.0, 0.4)[:, 1]).max() < math.radians(4.0)
 
 
-@pytest.mark.parametrize("iron", [(0.0, 12e-6, 0.0), (0.0, 0.0, 20e-6)])
+@pytest.mark.parametrize("iron", first_of([(0.0, 12e-6, 0.0), (0.0, 0.0, 20e-6)]))
 def test_what_disturbs_one_alone_is_left_out_within_a_second_and_said(iron):
     scene = two()
     scene.run(10.0, 0.3)

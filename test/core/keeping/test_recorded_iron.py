@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from recorded_drives import in_force
-from recorded_truth import read_drive
+from recorded_truth import in_force, read_drive
 
 from magcal_ros.core.keeping.decisions import Verb
-from magcal_ros.core.keeping.story import DriveTeller
+from magcal_ros.core.keeping.story import DriveReplay
 from magcal_ros.core.samples.streams import FieldSample
 
 CAME, TOLD_WITHIN = 120.0, 60.0
@@ -28,8 +27,8 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
     begun, _ = next(in_force(drive))
     iron = size * np.array([math.cos(way), math.sin(way), 0.0])
     first = drive.everything.time[0]
-    teller = DriveTeller(drive.knowledge, begun)
-    teller.take(
+    replay = DriveReplay(drive.knowledge, begun)
+    replay.take(
         (
             each._replace(field=tuple(np.add(each.field, iron).tolist()))
             if isinstance(each, FieldSample) and CAME < each.stamp - first < CAME + lasts
@@ -39,6 +38,6 @@ def test_iron_on_a_city_drive_is_told_within_a_minute(recording, size, way, last
         ),
         (),
     )
-    told = [at for at, made in teller.story().decisions if made.verb is Verb.NOTICED]
+    told = [at for at, made in replay.story().decisions if made.verb is Verb.NOTICED]
     assert bool(told) == bool(size)
     assert all(at > CAME for at in told)

@@ -5,6 +5,9 @@ import math
 
 import numpy as np
 import pytest
+from simulated.drive import Iron, Vehicle, simulated_drive
+from simulated.legs import Leg, city
+from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
@@ -15,16 +18,12 @@ from magcal_ros.core.keeping.candidates import (
     Kind,
     difference,
 )
-from magcal_ros.core.keeping.decisions import Verb
-from magcal_ros.core.keeping.jobs import Findings, run
-from magcal_ros.core.keeping.modes import Mode
-from magcal_ros.core.keeping.proofs import Proof
+from magcal_ros.core.keeping.decisions import Mode, Verb
+from magcal_ros.core.keeping.jobs import Findings, Proof
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
+from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.simulation.drive import Iron, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import travel
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(
@@ -319,7 +318,7 @@ def follow(drive, machine, told=lambda stamp: stamp):
     rows = (drive.time, drive.field, drive.force, drive.rate)
     for stamp, field, force, rate in zip(*(row[::2].tolist() for row in rows), strict=True):
         if machine.add(told(stamp), field, force, rate):
-            for decision in machine.note(run(machine.job(BOSTON))):
+            for decision in machine.note(answer(machine.job(BOSTON))):
                 made.append((stamp - drive.time[0], decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
                     machine.put_in_force(decision.calibration)

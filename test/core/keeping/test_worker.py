@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.drive import Fence, Vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.keeping.candidates import Kind
 from magcal_ros.core.keeping.jobs import Contest, Step
 from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import Fence, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.log import log_of
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

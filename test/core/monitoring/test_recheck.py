@@ -7,9 +7,9 @@ from drives import ROBOT
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.monitoring.monitoring_tuning import RECHECK_BOUNDS
 from magcal_ros.core.monitoring.recheck import NO_GYRO, STATES, check, expected_field
-from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
-from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
 
 
 def window(robot=ROBOT, seed=1, gyro=True, samples=700, duration=14.0, **motion):

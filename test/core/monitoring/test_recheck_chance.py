@@ -5,8 +5,8 @@ import pytest
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.estimate import GyroSwing
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Figure, GyroSwing
+from magcal_ros.core.monitoring.monitoring_tuning import RECHECK_BOUNDS
 from magcal_ros.core.monitoring.recheck import check
 from magcal_ros.core.monitoring.recheck_chance import (
     chances,
@@ -14,9 +14,8 @@ from magcal_ros.core.monitoring.recheck_chance import (
     scatter_of_means,
     sectors,
 )
-from magcal_ros.core.monitoring.recheck_tuning import RECHECK_BOUNDS
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import Robot, measure, turn
 
 BOUND = next(b for b in RECHECK_BOUNDS if b.figure is Figure.HEADING_SWING)
 ROBOT = Robot(noise_field=0.3e-6)

@@ -4,15 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated import city, random_vehicle, simulated_drive, travel
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.monitoring.recheck import check, iron_added
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import random_vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.simulator import measure, turn
-from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import measure, turn
 from magcal_ros.core.smoothing.log import log_of
 
 

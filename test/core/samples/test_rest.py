@@ -3,9 +3,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.geometry import rotation_about
 from magcal_ros.core.samples.rest import bias_at_rest
-from magcal_ros.core.simulation.simulator import Motion, Robot, measure
+from magcal_ros.core.simulation import Motion, Robot, measure
 
 DEGREE = math.pi / 180.0
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.samples.stamps import BurstWatch, bursts_of_a_turn, long_gaps, mended
+from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.stamps import BurstWatch, bursts_of_a_turn, long_gaps, spread_bursts
 from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
 
 
 def bursts(period=1.0, count=40, within=20):
@@ -61,7 +61,7 @@ class TestMended:
         measured = 1.7e9 + np.arange(int(40 * each)) / rate
         read = 1.7e9 + (np.floor((measured - 1.7e9) / period + phase) + 1 - phase) * period
         nth = np.arange(len(read)) - np.searchsorted(read, read)
-        even = mended(read + nth * apart / rate)
+        even = spread_bursts(read + nth * apart / rate)
         if each < 3.0:
             assert even is None
         elif each > 10.0:
@@ -69,9 +69,9 @@ class TestMended:
 
     def test_the_newest_of_a_buffer_is_just_older_than_its_stamp(self):
         time = bursts(within=40)
-        late = time - mended(time)
+        late = time - spread_bursts(time)
         assert late.min() == pytest.approx(0.0, abs=1e-6)
-        assert np.abs(np.diff(mended(time)) - 0.025).max() < 1e-3
+        assert np.abs(np.diff(spread_bursts(time)) - 0.025).max() < 1e-3
 
     @pytest.mark.parametrize(
         "time",
@@ -86,7 +86,7 @@ class TestMended:
         ids=["none", "even", "twice", "samples missing", "set back", "a pause"],
     )
     def test_what_a_line_does_not_explain_stays(self, time):
-        assert mended(time) is None
+        assert spread_bursts(time) is None
 
 
 class TestBurstWatch:

@@ -10,7 +10,7 @@ from magcal_ros.core.calibrate import Outcome, calibrate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
-from magcal_ros.core.samples.streams import ImuSample, Pairer, Streams
+from magcal_ros.core.samples import ImuSample, Pairer, Streams
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (
@@ -34,8 +34,7 @@ from magcal_ros.core.session.turn_events import (
     Ticked,
 )
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Ride, Robot, measure, turn
 
 STEP = 0.02
 ROBOT = Robot()

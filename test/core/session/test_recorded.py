@@ -5,17 +5,15 @@ import numpy as np
 import pytest
 from drives import ROBOT, drive, write_csv
 from long_form import first_of
+from simulated import Vehicle, city, simulated_drive, travel
 
+from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
-from magcal_ros.core.simulation.drive import Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot, heading_errors, measure, turn
-from magcal_ros.core.simulation.travel import travel
+from magcal_ros.core.simulation import Ride, Robot, heading_errors, measure, turn
 from magcal_ros.files.sources import open_recording
 
 KNOWLEDGE = ROBOT.knowledge(1.5e-6, math.radians(1.0))
@@ -50,7 +48,7 @@ class House:
 def live(samples, knowledge):
     """What the node's own control makes of the samples."""
     pytest.importorskip("rclpy")
-    from magcal_ros.core.samples.streams import Streams
+    from magcal_ros.core.samples import Streams
     from magcal_ros.core.session.self_turn import SelfTurn
     from magcal_ros.ros.control import Control
     from magcal_ros.ros.parameter_table import PARAMETERS
@@ -81,6 +79,7 @@ def test_it_finds_what_the_node_finds(gyro):
     assert (found.calibration.covariance == expected.calibration.covariance).all()
 
 
+@pytest.mark.nightly
 def test_a_drive_is_answered_by_the_smoother_there_as_here():
     rng = np.random.default_rng(4)
     car = Robot(strength=48e-6, inclination=math.radians(65.0), noise_force=0.05, noise_rate=2e-3)

@@ -3,13 +3,12 @@ import math
 import numpy as np
 import pytest
 
+from magcal_ros.core.samples import FieldSample, Pair
 from magcal_ros.core.samples.coverage import Coverage
-from magcal_ros.core.samples.streams import FieldSample, Pair
 from magcal_ros.core.session.rotation_plan import Fault, Seen
 from magcal_ros.core.session.rotation_proof import RotationProof
 from magcal_ros.core.session.session import Progress, Stage
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import UP_ENU, Robot
+from magcal_ros.core.simulation import UP_ENU, Ride, Robot
 
 TOLD = 0.4
 NOTHING = Progress(Stage.COLLECTING, Coverage.nothing(), 0, 0.0, 0.0)

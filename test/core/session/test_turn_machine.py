@@ -5,7 +5,7 @@ import math
 import pytest
 from scene import BAD, GOOD, SHORT, Scene
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session.turn_events import (
     Broken,
     CancelAsked,
@@ -17,8 +17,8 @@ from magcal_ros.core.session.turn_events import (
     PreviewFitted,
     PutInForce,
     SensorsMet,
+    TurnState,
 )
-from magcal_ros.core.session.turn_states import TurnState
 
 
 def asked_for(scene, kind):

@@ -5,16 +5,29 @@ import math
 
 import numpy as np
 import pytest
+from simulated import (
+    Body,
+    Fence,
+    Iron,
+    Leg,
+    Receiver,
+    StreetField,
+    Streets,
+    Vehicle,
+    Wheels,
+    circles,
+    city,
+    one_street,
+    parking,
+    reversing,
+    simulated_drive,
+    travel,
+)
 
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.geometry import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
+from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.travel_samples import SpeedSample
-from magcal_ros.core.simulation.drive import Fence, Iron, Vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import Leg, circles, city, one_street, parking, reversing
-from magcal_ros.core.simulation.reckoning import Receiver, Wheels
-from magcal_ros.core.simulation.simulator import DEGREE, Robot
-from magcal_ros.core.simulation.street_field import StreetField, Streets
-from magcal_ros.core.simulation.travel import Body, travel
+from magcal_ros.core.simulation import DEGREE, Robot
 
 QUIET = Vehicle(
     Robot(noise_force=0.0, noise_rate=0.0, noise_field=0.0, declination=4.0 * DEGREE),

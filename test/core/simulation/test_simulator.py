@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, yaw_from_up_and_field
-from magcal_ros.core.simulation.simulator import (
+from magcal_ros.core.calibration import Correction
+from magcal_ros.core.geometry import STANDARD_GRAVITY, yaw_from_up_and_field
+from magcal_ros.core.simulation import (
     DEGREE,
     UP_ENU,
     Robot,

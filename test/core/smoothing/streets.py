@@ -3,14 +3,14 @@
 import math
 
 import numpy as np
+from simulated.drive import random_vehicle, simulated_drive
+from simulated.legs import city
+from simulated.travel import travel
 
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.drive import random_vehicle, simulated_drive
-from magcal_ros.core.simulation.legs import city
-from magcal_ros.core.simulation.travel import travel
 from magcal_ros.core.smoothing.log import log_of
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)

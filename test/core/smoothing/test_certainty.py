@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated.drive import random_vehicle
+from simulated.legs import circles, city, joined, standing
 from streets import BOSTON, driven, heading_error, log_from
 
-from magcal_ros.core.simulation.drive import random_vehicle
-from magcal_ros.core.simulation.legs import circles, city, joined, standing
 from magcal_ros.core.smoothing.fit import fit_nodes
 
 NOBODY = np.eye(3)

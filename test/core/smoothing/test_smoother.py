@@ -5,18 +5,18 @@ import math
 
 import numpy as np
 import pytest
-from streets import BOSTON, driven, heading_error, log_from
-
-from magcal_ros.core.errors import Refusal
-from magcal_ros.core.knowledge import knowledge_of
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.legs import Leg, city
-from magcal_ros.core.simulation.long_windows import (
+from long_windows import (
     PAPER_SOFT_IRON,
     swaying,
     swaying_robot,
     swaying_window,
 )
+from simulated.legs import Leg, city
+from streets import BOSTON, driven, heading_error, log_from
+
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.certainty import cluster_scores
 from magcal_ros.core.smoothing.chain import eliminate, own_covariances
 from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend

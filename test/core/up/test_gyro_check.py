@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.core.up.gyro_check import GyroCheck
 from magcal_ros.files.recording import read_csv_folder

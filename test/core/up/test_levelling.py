@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from magcal_ros.core.up.levelling import Levelling
+from magcal_ros.core.up.follower import Levelling
 
 
 def after(forces, step=0.01):

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
-from magcal_ros.core.up.shaken_rest import ShakenRest
-from magcal_ros.core.up.steady import BlockMeans
+from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
 from magcal_ros.core.up.up_tuning import ShakenRestTuning
 
 STEP = 0.02

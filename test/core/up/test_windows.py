@@ -2,16 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import (
-    DEGREE,
-    UP_ENU,
-    Motion,
-    Robot,
-    measure,
-    smooth_wobble,
-    turn,
-)
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import DEGREE, UP_ENU, Motion, Robot, measure, smooth_wobble, turn
 from magcal_ros.core.up import propagated_up, relative_attitudes
 
 

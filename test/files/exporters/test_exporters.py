@@ -17,11 +17,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sample_results import calibration
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.calibration import Correction
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.files.exporters import EXPORTERS, NOTES, NotExportable
 from magcal_ros.files.exporters.common import OF_TESLA, number
-from magcal_ros.files.exporters.vectornav import checksum
+from magcal_ros.files.exporters.devices import checksum
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = 60e-6 * np.random.default_rng(0).standard_normal((50, 3))

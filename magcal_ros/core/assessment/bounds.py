@@ -1,0 +1,364 @@
+"""The bounds that a turn and a drive are graded by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from magcal_ros.core.assessment.grading import SITS_OTHERWISE, Aspect, Bound, shown
+from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import arc_sigma
+from magcal_ros.core.samples.units import Z_NOT_UP
+
+TURN_BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        Figure.HEADING_SIGMA,
+        0.7,
+        12.0,
+        "predicted heading error on the level (1σ)",
+        "turn the full circle, or through all orientations, more slowly",
+        excellent=0.3,
+        aspect=Aspect.CONFIDENCE,
+        after_full="turn once more, more slowly or on other ground",
+    ),
+    Bound(
+        Figure.RESIDUAL_RATIO,
+        6.0,
+        12.0,
+        "residual against the level field",
+        "move away from steel and motors, and keep loads still while turning",
+        excellent=3.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.OUTLIER_SHARE,
+        25.0,
+        50.0,
+        "samples left out as outliers",
+        "something magnetic passed by or switched; turn again elsewhere",
+        excellent=5.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.RADIUS_MISFIT,
+        10.0,
+        25.0,
+        "radius of the field against the reference",
+        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
+        excellent=3.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.LEVEL_SHARE,
+        90.0,
+        15.0,
+        "share of the level field that reaches the sensor",
+        "mount the sensor away from steel, or check the reference field",
+        excellent=97.0,
+        unit="%",
+        at_least=True,
+    ),
+    Bound(
+        Figure.ELLIPSE_EXCESS,
+        12.0,
+        30.0,
+        "ellipse in the turn's plane, ratio of its axes minus one",
+        "give soft_iron_gains, or move the magnetometer away from iron parts",
+        excellent=2.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.MOTOR_FIELD,
+        1.0,
+        20.0,
+        "between rest and turn the field changes by",
+        "if the robot stood where it turned, its motors are the cause: route the power wires "
+        "away, or calibrate with them on; if it stood elsewhere, leave that rest out",
+        excellent=0.3,
+        unit=" µT",
+    ),
+    Bound(
+        Figure.LATENCY,
+        100.0,
+        1000.0,
+        "field and gyro are stamped apart by",
+        "stamp both when they are measured",
+        excellent=20.0,
+        unit=" ms",
+    ),
+    Bound(
+        Figure.SPLIT_HALF,
+        1.0,
+        4.0,
+        "headings from the two halves of the turn differ by",
+        "turn once more, evenly, away from moving iron",
+        excellent=0.3,
+        aspect=Aspect.CONFIDENCE,
+    ),
+    Bound(
+        Figure.GYRO_COMPASS_SWING,
+        2.0,
+        10.0,
+        "gyro against compass around the turn",
+        "the field is distorted here; turn elsewhere",
+        excellent=1.0,
+        when_refused="the field is distorted here, or the sensors' axes do not belong together;"
+        " turn elsewhere",
+    ),
+    Bound(
+        Figure.STRENGTH_PULL,
+        3.0,
+        5.0,
+        "field strength deviates from the reference by",
+        "check reference.strength_ut, or turn where the field is undisturbed",
+        excellent=1.5,
+        unit="σ",
+    ),
+    Bound(
+        Figure.INCLINATION_PULL,
+        3.0,
+        5.0,
+        "inclination deviates from the reference by",
+        "check reference.inclination_deg, or turn where the field is undisturbed",
+        excellent=1.5,
+        unit="σ",
+    ),
+    Bound(
+        Figure.INSTALLATION_ANGLE,
+        15.0,
+        45.0,
+        "installation error",
+        "give the sensor's nominal pose with mount_rpy_deg",
+        excellent=5.0,
+        when_refused=SITS_OTHERWISE,
+    ),
+    Bound(
+        Figure.INSTALLATION_YAW_SIGMA,
+        3.0,
+        10.0,
+        "yaw of the installation (1σ)",
+        "turn on a slope",
+        excellent=0.5,
+        aspect=Aspect.CONFIDENCE,
+    ),
+    Bound(
+        Figure.MISALIGNMENT,
+        1.5,
+        5.0,
+        "the corrected field is turned against the IMU, as gravity shows, by",
+        "this method does not correct it; give mount_rpy_deg, or use a method that does",
+        excellent=0.5,
+    ),
+    Bound(
+        Figure.UNSEEN_SOFT_IRON,
+        1.0,
+        10.0,
+        "heading error (1σ) if there is as much soft iron as assumed",
+        "part of a turn cannot show soft iron; turn the full circle, or give soft_iron_gains",
+        excellent=0.5,
+        aspect=Aspect.CONFIDENCE,
+        after_full="give soft_iron_gains, or join turns on other slopes",
+    ),
+    Bound(
+        Figure.ARC,
+        160.0,
+        90.0,
+        "the turn covers",
+        "turn the full circle",
+        excellent=300.0,
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+    Bound(
+        Figure.SAMPLES,
+        50.0,
+        19.0,
+        "samples used:",
+        "turn more slowly, or raise the rate of the topics",
+        excellent=100.0,
+        unit="",
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+    Bound(
+        Figure.RIVAL_GAP,
+        1.0,
+        5.0,
+        "another calibration explains the turn as well, and its heading differs by",
+        "turn the full circle on level ground",
+        excellent=0.3,
+        aspect=Aspect.CONFIDENCE,
+        after_full="turn once more on other ground, more slowly",
+    ),
+    Bound(
+        Figure.UP_NOISE,
+        1.5,
+        6.0,
+        "noise of the up direction over 10° of the turn (1σ)",
+        "turn more slowly and evenly, or keep the accelerometer from shaking",
+        excellent=0.5,
+    ),
+    Bound(
+        Figure.FIELD_NOISE_RATIO,
+        4.0,
+        10.0,
+        "noise of the field against its strength",
+        "average the magnetometer more, or move it away from motors and cables",
+        excellent=2.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.SIDEWAYS_PULL,
+        1.5,
+        45.0,
+        "acceleration is tilted from the gyro's axis over the turn by",
+        "turn more slowly, on the spot if the robot can; or the gyro has a large bias, or "
+        "other axes than the accelerometer",
+        excellent=1.0,
+    ),
+    Bound(
+        Figure.AXIS_LEAN,
+        45.0,
+        90.0,
+        "the turn's axis is tilted from the body's z by",
+        Z_NOT_UP,
+        excellent=20.0,
+    ),
+)
+"""From simulation and about ten recordings. The most important come first."""
+
+HELPED_BY_REFERENCE = frozenset({Figure.HEADING_SIGMA, Figure.RIVAL_GAP})
+"""Figures that a reference field would improve."""
+
+KNOWN_MOTORS = Bound(
+    Figure.MOTOR_FIELD,
+    1.0,
+    50.0,
+    "between rest and turn the field changes by",
+    "it is taken off while the robot moves; a magnetometer further away from motors and power "
+    "wires is the better cure",
+    excellent=0.3,
+    unit=" µT",
+)
+"""Of an estimate that knows the field of the motors."""
+
+ARC_SIGMAS = 2.0
+"""Sigmas by which a turn must exceed the least arc to be known to reach it."""
+
+
+def bounds_of(estimate: Estimate) -> tuple[Bound, ...]:
+    """Return the bounds of a turn: what the motors add may be known, and its arc may not be."""
+    return tuple(_adapted(bound, estimate) for bound in TURN_BOUNDS)
+
+
+def _adapted(bound: Bound, estimate: Estimate) -> Bound:
+    if bound.figure is Figure.MOTOR_FIELD and estimate.motors is not None:
+        return KNOWN_MOTORS
+    if bound.figure is Figure.ARC and math.degrees(estimate.arc) > bound.warn:
+        doubt = ARC_SIGMAS * math.degrees(arc_sigma(estimate))
+        least = round(min(bound.warn + doubt, bound.good), 1)
+        unsure = f"the arc is known to ±{shown(doubt)}°, and may be less than {bound.warn:g}°; "
+        return replace(bound, warn=least, when_refused=unsure + bound.remedy)
+    return bound
+
+
+DRIVE_ON = "drive on, with bends to both sides, to all headings"
+SITS_STRAIGHT: tuple[Bound, ...] = (
+    Bound(
+        Figure.INSTALLATION_ANGLE,
+        15.0,
+        45.0,
+        "installation error",
+        "give the sensor's nominal pose with mount_rpy_deg",
+        excellent=5.0,
+        when_refused=SITS_OTHERWISE,
+    ),
+    Bound(
+        Figure.AXIS_LEAN,
+        45.0,
+        90.0,
+        "up is tilted from the body's z by",
+        Z_NOT_UP,
+        excellent=20.0,
+    ),
+)
+"""Whether the sensors sit on the robot as expected."""
+DRIVE_BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        Figure.HEADING_SIGMA,
+        2.0,
+        12.0,
+        "predicted heading error on the level (1σ)",
+        DRIVE_ON,
+        excellent=0.7,
+        aspect=Aspect.CONFIDENCE,
+    ),
+    Bound(
+        Figure.HEADINGS_DRIVEN,
+        8.0,
+        6.0,
+        "headings driven, of 12:",
+        DRIVE_ON,
+        excellent=11.0,
+        unit="",
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+    Bound(
+        Figure.OUTLIER_SHARE,
+        15.0,
+        50.0,
+        "samples left out as outliers",
+        "something magnetic was near or switched; drive elsewhere",
+        excellent=5.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.LEVEL_PULL,
+        2.0,
+        20.0,
+        "level field deviates from the reference by",
+        "check the reference field, or mount the sensor away from steel that weakens it",
+        excellent=1.0,
+        unit="σ",
+    ),
+    *SITS_STRAIGHT,
+)
+"""From simulated drives and twelve recordings. The most important come first."""
+
+ONE_MORE = "stand at another known heading"
+HEADING_BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        Figure.HEADING_SIGMA,
+        3.0,
+        12.0,
+        "predicted heading error on the level, over all headings (1σ)",
+        ONE_MORE,
+        excellent=1.0,
+        aspect=Aspect.CONFIDENCE,
+        when_refused=f"{ONE_MORE}, and give the reference field",
+    ),
+    Bound(
+        Figure.KNOWN_HEADINGS,
+        2.0,
+        1.0,
+        "known headings:",
+        f"{ONE_MORE}: one alone shows what is right near it",
+        excellent=3.0,
+        unit="",
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+    Bound(
+        Figure.HEADING_MISFIT,
+        1.5,
+        4.0,
+        "known headings and field are apart by",
+        "check the headings and their sigma, and stand away from iron",
+        excellent=1.2,
+        unit=" times their sigma",
+    ),
+    *SITS_STRAIGHT,
+)
+"""From simulated robots at known headings."""

@@ -1,0 +1,264 @@
+"""Whether a robot is steady, rests beside a shaking engine, or turns unseen.
+
+A robot on a slow, even circle looks to gyro and accelerometer like one that stands and whose gyro
+has a bias about up. The raw field tells them apart, calibrated or not: it turns with the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from magcal_ros.core.geometry.vec3 import Triple, between, distance, dot, length
+from magcal_ros.core.up.up_tuning import RestTuning, ShakenRestTuning
+
+
+class FieldStillness:
+    """Compares the field of the moment with that at the beginning of a spell.
+
+    Parameters
+    ----------
+    tuning : RestTuning
+        What is taken for granted.
+
+    Attributes
+    ----------
+    mean : tuple of float
+        The field of the moment, averaged over some tenths of a second.
+    """
+
+    def __init__(self, tuning: RestTuning) -> None:
+        self._tuning = tuning
+        self._stamp = -math.inf
+        self._last = self.mean = ZERO
+        self._noise = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._first = ZERO
+        self._first_count = 0
+        self._since = math.inf
+
+    def begin(self) -> None:
+        """Begin a new spell with the next field sample."""
+        if self._first_count:
+            self._begin()
+
+    def add(self, stamp: float, field: Triple) -> None:
+        """Take a raw field sample (tesla, or any unit) at a stamp in seconds."""
+        seconds = stamp - self._stamp
+        self._stamp = stamp
+        if not 0.0 < seconds < self._tuning.field_lasts:
+            self.mean, self._noise = field, 0.0
+            self._begin()
+        else:
+            share = min(1.0, seconds / self._tuning.field_mean)
+            self.mean = between(self.mean, field, share)
+            # Half the square of a difference is the noise.
+            square = distance(field, self._last) ** 2 / 6.0
+            self._noise += 0.2 * share * (square - self._noise)
+        self._last = field
+        if not self._first_count:
+            self._since = stamp
+        if stamp - self._since < self._tuning.field_mean:
+            self._first_count += 1
+            self._first = between(self._first, field, 1.0 / self._first_count)
+
+    def is_heard(self, stamp: float) -> bool:
+        """Whether the field still came shortly before a stamp."""
+        return abs(stamp - self._stamp) < self._tuning.field_lasts
+
+    def has_turned(self, rate: float) -> bool | None:
+        """Whether the robot really turns at a rate; None while the field cannot tell.
+
+        Parameters
+        ----------
+        rate : float
+            rad/s about up that the gyro reads beyond its known bias.
+        """
+        seconds = self._stamp - self._since
+        if not seconds > 2.0 * self._tuning.field_mean:
+            return None
+        bound = self._tuning.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
+        change = distance(self.mean, self._first)
+        noise = self._tuning.clear * math.sqrt(2.0 * self._noise / self._first_count)
+        if change + noise < bound:
+            return False
+        return True if change - noise > bound else None
+
+
+ZERO: Triple = (0.0, 0.0, 0.0)
+
+
+class BlockMeans(NamedTuple):
+    """Means over a block of messages: force (g), rate (rad/s); how many, over how many seconds."""
+
+    force: Triple
+    rate: Triple
+    messages: int
+    seconds: float
+
+
+class SteadySpell:
+    """Watches blocks of messages for a spell in which nothing changes.
+
+    Parameters
+    ----------
+    tuning : RestTuning
+        What is taken for granted.
+
+    Attributes
+    ----------
+    seconds : float
+        How long the spell has lasted; zero when there is none.
+    force : tuple of float
+        Mean accelerometer reading of the spell, g, body axes.
+    rate : tuple of float
+        Mean gyro reading of the spell, rad/s.
+    count : int
+        Messages in it.
+    sway, shake : float
+        Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
+    """
+
+    def __init__(self, tuning: RestTuning | None = None) -> None:
+        self.tuning = tuning or RestTuning()
+        self.end()
+
+    def end(self) -> None:
+        """Forget the spell: it is over."""
+        self.seconds = self.sway = self.shake = 0.0
+        self.count = 0
+        self.force = self.rate = ZERO
+
+    def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
+        """Take the next block; returns whether it goes on as the spell did.
+
+        Parameters
+        ----------
+        block : BlockMeans
+            Means over the block.
+        noise, rate_noise : float
+            Sigma of one message per axis, g and rad/s.
+        """
+        force, rate, count, seconds = block
+        if self.count:
+            alike = self.tuning.alike * math.sqrt(3.0 / count + 3.0 / self.count)
+            if (
+                distance(force, self.force) < self.tuning.loose + alike * noise
+                and distance(rate, self.rate) < self.tuning.loose_rate + alike * rate_noise
+            ):
+                self.count += count
+                share = count / self.count
+                third = (1.0 - share) / 3.0
+                self.sway += share * (third * distance(rate, self.rate) ** 2 - self.sway)
+                self.shake += share * (third * distance(force, self.force) ** 2 - self.shake)
+                self.force = between(self.force, force, share)
+                self.rate = between(self.rate, rate, share)
+                self.seconds += seconds
+                return True
+        self.seconds, self.count, self.force, self.rate = seconds, count, force, rate
+        self.sway = self.shake = 0.0
+        return False
+
+    def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:
+        """Whether the mean force of the spell points up.
+
+        Parameters
+        ----------
+        up : tuple of float
+            Up as propagated, g.
+        rest, rest_sigma : float
+            What the accelerometer reads at rest, over gravity, and how well that is known.
+        noise : float
+            Sigma of one message's force per axis, over gravity.
+        """
+        size, up_size = length(self.force), length(up)
+        if self.seconds >= self.tuning.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
+            return self.seconds >= self.tuning.lasting
+        cosine = min(1.0, dot(self.force, up) / (size * up_size))
+        stretch = rest / max(cosine, 0.1) - rest
+        excess = size - rest
+        clear = self.tuning.clear * math.sqrt(
+            self.tuning.length_floor**2 + rest_sigma**2 + noise**2 / self.count
+        )
+        if stretch - excess > abs(excess) + clear:
+            return self.seconds >= self.tuning.shortest
+        if excess > 0.5 * stretch + 0.5 * clear:
+            return False
+        return self.seconds >= (
+            self.tuning.agreeing if cosine > math.cos(self.tuning.agrees) else self.tuning.undecided
+        )
+
+
+Means = tuple[Triple, Triple, Triple]
+
+
+class ShownAtRest(NamedTuple):
+    """What a rest has shown: force (g), and rate (rad/s) with its variance per axis."""
+
+    force: Triple
+    rate: Triple
+    variance: float
+
+
+class ShakenRest:
+    """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds.
+
+    Parameters
+    ----------
+    tuning : ShakenRestTuning
+        What is taken for granted.
+    """
+
+    def __init__(self, tuning: ShakenRestTuning) -> None:
+        self._tuning = tuning
+        self._means: deque[Means] = deque(maxlen=tuning.spans)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._seconds, self._count = 0.0, 0
+        self._sums: Means = (ZERO, ZERO, ZERO)
+
+    def forget(self) -> None:
+        """Begin anew: the field came no more, or time has jumped."""
+        self._means.clear()
+        self._begin()
+
+    def add(self, block: BlockMeans, field: Triple) -> ShownAtRest | None:
+        """Take a block and the raw field at its end, in any unit; None while nothing is shown."""
+        self._count += 1
+        self._seconds += block.seconds
+        force, rate, mean = self._sums
+        share = 1.0 / self._count
+        self._sums = (
+            between(force, block.force, share),
+            between(rate, block.rate, share),
+            between(mean, field, share),
+        )
+        if self._seconds < self._tuning.span:
+            return None
+        self._means.append(self._sums)
+        self._begin()
+        return self._told()
+
+    def _told(self) -> ShownAtRest | None:
+        tuning, means = self._tuning, self._means
+        if len(means) < tuning.spans:
+            return None
+        force, rate, field = (_mean([each[k] for each in means]) for k in range(3))
+        bounds = (tuning.force, tuning.rate, tuning.field * length(field))
+        for each in means:
+            gaps = (distance(each[0], force), distance(each[1], rate), distance(each[2], field))
+            if any(gap > bound for gap, bound in zip(gaps, bounds, strict=True)):
+                return None
+        scatter = sum(distance(each[1], rate) ** 2 for each in means) / (3.0 * (len(means) - 1))
+        # The next one is of other seconds.
+        means.clear()
+        return ShownAtRest(force, rate, tuning.sigma**2 + scatter / tuning.spans)
+
+
+def _mean(vectors: list[Triple]) -> Triple:
+    x, y, z = (sum(axis) / len(vectors) for axis in zip(*vectors, strict=True))
+    return (float(x), float(y), float(z))

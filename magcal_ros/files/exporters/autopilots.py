@@ -1,0 +1,154 @@
+"""Calibrations as parameters of ArduPilot and PX4.
+
+ArduPilot: offsets that are added, and a symmetric matrix.
+
+`corrected = D (mag + OFS)` with D = [[DIA_X, ODI_X, ODI_Y], [ODI_X, DIA_Y, ODI_Z],
+[ODI_Y, ODI_Z, DIA_Z]], milligauss, forward-right-down body axes after COMPASS_ORIENT. The full
+parameter list says of COMPASS_OFS_X "Offset to be added to the compass x-axis values": the sign is
+the opposite of the hard iron's. COMPASS_SCALE multiplies besides and must be 1 for these numbers.
+
+PX4: offsets that are subtracted, and a symmetric matrix.
+
+`corrected = R S (mag - OFF)` with S = [[XSCALE, XODIAG, YODIAG], [XODIAG, YSCALE, ZODIAG],
+[YODIAG, ZODIAG, ZSCALE]], gauss, in the sensor's own forward-right-down axes; R is CAL_MAG0_ROT,
+one of a few rotations, and is left alone (parameter reference, CAL_MAG0_XOFF in
+gauss, CAL_MAG0_XSCALE, CAL_MAG0_XODIAG). Scales must lie between 0.1 and 3.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.files.exporters.common import (
+    GAUSS,
+    MILLIGAUSS,
+    NotExportable,
+    commented,
+    number,
+    provenance,
+    without_rotation,
+)
+from magcal_ros.files.logs.px4 import rotation_of
+
+ARDUPILOT_FRAME = "ardupilot_compass"
+"""What a calibration from a log of ArduPilot remembers, with the number of the parameters."""
+
+
+def ardupilot(calibration: Calibration, frame: str = "") -> str:
+    """Return a parameter file for a ground station.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export; made from fields in the vehicle's forward-left-up axes.
+    frame : str
+        Of the magnetometer: from a log it says which compass this is.
+
+    Returns
+    -------
+    str
+        `NAME,value` lines.
+
+    Raises
+    ------
+    NotExportable
+        If the calibration turns the field by more than 5°.
+    """
+    held = without_rotation(calibration.correction, "ArduPilot")
+    of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
+    slot = of_log[1] if of_log else ""
+    origin = (
+        f"From a log, whose own OFS, DIA, ODI and SCALE were taken off: compass {slot or 1}.",
+        "These numbers replace those in force; the compensation of the motors stays.",
+    )
+    driver = (
+        "RESTS ON readings without COMPASS_OFS in them. MAVLink's RAW_IMU, and so imu/mag of",
+        "MAVROS, has them in: calibrate with OFS and ODI at 0, DIA and SCALE at 1, or add these",
+        "OFS to those in force.",
+    )
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = D * (mag + OFS), milligauss, forward-right-down. Offsets beyond 1800 need",
+        "a larger COMPASS_OFFS_MAX.",
+        *(origin if of_log else driver),
+        *held.comments,
+    )
+    offsets, matrix = -MILLIGAUSS * held.hard_iron, held.matrix
+    values = {f"COMPASS_OFS{slot}_{axis}": offsets[k] for k, axis in enumerate("XYZ")}
+    values |= {f"COMPASS_DIA{slot}_{axis}": matrix[k, k] for k, axis in enumerate("XYZ")}
+    values |= {
+        f"COMPASS_ODI{slot}_X": matrix[0, 1],
+        f"COMPASS_ODI{slot}_Y": matrix[0, 2],
+        f"COMPASS_ODI{slot}_Z": matrix[1, 2],
+        f"COMPASS_SCALE{slot}": 1.0,
+    }
+    return header + "".join(f"{name},{number(value)}\n" for name, value in values.items())
+
+
+PX4_FRAME = "px4_mag{slot}_rot{rotation}"
+"""What a calibration from a log of PX4 remembers: CAL_MAGn and its ROT."""
+
+SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
+
+
+def px4(calibration: Calibration, frame: str = "") -> str:
+    """Return commands for the PX4 console.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export; made from fields in the vehicle's forward-left-up axes.
+    frame : str
+        Of the magnetometer: from a log it says which slot this is, and how it is turned.
+
+    Returns
+    -------
+    str
+        `param set NAME value` lines.
+
+    Raises
+    ------
+    NotExportable
+        If the calibration turns the field by more than 5°, or scales it beyond PX4's range.
+    """
+    held = without_rotation(calibration.correction, "PX4")
+    of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)
+    slot, rotation = (int(number) for number in of_log.groups()) if of_log else (0, 0)
+    turn = rotation_of(rotation)  # the parameters are in the sensor's own axes
+    matrix, offset = turn.T @ held.matrix @ turn, turn.T @ held.hard_iron
+    scales = np.diag(matrix)
+    if scales.min() < SMALLEST_SCALE or scales.max() > LARGEST_SCALE:
+        raise NotExportable(
+            f"PX4 takes scales from {SMALLEST_SCALE} to {LARGEST_SCALE} only, and this calibration "
+            f"has {scales.min():.3g} to {scales.max():.3g}. Check the field's unit (tesla) in the "
+            "driver, and calibrate again."
+        )
+    origin = (
+        f"From a log, whose own calibration was taken off: CAL_MAG{slot}, CAL_MAG{slot}_ROT "
+        f"{rotation}.",
+    )
+    driver = (
+        "For the first magnetometer and CAL_MAG0_ROT = 0 or -1.",
+        "RESTS ON CAL_MAG0_ID being the device that was calibrated: PX4 finds a sensor's numbers",
+        "by it (param show CAL_MAG*_ID); where another slot has it, put that number for the 0.",
+    )
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = ROT * S * (mag - OFF), gauss, forward-right-down.",
+        *(origin if of_log else driver),
+        *held.comments,
+    )
+    name = f"CAL_MAG{slot}"
+    values = {f"{name}_{axis}OFF": GAUSS * offset[k] for k, axis in enumerate("XYZ")}
+    values |= {f"{name}_{axis}SCALE": scales[k] for k, axis in enumerate("XYZ")}
+    values |= {
+        f"{name}_XODIAG": matrix[0, 1],
+        f"{name}_YODIAG": matrix[0, 2],
+        f"{name}_ZODIAG": matrix[1, 2],
+    }
+    return header + "".join(f"param set {name} {number(value)}\n" for name, value in values.items())

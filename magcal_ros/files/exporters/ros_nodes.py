@@ -1,0 +1,131 @@
+"""Calibrations as parameter files of other ROS nodes.
+
+ctu-vras compass stack: magnetometer_bias_remover and magnetometer_compass.
+
+`unbiased = M (mag - bias)`, bias in tesla, M row by row (documentation of magnetometer_pipeline,
+docs.ros.org/en/jazzy/p/magnetometer_pipeline). The documentation names the matrix
+`initial_scaling_matrix`; the node reads `initial_mag_scaling_matrix`. Both are written: a node
+ignores what it does not declare. `magnetometer_bias_x/y/z` is what magnetometer_bias_observer
+loads under `load_from_params`; it publishes them without a matrix, and a matrix that the receiver
+got as a parameter stays in force.
+
+FusionCore: the full correction.
+
+`corrected = soft_iron (mag - hard_iron)`, hard iron in tesla, soft iron as a "3x3 scale+rotation
+matrix in row-major order" (parameters `magnetometer.hard_iron` and `magnetometer.soft_iron`,
+docs/configuration.md of github.com/manankharwar/fusioncore).
+
+imu_filter_madgwick: the hard iron alone.
+
+`compensated = mag - mag_bias`, in the message's unit, tesla (parameters `mag_bias_x/y/z`,
+wiki.ros.org/imu_filter_madgwick: "Magnetometer bias (hard iron compensation)").
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.geometry.rotations import rotation_angle
+from magcal_ros.files.exporters.common import (
+    OF_TESLA,
+    commented,
+    number,
+    numbers,
+    provenance,
+)
+
+
+def ctu_vras(calibration: Calibration) -> str:
+    """Return a parameter file for `--params-file`.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export.
+
+    Returns
+    -------
+    str
+        YAML for ROS 2, matching nodes of every name.
+    """
+    correction = calibration.correction
+    matrix = f"[{numbers(correction.matrix)}]"
+    lines = ["/**:", "  ros__parameters:"]
+    lines += [
+        f"    {prefix}_{axis}: {number(value, OF_TESLA)}"
+        for prefix in ("initial_mag_bias", "magnetometer_bias")
+        for axis, value in zip("xyz", correction.hard_iron, strict=True)
+    ]
+    lines += [f"    initial_mag_scaling_matrix: {matrix}", f"    initial_scaling_matrix: {matrix}"]
+    header = commented(
+        "#",
+        provenance(calibration),
+        "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes.",
+    )
+    return header + "\n".join(lines) + "\n"
+
+
+def fusioncore(calibration: Calibration) -> str:
+    """Return a parameter file for `--params-file`.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to fusioncore; nothing is lost.
+
+    Returns
+    -------
+    str
+        YAML for ROS 2. The field's strength is the one that the corrected field has.
+    """
+    correction = calibration.correction
+    header = commented(
+        "#",
+        provenance(calibration),
+        "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
+        "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
+    )
+    return header + (
+        "/**:\n"
+        "  ros__parameters:\n"
+        "    magnetometer.enabled: true\n"
+        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron, OF_TESLA)}]\n"
+        f"    magnetometer.soft_iron: [{numbers(correction.matrix)}]\n"
+        f"    magnetometer.field_strength: {number(calibration.strength, OF_TESLA)}\n"
+    )
+
+
+UNCHANGED = 1e-9
+
+
+def imu_filter_madgwick(calibration: Calibration) -> str:
+    """Return a parameter file for `--params-file`.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export; its matrix is lost, and the text says how much that is.
+
+    Returns
+    -------
+    str
+        YAML for ROS 2.
+    """
+    comments = [provenance(calibration), "compensated = mag - mag_bias, tesla."]
+    matrix = calibration.correction.matrix
+    if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
+        left, sizes, right = np.linalg.svd(matrix)
+        angle = math.degrees(rotation_angle(left @ right))
+        comments += [
+            f"LOST: installation of {angle:.2f} degrees and soft iron with gains from "
+            f"{sizes.min():.4f} to {sizes.max():.4f}; this filter knows the hard iron only.",
+            "To lose nothing, let it subscribe to imu/mag_unbiased of the calibrator, with zeros "
+            "here.",
+        ]
+    lines = ["/**:", "  ros__parameters:"]
+    for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
+        lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
+    return commented("#", *comments) + "\n".join(lines) + "\n"

@@ -1,0 +1,243 @@
+"""The turn in space, and the residuals around it."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.coverage import BINS
+from magcal_ros.report.figures.canvas import (
+    CORRECTED,
+    IDEAL,
+    LEFT_OUT,
+    MICRO,
+    RAW,
+    SPHERE,
+    UP,
+    dots,
+    legend_below,
+)
+from magcal_ros.report.turn import Corrected, Turn
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+POINTS = 200
+"""Of each cloud in each of the four views."""
+
+VIEWS = ((0, 2, "from the right"), (1, 2, "from the front"), (0, 1, "from above"))
+NAMES = ("x forward", "y left", "z up")
+
+
+def draw(figure: Figure, turn: Turn) -> None:
+    """Draw accelerometer, raw and corrected field, ideal circle and reference sphere."""
+    strength = _strength(turn)
+    clouds = _clouds(turn, strength)
+    limit = 1.08 * max(
+        strength, *(float(np.abs(points).max()) for points, _ in clouds if len(points))
+    )
+    grid = figure.add_gridspec(
+        2, 2, left=0.125, right=0.98, top=0.95, bottom=0.2, wspace=0.36, hspace=0.4
+    )
+    # The solid view needs no room for tick labels, only some for its slanting axes.
+    solid: Any = figure.add_axes((0.015, 0.595, 0.43, 0.345), projection="3d")
+    _draw_solid(solid, turn, clouds, strength, limit)
+    places = (grid[0, 1], grid[1, 0], grid[1, 1])
+    for place, (i, j, words) in zip(places, VIEWS, strict=True):
+        axes = figure.add_subplot(place)
+        _draw_projection(axes, turn, clouds, strength, i, j)
+        axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+        axes.set_xlabel(f"{NAMES[i]} [µT]", labelpad=1)
+        axes.set_ylabel(f"{NAMES[j]} [µT]", labelpad=0)
+        axes.set_title(words)
+        last = axes
+    legend_below(figure, last)
+
+
+def caption(turn: Turn) -> str:
+    """Explain the picture to someone who is no expert."""
+    if turn.corrected is None:
+        return (
+            "Each orange mark is one raw field sample. On one turn they should draw a circle; "
+            "green is up as the accelerometer saw it, drawn as long as the field."
+        )
+    return (
+        "Turning the robot once moves the field around a circle. Orange: as measured, pushed away "
+        "from the origin by the robot's own magnetism and tilted by the mounting. Blue: corrected; "
+        "it should lie on the black circle, where the reference field says it must be. Green: up."
+    )
+
+
+def _strength(turn: Turn) -> float:
+    if turn.corrected is not None:
+        return turn.corrected.estimate.strength * MICRO
+    return max(float(np.linalg.norm(turn.field, axis=1).mean()) * MICRO, 1e-3)
+
+
+def _clouds(turn: Turn, strength: float) -> list[tuple[FloatArray, dict[str, Any]]]:
+    """Return points (n, 3) in µT and their looks, the undermost first."""
+    rows = turn.rows(most=POINTS)
+    clouds: list[tuple[FloatArray, dict[str, Any]]] = [
+        (strength * turn.up[rows], {"color": UP, "marker": "s", "label": "up (accelerometer)"}),
+        (
+            MICRO * turn.field[rows],
+            {"color": RAW, "marker": "^", "markersize": 3.2, "label": "raw field"},
+        ),
+    ]
+    if turn.corrected is not None:
+        field = MICRO * turn.corrected.field
+        kept = turn.rows(turn.believed, most=POINTS)
+        clouds.append((field[kept], {"color": CORRECTED, "label": "corrected field"}))
+        left_out = turn.rows(~turn.believed, most=POINTS // 4)
+        if len(left_out):
+            clouds.append((field[left_out], LEFT_OUT | {"label": "left out"}))
+    return clouds
+
+
+def _draw_projection(
+    axes: Any,
+    turn: Turn,
+    clouds: list[tuple[FloatArray, dict[str, Any]]],
+    strength: float,
+    i: int,
+    j: int,
+) -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 91)
+    label = "reference sphere" if turn.corrected is not None else "the raw field's mean size"
+    outline = (strength * np.cos(phase), strength * np.sin(phase))
+    axes.plot(*outline, color=SPHERE, linewidth=0.9, label=label)
+    axes.axhline(0.0, color=SPHERE, linewidth=0.5)
+    axes.axvline(0.0, color=SPHERE, linewidth=0.5)
+    for points, looks in clouds:
+        dots(axes, points[:, i], points[:, j], **looks)
+    if turn.corrected is not None:
+        circle = MICRO * turn.corrected.circle
+        axes.plot(circle[:, i], circle[:, j], color=IDEAL, linewidth=0.9, label="ideal circle")
+
+
+def _draw_solid(
+    axes: Any,
+    turn: Turn,
+    clouds: list[tuple[FloatArray, dict[str, Any]]],
+    strength: float,
+    limit: float,
+) -> None:
+    around, down = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 25), np.linspace(0.0, np.pi, 13))
+    axes.plot_wireframe(
+        strength * np.sin(down) * np.cos(around),
+        strength * np.sin(down) * np.sin(around),
+        strength * np.cos(down),
+        color="#DADADA",
+        linewidth=0.35,
+    )
+    for points, looks in clouds:
+        dots(axes, points[:, 0], points[:, 1], zs=points[:, 2], **looks)
+    if turn.corrected is not None:
+        circle = MICRO * turn.corrected.circle
+        axes.plot(circle[:, 0], circle[:, 1], circle[:, 2], color=IDEAL, linewidth=0.9)
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), zlim=(-limit, limit))
+    axes.set_box_aspect((1, 1, 1), zoom=1.2)
+    axes.view_init(elev=24, azim=-58)
+    for number, name in enumerate("xyz"):
+        getattr(axes, f"set_{name}label")(NAMES[number], labelpad=-14, fontsize=8)
+        axes.tick_params(axis=name, labelbottom=False, labelleft=False, pad=-4)
+        getattr(axes, f"set_{name}ticklabels")([])
+    axes.set_title("3-D view", pad=4)
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RAW_FIELD = (
+    "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "
+    "mean that the robot stood, or that the sensor does not feel the field; jumps mean that "
+    "something magnetic switched."
+)
+"""What its picture says to someone who is no expert."""
+
+
+def draw_residuals(figure: Figure, turn: Turn) -> None:
+    """Draw the ring of headings that were seen, and the residuals, or without a fit the field."""
+    corrected = turn.corrected
+    _draw_ring(figure.add_axes((0.29, 0.625, 0.42, 0.3), projection="polar"), turn)
+    axes = figure.add_axes((0.155, 0.175, 0.825, 0.345))
+    if corrected is None:
+        _draw_raw_field(axes, turn)
+    else:
+        _draw_residuals(axes, turn, corrected)
+    legend_below(figure, axes, columns=3 if corrected is None else 2)
+
+
+def caption_of_residuals(turn: Turn) -> str:
+    """Explain the picture to someone who is no expert."""
+    hole = turn.coverage.hole_in_words or "nothing of the turn is missing"
+    ring = f"The ring shows which headings were seen, counted from the start: {hole}."
+    if turn.corrected is None:
+        return f"{ring} {RAW_FIELD}"
+    return (
+        f"{ring} Below, what the model leaves unexplained: a cloud without a pattern inside the "
+        "grey band is sensor noise; waves show iron that turns with the robot, bumps of "
+        "something that passed by."
+    )
+
+
+def _draw_ring(axes: Any, turn: Turn) -> None:
+    axes.set_theta_zero_location("N")
+    counts = np.zeros(BINS)
+    if turn.angle is not None and turn.coverage.filled.any():
+        where = np.mod(turn.angle, math.tau) * (BINS / math.tau)
+        counts = np.bincount(where.astype(int) % BINS, minlength=BINS).astype(float)
+    width = math.tau / BINS
+    centre = (np.arange(BINS) + 0.5) * width
+    # Square roots make areas comparable: the eye takes a bar's area on a ring for its size.
+    height = np.sqrt(counts / max(float(counts.max()), 1.0))
+    axes.bar(centre, height, width=0.9 * width, bottom=0.55, color=CORRECTED)
+    empty = centre[counts == 0.0]
+    axes.bar(empty, 1.0, width=width, bottom=0.55, color="#F6D9C6", edgecolor=RAW, linewidth=0.3)
+    axes.set(ylim=(0.0, 1.6), yticks=[])
+    axes.set_xticks(np.radians([0, 90, 180, 270]))
+    axes.set_xticklabels(["start", "90° left", "180°", "90° right"])
+    for label, side in zip(
+        axes.get_xticklabels(), ("center", "right", "center", "left"), strict=True
+    ):
+        label.set_horizontalalignment(side)
+    axes.tick_params(axis="x", pad=0)
+    axes.grid(False)
+    axes.spines["polar"].set_visible(False)
+    # The same arc as in the table of numbers, where a fit has measured one.
+    arc = turn.coverage.arc if turn.corrected is None else turn.corrected.estimate.arc
+    seen = f"{math.degrees(arc):.0f}°\nseen"
+    axes.text(0.0, 0.0, seen, ha="center", va="center", fontsize=9.5)
+
+
+def _draw_raw_field(axes: Any, turn: Turn) -> None:
+    """Draw the three components over time, for a turn from which nothing could be found."""
+    rows = turn.rows()
+    looks = (("x forward", RAW, "^"), ("y left", CORRECTED, "o"), ("z up", UP, "s"))
+    for number, (words, colour, marker) in enumerate(looks):
+        values = MICRO * turn.field[rows, number]
+        dots(axes, turn.time[rows], values, color=colour, marker=marker, label=words)
+    axes.set(xlabel="time since the first sample [s]", ylabel="raw field [µT]")
+
+
+def _draw_residuals(axes: Any, turn: Turn, corrected: Corrected) -> None:
+    angle = np.degrees(turn.angle if turn.angle is not None else np.arange(len(turn.time)))
+    noise = 2.0 * corrected.estimate.noise_field * MICRO
+    axes.axhspan(-noise, noise, color="#EAEAEA", label="±2σ of the field's noise")
+    axes.axhline(0.0, color=IDEAL, linewidth=0.6)
+    kept = turn.rows(turn.believed)
+    series = (
+        (corrected.radial, CORRECTED, "o", "across the circle"),
+        (corrected.axial, RAW, "^", "along the turn's axis"),
+    )
+    left_out = turn.rows(~turn.believed, most=100)
+    for values, colour, marker, words in series:
+        shown = MICRO * values
+        dots(axes, angle[kept], shown[kept], color=colour, marker=marker, label=words)
+        if len(left_out):
+            label = "left out" if values is corrected.axial else None
+            dots(axes, angle[left_out], shown[left_out], **LEFT_OUT, label=label)
+    axes.set(xlabel="turned since the start [°], left positive", ylabel="residual [µT]")
