@@ -204,7 +204,6 @@ ORDER_OF_ROOMS = (
     "smoother",
     "methods",
     "multi_turn",
-    "turn_or_drive",
     "calibrate",
     "session",
     "monitoring",

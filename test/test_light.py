@@ -77,7 +77,6 @@ def test_a_node_that_runs_on_a_saved_calibration_loads_nothing_that_fits_or_draw
         "magcal_ros.report",
         "magcal_ros.core.methods",
         "magcal_ros.core.doctor",
-        "magcal_ros.core.turn_or_drive",
         "magcal_ros.core.keeping.story",
         "magcal_ros.core.smoothing.level",
         "multiprocessing",

@@ -50,7 +50,7 @@ class Tolerances:
         Rounds in which all residuals count fully.
     """
 
-    rounds: int = 40
+    rounds: int = 80
     fewest: int = 8
     step: float = 0.05
     evidence: float = 0.5

@@ -28,7 +28,7 @@ It is approximate (Laplace, at the most likely sizes), and real robots differ fr
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
-ROUGHLY, HOPELESS = Tolerances(rounds=20), 150.0
+ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """How a kind of motion is tried, and from what difference of evidence then it is left out."""
 NEARLY = 0.95
 """Share of the largest noise of a gyro, beyond which the gyro does not belong to the rest."""
@@ -93,9 +93,9 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
         if not rough.converged:
             _try(fits, name, nodes, priors, state, rough)
     best = min(fits, key=lambda name: fits[name].evidence)
-    for name in KINDS:
+    for name, other in tuple(fits.items()):
         # Another kind may have stopped at a worse optimum than the best one's lies at.
-        if name != best and name in fits:
+        if name != best and other.evidence < fits[best].evidence + HOPELESS:
             _try(fits, name, nodes, priors, state, fits[best])
     return mixed(fits, nodes, knowledge)
 

@@ -15,7 +15,7 @@ from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.rests import Course, level_axes
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import State, damped
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
@@ -240,7 +240,7 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
     """
     seconds, name = model.nodes.seconds, CHANGES[axis]
     speed, size = model.speed[axis], point.sizes[name]
-    by_v, by_a = _followed(seconds, 1.0 / model.priors.lengths.acceleration, size / speed)
+    by_v, by_a = damped(seconds, 1.0 / model.priors.lengths.acceleration, size / speed)
     v_square = speed**2 * (1.0 - by_v[0] ** 2) - size**2 * by_v[1] ** 2
     a_square = size**2 * (1.0 - by_a[1] ** 2) - speed**2 * by_a[0] ** 2
     found = {}
@@ -254,17 +254,6 @@ def _motion(model: Model, point: Point, axis: int) -> dict[str, Weighted]:
             linear, np.maximum(variance, 0.0) + LEAST_VARIANCE, point.freedom(model, name)
         )
     return found
-
-
-def _followed(seconds: FloatArray, damping: float, pace: float) -> FloatArray:
-    """Return the rows of exp(A t), A = [[0, 1], [-pace^2, -damping]], shape (2, 2, n)."""
-    root = np.sqrt(complex(0.25 * damping**2 - pace**2))
-    root = root if abs(root) > 1e-6 else complex(1e-6)
-    fades = np.exp(-0.5 * damping * seconds)
-    even = np.real(fades * np.cosh(root * seconds))
-    odd = np.real(fades * np.sinh(root * seconds) / root)
-    half = 0.5 * damping * odd
-    return np.array([[even + half, odd], [-(pace**2) * odd, even - half]])
 
 
 def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:

@@ -44,3 +44,18 @@ class State:
         """The Earth's field in magnetic ENU, µT."""
         level, down = self.shared[EARTH]
         return np.array([0.0, level, -down])
+
+
+def damped(seconds: FloatArray, damping: float, pace: float) -> FloatArray:
+    """Return exp(A t) for A = [[0, 1], [-pace^2, -damping]], shape (2, 2, n).
+
+    By it a value and its change follow after so many seconds (n,) where the change is damped and
+    the value is drawn back to zero.
+    """
+    root = np.sqrt(complex(0.25 * damping**2 - pace**2))
+    root = root if abs(root) > 1e-6 else complex(1e-6)
+    fades = np.exp(-0.5 * damping * seconds)
+    even = np.real(fades * np.cosh(root * seconds))
+    odd = np.real(fades * np.sinh(root * seconds) / root)
+    half = 0.5 * damping * odd
+    return np.array([[even + half, odd], [-(pace**2) * odd, even - half]])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
 from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.factors import Linear
@@ -14,7 +16,16 @@ from magcal_ros.core.smoother.nodes import nodes_of
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.rests import Course
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import LOCAL, SHARED, STREET, Lengths, priors_of
+from magcal_ros.core.smoother.unknowns import (
+    ACCELERATION,
+    AT,
+    LOCAL,
+    SHARED,
+    STREET,
+    VELOCITY,
+    Lengths,
+    priors_of,
+)
 
 STEP = 1e-6
 
@@ -57,6 +68,11 @@ def forward(count: int) -> np.ndarray:
     return np.tile([0.8, 0.5, 0.1], (count, 1))
 
 
+def followed(_: Course, state: State) -> Linear:
+    keeps = np.linspace(0.1, 0.9, 2 * (len(state.local) - 1)).reshape(2, -1)
+    return factors.followed(state, ACCELERATION.start, keeps, (VELOCITY.start, ACCELERATION.start))
+
+
 def known_heading(_: Course, state: State) -> Linear:
     count = len(state.local)
     return factors.known_heading(np.linspace(0.0, 1.0, count), forward(count), state)
@@ -80,16 +96,19 @@ BY_SHARED = (
     *(magnetic, factors.force, factors.gyro, force_at_rest),
     *(factors.force_at_nodes, factors.sway, turning),
 )
-FACTORS = (*BY_SHARED, process, known_heading, known_turn)
+FACTORS = (*BY_SHARED, process, followed, known_heading, known_turn)
 
 
 def change(factor, course: Course, state: State, local, shared) -> np.ndarray:
     """Return the derivative of a prediction along a step."""
-    high, low = (
-        factor(course, state.moved(sign * STEP * local, sign * STEP * shared)).residual
-        for sign in (1.0, -1.0)
-    )
-    return (low - high) / (2.0 * STEP)
+
+    def at(sign: float) -> np.ndarray:
+        # Without a gyro nothing tells where ahead is.
+        ahead = sign * STEP * shared[AT["mounting_yaw"]] * (factor is factors.force)
+        turned = replace(course, axes=course.axes @ rotation_about(factors.Z, ahead)[0])
+        return factor(turned, state.moved(sign * STEP * local, sign * STEP * shared)).residual
+
+    return (at(-1.0) - at(1.0)) / (2.0 * STEP)
 
 
 @pytest.mark.parametrize("factor", FACTORS, ids=lambda f: f.__name__)
