@@ -18,7 +18,7 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import KINDS, SIZES, USUAL, Priors, priors_of
+from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SIZES, USUAL, Priors, priors_of
 from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
 
 BELIEVED = 0.25
@@ -28,6 +28,8 @@ It is approximate (Laplace, at the most likely sizes), and real robots differ fr
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
+FIRST = Tolerances(rounds=40)
+"""How a turn on the spot is tried, which the fit of a drive takes longer to become."""
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """How a kind of motion is tried, and from what difference of evidence then it is left out."""
 NEARLY = 0.95
@@ -83,21 +85,32 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     """
     nodes, state, priors = _started(window, knowledge)
     fits: dict[str, Fit] = {}
-    for name in KINDS:
-        _try(fits, name, nodes, priors, state, tolerances=ROUGHLY)
+    _try(fits, ON_THE_SPOT, nodes, priors, state, tolerances=FIRST)
+    if ON_THE_SPOT in fits and gyro_is_usual(fits[ON_THE_SPOT]):
+        for name in KINDS.keys() - fits.keys():
+            _try(fits, name, nodes, priors, state, fits[ON_THE_SPOT])
+    else:
+        _fit_drives(fits, nodes, priors, state)
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-    least = min(each.evidence for each in fits.values())
-    fits = {name: each for name, each in fits.items() if each.evidence < least + HOPELESS}
+    return mixed(fits, nodes, knowledge)
+
+
+def _fit_drives(fits: dict[str, Fit], nodes: Nodes, priors: Priors, state: State) -> None:
+    """Fit the other kinds of motion, where the robot certainly did not turn on the spot."""
+    for name in KINDS.keys() - fits.keys():
+        _try(fits, name, nodes, priors, state, tolerances=ROUGHLY)
+    least = min((each.evidence for each in fits.values()), default=0.0)
     for name, rough in tuple(fits.items()):
-        if not rough.converged:
+        if rough.evidence > least + HOPELESS:
+            del fits[name]
+        elif not rough.converged:
             _try(fits, name, nodes, priors, state, rough)
-    best = min(fits, key=lambda name: fits[name].evidence)
     for name, other in tuple(fits.items()):
         # Another kind may have stopped at a worse optimum than the best one's lies at.
-        if name != best and other.evidence < fits[best].evidence + HOPELESS:
-            _try(fits, name, nodes, priors, state, fits[best])
-    return mixed(fits, nodes, knowledge)
+        best = min(fits.values(), key=lambda each: each.evidence)
+        if best.evidence < other.evidence < best.evidence + HOPELESS:
+            _try(fits, name, nodes, priors, state, best)
 
 
 def gyro_is_usual(fit: Fit) -> bool:
