@@ -113,8 +113,9 @@ def test_nothing_is_said_where_nothing_shows(lacks):
     assert find_axes(window) is None
 
 
-@pytest.mark.parametrize("axes", first_of([MIRRORED_Z, NED, EVERY[30]]))
-@pytest.mark.parametrize("several", first_of([False, True]))
+@pytest.mark.nightly
+@pytest.mark.parametrize("axes", [MIRRORED_Z, NED, EVERY[30]])
+@pytest.mark.parametrize("several", [False, True])
 def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
     found, window, knowledge = of(axes, "lift")
     outcome = calibrate_turns([window], knowledge) if several else calibrate(window, knowledge)

@@ -58,6 +58,7 @@ def test_a_simulator_without_noise_may_turn_about_one_axis_alone():
     assert calibrate(level, robot.knowledge()).verdict.accepted
 
 
+@pytest.mark.nightly
 def test_a_fit_with_a_dead_axis_is_refused_and_without_the_gyro_it_is_not(window):
     outcome = calibrate(with_rate(window, None, None, 2), Knowledge())
     assert not outcome.verdict.accepted
