@@ -28,8 +28,6 @@ It is approximate (Laplace, at the most likely sizes), and real robots differ fr
 
 NO_SOLUTION = "the samples do not determine a calibration; turn the robot through a full circle"
 
-FIRST = Tolerances(rounds=40)
-"""How a turn on the spot is tried, which the fit of a drive takes longer to become."""
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """How a kind of motion is tried, and from what difference of evidence then it is left out."""
 NEARLY = 0.95
@@ -85,8 +83,10 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     """
     nodes, state, priors = _started(window, knowledge)
     fits: dict[str, Fit] = {}
-    _try(fits, ON_THE_SPOT, nodes, priors, state, tolerances=FIRST)
+    _try(fits, ON_THE_SPOT, nodes, priors, state, tolerances=ROUGHLY)
     if ON_THE_SPOT in fits and gyro_is_usual(fits[ON_THE_SPOT]):
+        if not fits[ON_THE_SPOT].converged:
+            _try(fits, ON_THE_SPOT, nodes, priors, state, fits[ON_THE_SPOT])
         for name in KINDS.keys() - fits.keys():
             _try(fits, name, nodes, priors, state, fits[ON_THE_SPOT])
     else:

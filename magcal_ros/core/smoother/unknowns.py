@@ -88,9 +88,9 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.07, 0.07), 0.5, 3.0, "rad", "roll and pitch", "boards are level by hand"
     ),
     "axes": Unknown(
-        (0.003,) * 3 + (0.002,) * 3 + (0.002,),
-        1.1,
-        12.0,
+        (0.005,) * 3 + (0.0035,) * 3 + (0.0035,),
+        0.9,
+        8.0,
         "-",
         "gains and crooked axes: symmetric part (xx, yy, zz, xy, xz, yz), and the yaw they turn",
         "data sheets of MEMS magnetometers: axes .3 to 1.2% out of square",
