@@ -270,7 +270,9 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         alike = figures.get(Figure.POSSIBLE_PULL, 0.0)
         chance = sigmas * math.sqrt(max(figures[Figure.HEADING_SIGMA] ** 2 - alike**2, 0.0))
         excess = math.sqrt(max(figure**2 - chance**2, 0.0))
-        note = f", of which chance may be {shown(chance * DEGREES)}°"
+        note = ", no more than chance may be"
+        if figure > chance:
+            note = f", of which chance may be {shown(chance * DEGREES)}°"
         return bound.check(figure, excess=excess, note=note)
     if bound.figure is Figure.RADIUS_MISFIT:
         allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)

@@ -138,8 +138,7 @@ def slow_field_words(gap: float) -> str:
     return (
         f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
         f"{STREAMS.longest_gyro_step:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz. A slow turn is still "
-        "fitted (magcal fit)"
+        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz"
     )
 
 

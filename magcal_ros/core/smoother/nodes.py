@@ -12,9 +12,7 @@ from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.unknowns import MICROTESLA
-
-SWAY = 0.22
-"""Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
+from magcal_ros.core.up import unseen_angles
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
-    steps, unseen = _turned(time, rate)
+    steps, unseen = _turned(time, rate), unseen_angles(time, rate)
     attitude = chained(exp_rotations(-steps)[None])[0]
     first = _first_rows(time, steps, unseen, spacing)
     last = np.append(first[1:], len(time))
@@ -159,21 +157,13 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     return nodes
 
 
-def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the angles between samples, radians, and their variances, shape (n - 1, 3).
-
-    By a polynomial through the six samples around. Where samples come slowly, a body may sway
-    between them as much as from one to the next; if all they show is sway too fast for them, as
-    random as white noise, the variance is right.
-    """
-    step = np.diff(time)[:, None]
+def _turned(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the angles between samples, radians, by a polynomial through six, (n - 1, 3)."""
     bend, twist = np.zeros_like(rate), np.zeros_like(rate)
     bend[1:-1] = np.diff(rate, 2, axis=0)
     twist[2:-2] = np.diff(rate, 4, axis=0)
     value = rate - bend / 12.0 + twist * (11.0 / 720.0)
-    angle = 0.5 * step * (value[:-1] + value[1:])
-    share = np.minimum(step / SWAY, 1.0) ** 4
-    return angle, share * step**2 * (bend[:-1] ** 2 + bend[1:] ** 2) / 24.0
+    return np.asarray(0.5 * np.diff(time)[:, None] * (value[:-1] + value[1:]))
 
 
 def _first_rows(
