@@ -10,9 +10,8 @@ from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
-from magcal_ros.core.samples.streams import slow_words
+from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
-from magcal_ros.core.up import SWAY
 
 
 @dataclass(frozen=True)

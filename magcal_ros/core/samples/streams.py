@@ -14,6 +14,9 @@ from typing import NamedTuple
 from magcal_ros.core.geometry.vec3 import Triple, between, length
 from magcal_ros.core.samples.stamps import BurstWatch
 
+SWAY = 0.22
+"""Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
+
 
 @dataclass(frozen=True)
 class StreamTuning:

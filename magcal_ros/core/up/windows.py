@@ -10,16 +10,12 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.geometry.vec3 import Triple, length
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.streams import SWAY, ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.up_tuning import FilterTuning
 
 TUNING = FilterTuning()
-
-
-SWAY = 0.22
-"""Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
 
 
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:

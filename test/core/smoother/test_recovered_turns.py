@@ -14,7 +14,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge, Systematics
-from magcal_ros.core.methods.smoother_one import fit, fit_turn
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -145,7 +145,7 @@ def slowly(every: int, seed: int, *, means: bool) -> Window:
 def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, means, monkeypatch):
     """The sway alone tells the vertical hard iron, and the gyro sees little of it between them."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
-    estimate = fit_turn(slowly(every, 2, means=means))
+    estimate = fit(slowly(every, 2, means=means))
     rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
     assert rms[LEVEL_TILT] < 0.3 * DEGREE
     assert rms.max() < 2.5 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
