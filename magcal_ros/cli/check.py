@@ -52,7 +52,8 @@ def run(options: argparse.Namespace) -> int:
     folder = new_or_named(options.output, "magcal_check")
     elsewhere = made_elsewhere(calibration, gathered.reference.field)
     notes = [*_other_sensor(origin, gathered), *gathered.complaints()]
-    notes += [elsewhere] if elsewhere else []
+    slow = gathered.gathering.slow_field
+    notes += [words for words in (slow, elsewhere) if words]
     notes += [] if course is None else [course.words, *(c.words for c in course.checks)]
     notes += [] if own is None else [own.words]
     try:

@@ -18,6 +18,7 @@ class Reason(str, Enum):
 
     TOO_FEW_SAMPLES = "too_few_samples"
     NOT_FINITE = "not_finite"
+    TOO_SLOW = "too_slow"
     NO_MOTION = "no_motion"
     ARC_TOO_SHORT = "arc_too_short"
     FIELD_NOT_ON_A_PLANE = "field_not_on_a_plane"

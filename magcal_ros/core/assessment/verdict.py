@@ -263,14 +263,14 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_pull_deg)
     if bound.figure is Figure.SPLIT_HALF:
-        # By chance halves differ by some sigmas of the whole, and these are graded by themselves;
-        # what pulls all the way pulls in both.
+        # By chance halves differ by some sigmas of the whole; what pulls all the way is in both.
         with_iron = figures.get(Figure.SOFT_IRON)
         sigmas = TUNING.chance_with_soft_iron if with_iron else TUNING.chance
         alike = figures.get(Figure.POSSIBLE_PULL, 0.0)
         chance = sigmas * math.sqrt(max(figures[Figure.HEADING_SIGMA] ** 2 - alike**2, 0.0))
         excess = math.sqrt(max(figure**2 - chance**2, 0.0))
-        note = f", of which chance may be {shown(chance * DEGREES)}°"
+        part = f", of which chance may be {shown(chance * DEGREES)}°"
+        note = part if figure > chance else ", no more than chance may be"
         return bound.check(figure, excess=excess, note=note)
     if bound.figure is Figure.RADIUS_MISFIT:
         allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)

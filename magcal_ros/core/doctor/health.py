@@ -10,7 +10,7 @@ from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
-from magcal_ros.core.samples.streams import slow_words
+from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 
 
@@ -59,6 +59,12 @@ def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -
         f"at most {gaps.max():.2f} s"
     )
     if name == "IMU" and (slow := slow_words(usual)):
+        return looked_at("slow", f"{name}: stamps", evidence, slow)
+    if name != "IMU" and usual > SWAY:
+        slow = (
+            f"it comes at {1.0 / usual:.2g} Hz: where a gyro is to follow a turn or a drive, "
+            "publish or record the field at 10 Hz or more, or let the driver average its readings"
+        )
         return looked_at("slow", f"{name}: stamps", evidence, slow)
     long = long_gaps(time)
     if len(long):

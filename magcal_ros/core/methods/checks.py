@@ -6,7 +6,8 @@ import numpy as np
 
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.streams import STREAMS, SWAY
 from magcal_ros.core.samples.window import Window
 
 WEAKEST_FORCE = 0.8
@@ -50,6 +51,21 @@ def refuse_empty(window: Window, min_samples: int) -> None:
         raise Refusal(
             Reason.FIELD_ABSENT, "The magnetometer reads zero. Check its driver and its topic."
         )
+
+
+def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return why samples come too slowly for any fit that believes their gyro; None if not."""
+    if window.angular_rate is None or len(window) < 2 or knowledge.systematics.are_none:
+        return None
+    step = float(np.median(np.diff(window.time)))
+    if step <= SWAY:
+        return None
+    return Refusal(
+        Reason.TOO_SLOW,
+        f"The samples of field and IMU come at {1.0 / step:.2g} Hz, and what the gyro measures "
+        "does not say how the robot turned and swayed between them. Publish or record both at 10 "
+        "Hz or more, or let the driver average its readings and turn more slowly.",
+    )
 
 
 def _usual_size(vectors: FloatArray) -> float:

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty
+from magcal_ros.core.methods.checks import refuse_empty, too_slow
 from magcal_ros.core.methods.maximum_likelihood.screening import (
     check_agreement,
     check_arc,
@@ -82,6 +82,10 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     living = living_axes(window.angular_rate)
     if living[2]:
         found = smooth(window, knowledge)
+        stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
+        slow = None if stays else too_slow(window, knowledge)
+        if slow is not None:
+            raise slow
         estimate = _estimate(found, window, knowledge)
         if found.mode in DRIVES:
             _check_drive(found, estimate, all(living))

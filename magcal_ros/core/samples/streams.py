@@ -14,6 +14,9 @@ from typing import NamedTuple
 from magcal_ros.core.geometry.vec3 import Triple, between, length
 from magcal_ros.core.samples.stamps import BurstWatch
 
+SWAY = 0.22
+"""Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
+
 
 @dataclass(frozen=True)
 class StreamTuning:
@@ -138,8 +141,7 @@ def slow_field_words(gap: float) -> str:
     return (
         f"it comes at {1.0 / gap:.2g} Hz, and between field samples a gyro is followed for "
         f"{STREAMS.longest_gyro_step:g} s at most: a drive needs the field at "
-        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz. A slow turn is still "
-        "fitted (magcal fit)"
+        f"{1.0 / STREAMS.longest_gyro_step:g} Hz or more, at best at 10 Hz"
     )
 
 

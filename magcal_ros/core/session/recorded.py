@@ -210,7 +210,7 @@ def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHO
     if isinstance(window, Window):
         outcome = calibrate(window, knowledge, method)
         verdict, slow = outcome.verdict, gathering.slow_field
-        if slow and not verdict.accepted:
+        if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")
         return replace(outcome, verdict=verdict)
     drive = calibrate_drive(log, knowledge) if method == METHODS[0] else None

@@ -191,20 +191,21 @@ def force(course: Course, state: State) -> Linear:
     velocity = state.local[:, VELOCITY]
     mean = 0.5 * (velocity[1:] + velocity[:-1])
     seconds = nodes.seconds[:, None]
-    gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
+    gravity = STANDARD_GRAVITY * state.attitude[:, :, 2]
+    # Half by the attitude of each end: what the gyro missed between them is no error of force.
+    along, back = 0.5 * nodes.along, 0.5 * nodes.along @ np.swapaxes(nodes.turned, 1, 2)
     spin = skews(rate)
     by_arm = spin @ spin + skews(nodes.swing)
     acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
-    predicted = (
-        np.einsum("nij,nj->ni", nodes.along, gravity)
-        + acceleration @ level.T
-        + by_arm @ shared[AT["lever_arm"]]
-    )
+    predicted = np.einsum("nij,nj->ni", along, gravity[:-1])
+    predicted += np.einsum("nij,nj->ni", back, gravity[1:])
+    predicted += acceleration @ level.T + by_arm @ shared[AT["lever_arm"]]
     moving = 0.5 * (course.moving[1:] + course.moving[:-1])[:, None]
     predicted += shared[AT["force_offset"]] + moving * shared[AT["force_moving"]]
     count = len(seconds)
     here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -nodes.along @ skews(gravity)
+    here[:, :, ATTITUDE] = -along @ skews(gravity[:-1])
+    there[:, :, ATTITUDE] = -back @ skews(gravity[1:])
     bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
     here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
     there[:, :, VELOCITY] = bend + level / seconds[:, :, None]

@@ -12,9 +12,7 @@ from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.unknowns import MICROTESLA
-
-LONG = 1.5
-"""Of the usual time between samples, from which some are missing."""
+from magcal_ros.core.up import unseen_angles
 
 
 @dataclass(frozen=True)
@@ -27,12 +25,15 @@ class Spacing:
         Seconds of a node.
     most_turn : float
         Radians that a robot turns during a node.
+    most_unseen : float
+        Radians within a node that samples which come slowly may miss.
     most : int
         Nodes; beyond, all become longer.
     """
 
     longest: float = 0.6
     most_turn: float = math.radians(6.0)
+    most_unseen: float = math.radians(0.1)
     most: int = 1000
 
 
@@ -69,7 +70,7 @@ class Nodes:
     samples : ndarray, shape (n - 1,)
         Of force in each mean; zero where there is none.
     unseen : ndarray, shape (n - 1, 3)
-        Variance of the angle there of what happened while samples were missing, radians².
+        Variance of the angle there by what samples that come slowly miss, radians².
     noise : float
         White noise of a field sample per axis, microtesla.
     mean_force : ndarray, shape (n, 3)
@@ -119,9 +120,9 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
-    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
+    steps, unseen = _turned(time, rate), unseen_angles(time, rate)
     attitude = chained(exp_rotations(-steps)[None])[0]
-    first = _first_rows(time, np.linalg.norm(steps, axis=1), spacing)
+    first = _first_rows(time, steps, unseen, spacing)
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2
     count = (last - first).astype(float)
@@ -129,7 +130,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     mean_rate = _means(rate, first, count)
     shaking = _spread(window.specific_force, first, count)
     rocking = _spread(rate, first, count)
-    links = _Links.of(window, attitude, middle)
+    links = _Links.of(window, attitude, middle, steps, unseen)
     nodes = Nodes(
         time[middle],
         _means(field, first, count),
@@ -156,12 +157,27 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     return nodes
 
 
-def _first_rows(time: FloatArray, turned: FloatArray, spacing: Spacing) -> IntArray:
+def _turned(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the angles between samples, radians, by a polynomial through six, (n - 1, 3)."""
+    bend, twist = np.zeros_like(rate), np.zeros_like(rate)
+    bend[1:-1] = np.diff(rate, 2, axis=0)
+    twist[2:-2] = np.diff(rate, 4, axis=0)
+    value = rate - bend / 12.0 + twist * (11.0 / 720.0)
+    return np.asarray(0.5 * np.diff(time)[:, None] * (value[:-1] + value[1:]))
+
+
+def _first_rows(
+    time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing
+) -> IntArray:
     """Return the first row of each node."""
-    worth = np.maximum(np.diff(time) / spacing.longest, turned / spacing.most_turn)
+    turned = np.linalg.norm(steps, axis=1) / spacing.most_turn
+    missed = np.sqrt(unseen.max(axis=1)) / spacing.most_unseen
+    worth = np.maximum.reduce([np.diff(time) / spacing.longest, turned, missed])
     clock = np.concatenate([[0.0], np.cumsum(worth)])
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
-    return np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
+    first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
+    # What is left over at the end is no node of its own, which would look quiet.
+    return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
 
 
 def _means(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
@@ -196,9 +212,15 @@ class _Links:
     unseen: FloatArray
 
     @classmethod
-    def of(cls, window: Window, attitude: FloatArray, middle: IntArray) -> _Links:
-        rate, seconds = window.angular_rate, np.diff(window.time[middle])
-        assert rate is not None
+    def of(
+        cls,
+        window: Window,
+        attitude: FloatArray,
+        middle: IntArray,
+        steps: FloatArray,
+        unseen: FloatArray,
+    ) -> _Links:
+        seconds = np.diff(window.time[middle])
         ends = np.diff(middle)
         start = np.repeat(middle[:-1], ends)
         rows = np.arange(middle[0], middle[-1])
@@ -212,15 +234,11 @@ class _Links:
             return np.asarray(np.add.reduceat(inside, begin, axis=0) / seconds.reshape(shape))
 
         force = window.specific_force
-        # Between two samples with others missing the rate may have changed at any moment.
-        is_gap = step > LONG * np.median(np.diff(window.time))
-        change = np.diff(rate, axis=0)[rows] * step[:, None]
-        doubt = np.where(is_gap[:, None], change**2 / 12.0, 0.0)
         return cls(
-            mean(rate[rows], rate[rows + 1]) * seconds[:, None],
+            np.add.reduceat(steps[rows], begin, axis=0),
             mean(force[rows], force[rows + 1]),
             mean(attitude[rows] @ back, attitude[rows + 1] @ back),
-            np.add.reduceat(doubt, begin, axis=0),
+            np.add.reduceat(unseen[rows], begin, axis=0),
         )
 
 

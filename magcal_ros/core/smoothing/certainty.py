@@ -77,6 +77,7 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     widened = max(widened, least**2)
     of_shared = widened * plain
     of_shared[TILT, TILT] += _lean(smoothed) ** 2
+    of_shared += _by_wander(smoothed, plain)
     covariance = jacobian @ of_shared @ jacobian.T
     sigma = rms_sigma(by_heading, of_shared)
     return Twelve(correction, 0.5 * (covariance + covariance.T), field, sigma, widened)
@@ -152,6 +153,23 @@ def _lean(smoothed: Smoothed) -> float:
     """
     about_up = abs(float(smoothed.unknowns.shared[GYRO_BIAS]))
     return smoothed.problem.nodes.lean.sigma(about_up)
+
+
+def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
+    """Return the covariance of the shared numbers by what is wrong with how up varies, (15, 15).
+
+    As in every fit to a noisy input, what follows it is found too small: the downward field, which
+    only leaning tells. The hard iron along up makes good for that; the level heading stays. Where
+    the downward field was known before, little of it is told by leaning.
+    """
+    prior, wander = smoothed.problem.prior, smoothed.problem.nodes.lean.wander
+    before = 1.0 / float(prior.information[DOWN_FIELD, DOWN_FIELD])
+    by_leaning = max(1.0 - float(plain[DOWN_FIELD, DOWN_FIELD]) / before, 0.0)
+    off = np.zeros(SHARED)
+    # Of the field as it is likely to be: what was found is too small.
+    off[DOWN_FIELD] = wander * by_leaning * math.hypot(float(prior.mean[DOWN_FIELD]), before**0.5)
+    off[IRON] = off[DOWN_FIELD] * distortion(smoothed.unknowns.shared)[:, 2]
+    return np.outer(off, off)
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:

@@ -18,7 +18,7 @@ from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.level_bias import ForceLog, Leans, gyro_bias
 from magcal_ros.core.smoothing.nodes import LeanDoubt, levelled_axes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
-from magcal_ros.core.up import relative_attitudes
+from magcal_ros.core.up import relative_attitudes, unseen_angles
 
 SMALLEST_STEP = 1e-3
 SMALL_BIAS = 1e-3
@@ -37,11 +37,14 @@ class Level:
         Whether nothing pulls, as starts, stops and bends do: then nobody travels.
     doubt : LeanDoubt
         There is none for who stays.
+    wander : ndarray, shape (m, 3), or None
+        About what is wrong with how up varies; None for who stays.
     """
 
     up: FloatArray
     stays: bool
     doubt: LeanDoubt
+    wander: FloatArray | None = None
 
 
 def level_of(
@@ -94,7 +97,22 @@ def level_of(
     leaning = averaged(bias.rate + SMALL_BIAS * across, tuning.level_memory) - up
     lean = float(np.linalg.norm(leaning.mean(axis=0))) / SMALL_BIAS
     doubt = LeanDoubt(bias.information / tuning.bends_alike, lean, tuning.usual_bias)
-    return Level(up, False, doubt)
+    wander = averaged(bias.rate, 0.5 * tuning.level_memory) - up
+    return Level(up, False, doubt, _with_walk(wander, time, rate, tuning.level_memory))
+
+
+def _with_walk(wander: FloatArray, time: FloatArray, rate: FloatArray, memory: float) -> FloatArray:
+    """Return what starts and stops leave in the mean, enlarged by what the gyro misses meanwhile.
+
+    The former, (m, 3), is known as it is twice as much over half the time. Where samples come
+    slowly, the latter is a random walk (`unseen_angles`), of which the mean over both sides leaves
+    a fourth of the memory.
+    """
+    if len(time) < 2:
+        return wander
+    walk = 2.0 / 3.0 * float(np.sum(unseen_angles(time, rate))) / float(np.ptp(time))
+    size = float(np.mean(np.sum(wander**2, axis=1)))
+    return wander * math.sqrt(1.0 + 0.25 * memory * walk / max(size, 1e-12))
 
 
 def pull(force: FloatArray, up: FloatArray, tuning: SmootherTuning = TUNING) -> float:

@@ -107,7 +107,8 @@ class DriveLog:
     def nodes(self, to_body: FloatArray) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
         level = self.level
-        track = Track(self.time, self.field, level.up, self.rate, self.driven, level.doubt)
+        rows = (self.time, self.field, level.up, self.rate, self.driven)
+        track = Track(*rows, level.doubt, level.wander)
         return nodes_of(track, to_body)
 
 

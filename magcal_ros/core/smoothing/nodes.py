@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,15 @@ class LeanDoubt:
         Radians that up leans for each rad/s of bias.
     usual : float
         rad/s per axis: one sigma of a bias beforehand.
+    wander : float
+        Share of the square by which up varies that is error of up. The downward field is found by
+        so much too small, and the hard iron along up with it.
     """
 
     information: float = math.inf
     per_bias: float = 0.0
     usual: float = TUNING.usual_bias
+    wander: float = 0.0
 
     def sigma(self, about_up: float) -> float:
         """Return it in radians, for a gyro whose bias about up is known to be so large, rad/s.
@@ -158,6 +162,8 @@ class Track:
         m/s along the way; None where nobody measures it.
     lean : LeanDoubt
         Of up.
+    wander : ndarray, shape (m, 3), or None
+        About what is wrong with how up varies.
     """
 
     time: FloatArray
@@ -166,6 +172,7 @@ class Track:
     rate: FloatArray
     speed: FloatArray | None = None
     lean: LeanDoubt = LeanDoubt()
+    wander: FloatArray | None = None
 
 
 def levelled_axes(up: FloatArray) -> FloatArray:
@@ -231,8 +238,17 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         np.diff(piece, prepend=piece[0] - 1) == 0,
         np.zeros(n),
         np.full(n, np.inf),
-        track.lean,
+        replace(track.lean, wander=_wander(track, means)),
     )
+
+
+def _wander(track: Track, means: Means) -> float:
+    """Return which share of the square by which up varies from node to node is error of up."""
+    if track.wander is None:
+        return 0.0
+    up = means.of(track.up)
+    varies = float(np.sum((up - up.mean(axis=0)) ** 2))
+    return min(float(np.sum(means.of(track.wander) ** 2)) / max(varies, 1e-9), 1.0)
 
 
 class Means:

@@ -3,6 +3,14 @@
 from magcal_ros.core.up.follower import Up, UpFollower
 from magcal_ros.core.up.propagation import GyroBias
 from magcal_ros.core.up.up_tuning import UpTuning
-from magcal_ros.core.up.windows import propagated_up, relative_attitudes
+from magcal_ros.core.up.windows import propagated_up, relative_attitudes, unseen_angles
 
-__all__ = ["GyroBias", "Up", "UpFollower", "UpTuning", "propagated_up", "relative_attitudes"]
+__all__ = [
+    "GyroBias",
+    "Up",
+    "UpFollower",
+    "UpTuning",
+    "propagated_up",
+    "relative_attitudes",
+    "unseen_angles",
+]

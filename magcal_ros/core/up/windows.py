@@ -10,12 +10,32 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.geometry.vec3 import Triple, length
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.streams import SWAY, ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.follower import UpFollower
 from magcal_ros.core.up.up_tuning import FilterTuning
 
 TUNING = FilterTuning()
+
+
+def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the variances of the angles between samples, radians², shape (n - 1, 3).
+
+    A body may sway between samples that come slowly as much as from one to the next. If all they
+    show is sway too fast for them, as random as white noise, the variance is right.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Seconds.
+    rate : ndarray, shape (n, 3)
+        rad/s.
+    """
+    step = np.diff(time)[:, None]
+    square = np.zeros_like(rate)
+    square[1:-1] = np.diff(rate, 2, axis=0) ** 2
+    share = np.minimum(step / SWAY, 1.0) ** 4
+    return np.asarray(share * step**2 * (square[:-1] + square[1:]) / 24.0)
 
 
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:

@@ -293,7 +293,7 @@ class TestWhatTheEstimateItselfShows:
         verdict = judge(estimate(figures=figures), KNOWN)
         check = grade_of(verdict, "split_half")
         assert check.grade is Grade.EXCELLENT
-        assert check.words.endswith("differ by 0.97°, of which chance may be 1.47°")
+        assert check.words.endswith("differ by 0.97°, no more than chance may be")
 
     def test_a_radius_within_what_the_reference_promises_is_no_fault(self):
         figures = {"radius_ratio": 1.2}

@@ -60,6 +60,13 @@ def test_stamps_in_bursts_are_named(period):
     assert "bursts" in found.remedy
 
 
+def test_a_field_that_comes_slowly_is_named():
+    found = stamps_finding("field", np.arange(60.0))
+    assert found.key == "slow"
+    assert "it comes at 1 Hz" in found.remedy
+    assert not stamps_finding("field", 0.2 * np.arange(60.0)).remedy
+
+
 def test_stamps_that_jitter_by_most_of_a_gap_are_named():
     time = np.sort(0.025 * (np.arange(COUNT) + np.random.default_rng(5).uniform(-3, 3, COUNT)))
     assert "jitter" in stamps_finding("field", time).remedy

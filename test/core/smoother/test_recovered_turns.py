@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from uneven_turns import ROBOT, collected, driven, evenly
 
+from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.errors import Reason
+from magcal_ros.core.knowledge import Knowledge, Systematics
 from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
@@ -119,3 +121,40 @@ def test_squared_errors_are_as_large_as_their_variance():
         estimate = fit(measure(robot, turn(), rng, gyro=True), known(robot))
         ratios.append((error_of(estimate, robot) / predicted_heading_sigma(estimate, 0.0)) ** 2)
     assert np.mean(ratios) < 1.5
+
+
+def slowly(every: int, seed: int, *, means: bool) -> Window:
+    """A turn of a minute that sways by a degree, of which a driver publishes every so many samples.
+
+    Or their means. 30 samples come in a second.
+    """
+    _, window = driven(evenly, ROBOT, 8.0, seed=seed)
+    count = len(window.time) // every * every
+
+    def thinned(values):
+        cut = values[:count].reshape(-1, every, *values.shape[1:])
+        return cut.mean(axis=1) if means else cut[:, 0]
+
+    each = (window.time, window.field, window.specific_force, window.angular_rate)
+    return collected(Window(*(thinned(values) for values in each)))
+
+
+@pytest.mark.parametrize(
+    ("every", "means"), [(6, True), (6, False), (15, True), (30, True)], ids=str
+)
+def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, means, monkeypatch):
+    """The sway alone tells the vertical hard iron, and the gyro sees little of it between them."""
+    monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
+    estimate = fit(slowly(every, 2, means=means))
+    rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
+    assert rms[LEVEL_TILT] < 0.3 * DEGREE
+    assert rms.max() < 2.5 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
+
+
+@pytest.mark.parametrize("every", [15, 30])
+def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
+    """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
+    monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
+    outcome = calibrate(slowly(every, 2, means=False), Knowledge())
+    assert outcome.reason is Reason.TOO_SLOW
+    assert f"come at {30 // every} Hz" in outcome.verdict.summary

@@ -5,11 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated.drive import random_vehicle
+from simulated.drive import random_vehicle, simulated_drive
 from simulated.legs import circles, city, joined, standing
+from simulated.travel import travel
 from streets import BOSTON, driven, heading_error, log_from
 
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.smoothing.fit import fit_nodes
+from magcal_ros.core.smoothing.log import log_of
 
 NOBODY = np.eye(3)
 
@@ -86,3 +91,15 @@ def test_a_calmer_place_is_no_excuse_to_be_sure_after_one_circle():
     """What is found of a street within one circle is little of its size."""
     fit = fitted(log_from(ringed(3, seconds=25.0), speed=True))
     assert math.degrees(fit.twelve.heading_sigma) > 1.0
+
+
+@pytest.mark.parametrize("every", [1, 6])
+def test_the_vertical_of_a_drive_is_doubted_by_what_its_up_errs(every):
+    """Up errs by a third of how it varies, and more where an IMU comes at 5 Hz."""
+    rng = np.random.default_rng(2)
+    drive = simulated_drive(travel(city(rng, 900.0), rng, rate=30.0), rng)
+    each = (drive.truth.time, drive.field, drive.force, drive.rate)
+    log = log_of(Window(*(values[::every] for values in each)))
+    twelve = fit_nodes(log.nodes(np.eye(3)), Knowledge()).twelve
+    off = abs(twelve.correction.hard_iron[2] - Robot().hard_iron[2])
+    assert 3e-6 < off < 2.0 * math.sqrt(twelve.covariance[11, 11])
