@@ -99,10 +99,12 @@ class HeadingPipeline:
             self._reference.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, settings: Settings, keeper: Keeper, store: CalibrationStore) -> None:
+    def follow(
+        self, settings: Settings, keeper: Keeper, store: CalibrationStore, is_turning: bool
+    ) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
-        learnt = self.motors.follow(Mode(settings.self_calibration))
+        learnt = self.motors.follow(Mode(settings.self_calibration), is_turning)
         if learnt is not None and keeper.keep_motors(learnt):
             store.save(lambda _: None)
 
@@ -118,7 +120,8 @@ class HeadingPipeline:
         streams = self._inputs.streams
         up = self._up.at(sample.stamp, streams.max_gap)
         running = self.motors.as_used(compass, sample.stamp)
-        return Moment.of(compass, sample, up, streams.newest_rate, running)
+        turning = self._up.rate if self._up.is_propagated else None
+        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""
