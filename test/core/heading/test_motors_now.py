@@ -45,7 +45,7 @@ def test_a_start_and_a_stop_may_be_seen_late_or_early(late):
     shows = (stamps > 4.0 + late) & (stamps < 8.0 + late)
     told = [Running(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in shows]
     off, sigma = errors(motors(), told, np.outer(runs, STEP), runs)
-    assert np.linalg.norm(off, axis=1).max() < 0.15 * np.linalg.norm(STEP)
+    assert np.linalg.norm(off, axis=1).max() < 0.2 * np.linalg.norm(STEP)
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
 
@@ -54,13 +54,14 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     stamps = np.arange(500) * PERIOD
     ripple = np.convolve(rng.standard_normal(520), np.ones(10) / np.sqrt(10.0))[:500]
     current = np.where(stamps > 2.0, 3.0 + ripple, 0.0)
+    late = np.concatenate([np.zeros(5), current[:-5]])
     told = [
         Running(float(t > 2.0), 0.4, 0.0, c, 1.0)
-        for t, c in zip(stamps, np.roll(current, 5), strict=True)
+        for t, c in zip(stamps, late, strict=True)
     ]
     added = np.outer(stamps > 2.0, STEP) + np.outer(current, BY_CURRENT)
     off, sigma = errors(motors(1e-6), told, added, stamps > 2.0)
-    plain = np.outer(current - np.roll(current, 5), BY_CURRENT)
+    plain = np.outer(current - late, BY_CURRENT)
     assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(plain**2))
     assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
 
