@@ -55,10 +55,7 @@ def test_a_current_that_ripples_and_comes_late_is_made_up_for():
     ripple = np.convolve(rng.standard_normal(520), np.ones(10) / np.sqrt(10.0))[:500]
     current = np.where(stamps > 2.0, 3.0 + ripple, 0.0)
     late = np.concatenate([np.zeros(5), current[:-5]])
-    told = [
-        Running(float(t > 2.0), 0.4, 0.0, c, 1.0)
-        for t, c in zip(stamps, late, strict=True)
-    ]
+    told = [Running(float(t > 2.0), 0.4, 0.0, c, 1.0) for t, c in zip(stamps, late, strict=True)]
     added = np.outer(stamps > 2.0, STEP) + np.outer(current, BY_CURRENT)
     off, sigma = errors(motors(1e-6), told, added, stamps > 2.0)
     plain = np.outer(current - late, BY_CURRENT)
