@@ -116,7 +116,7 @@ class InputTuning:
     body_length: float = 4.0
     late_share: float = 0.03
     longest: float = 0.5
-    latency: float = 0.3
+    latency: float = 0.2
 
 
 class _Answer(NamedTuple):
