@@ -13,6 +13,7 @@ from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.turn_states import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.ros.fused import FusedOutput
@@ -100,11 +101,11 @@ class HeadingPipeline:
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
     def follow(
-        self, settings: Settings, keeper: Keeper, store: CalibrationStore, is_turning: bool
+        self, settings: Settings, keeper: Keeper, store: CalibrationStore, turn: TurnState
     ) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
-        learnt = self.motors.follow(Mode(settings.self_calibration), is_turning)
+        learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
         if learnt is not None and keeper.keep_motors(learnt):
             store.save(lambda _: None)
 

@@ -158,7 +158,7 @@ class Motors:
         mode : Mode
             Of self-calibration.
         is_turning : bool
-            Whether this node turns the robot, or waits to.
+            Whether a turn is under way, in which this node may ask who listens to its commands.
         """
         self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:

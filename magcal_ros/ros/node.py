@@ -355,7 +355,7 @@ class Calibrator(Node):
         if not self._table.settings.accumulate:
             self._control.forget_turns()
         settings, swing = self._table.settings, self._travel.swing
-        self._pipeline.follow(settings, self._keeper, self._store, not self._look.is_canceled())
+        self._pipeline.follow(settings, self._keeper, self._store, self._control.state)
         self._reference.refresh()
         self._frames.note_up(self._up)
         self._keeping.follow(settings.self_calibration, settings.report_folder, swing)
