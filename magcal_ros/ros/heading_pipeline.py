@@ -13,7 +13,7 @@ from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.turn_states import TurnState
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.ros.fused import FusedOutput
