@@ -168,7 +168,9 @@ def headings(
                 if sample.stamp - learnt > 1.0:
                     learnt = sample.stamp
                     compass.use_motors(learning.motors)
-            seen = Moment.of(compass, sample, up.at(sample.stamp, 0.2), up.rate, now)
+            turning = up.rate if up.is_propagated else None
+            above = up.at(sample.stamp, 0.2)
+            seen = Moment.of(compass, sample, above, up.rate, now, turning)
             if sample.stamp > robotic.turn_until and seen.heading is not None:
                 error = wrapped(seen.heading.yaw - yaws[sample.stamp])
                 assert seen.up is not None

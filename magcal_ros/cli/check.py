@@ -44,9 +44,9 @@ def run(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
     with opened(options, options.recording) as source:
-        gathered = gather(options, Mounting(), source)
+        gathered = gather(options, Mounting(), source, calibration)
         north = gathered.reference.field.declination
-        travel, readings = source.travel(), RepairedReadings(source)
+        travel, readings = source.travel(), RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
         own = against_own_yaw(calibration, readings, source.yaw(), north)
     folder = new_or_named(options.output, "magcal_check")

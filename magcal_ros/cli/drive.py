@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         replay = DriveReplay(Knowledge(reference.field, mounting_from(options)), begun)
-        mended = RepairedReadings(source, for_drive=True)
+        mended = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel()
         with at_work(lambda: f"fitting the drive, {100.0 * mended.share:.0f} % of it", sys.stderr):
             replay.take(mended, travel)

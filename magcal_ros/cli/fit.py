@@ -10,6 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
+from magcal_ros.cli.known_headings import (
+    HeardAtHeadings,
+    add_heading_options,
+    check_heading_options,
+    fit_known,
+    heard_at_headings,
+)
 from magcal_ros.cli.recorded import (
     Gathered,
     add_knowledge_options,
@@ -80,6 +87,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
     )
+    add_heading_options(parser)
     add_knowledge_options(parser)
     parser.set_defaults(run=run)
 
@@ -90,9 +98,10 @@ def run(options: argparse.Namespace) -> int:
     _check_use(options)
     mounting = mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
+    heard = tuple(heard_at_headings(options, path) for path in options.recordings)
     count = sum(sum(each.gathering.heard) for each in everything)
     with at_work(lambda: f"fitting {count} messages", sys.stderr):
-        fitted = _fit(everything, options)
+        fitted = _fit(everything, options, heard)
     knowledge = fitted.knowledge
     if options.compare:
         print(plain_lines(compare_methods(fitted.outcome.window, knowledge)))
@@ -109,6 +118,7 @@ def _gathered(options: argparse.Namespace, mounting: Mounting, path: Path) -> Ga
 
 
 def _check_use(options: argparse.Namespace) -> None:
+    check_heading_options(options)
     if len(options.recordings) == 1:
         return
     if options.compare:
@@ -117,7 +127,11 @@ def _check_use(options: argparse.Namespace) -> None:
         raise Misuse("--from and --to cut one recording: with several, give each whole")
 
 
-def _fit(everything: tuple[Gathered, ...], options: argparse.Namespace) -> Fitted:
+def _fit(
+    everything: tuple[Gathered, ...],
+    options: argparse.Namespace,
+    heard: tuple[HeardAtHeadings | None, ...],
+) -> Fitted:
     frames = sorted({each.field_frame for each in everything if each.field_frame})
     if len(frames) > 1:
         raise Misuse(
@@ -127,6 +141,10 @@ def _fit(everything: tuple[Gathered, ...], options: argparse.Namespace) -> Fitte
     # All turns are made in one place: the first recording that knows its field speaks for it.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
+    at_headings = fit_known(heard, knowledge, options)
+    if at_headings is not None:
+        progress = everything[-1].gathering.progress()
+        return Fitted(everything[-1], knowledge, at_headings, progress, everything)
     if len(everything) == 1:
         gathering = everything[0].gathering
         outcome = fit_gathered(gathering, knowledge, options.method)

@@ -15,6 +15,7 @@ from typing import Protocol, TextIO
 
 from magcal_ros.cli.common import number
 from magcal_ros.cli.reference import add_reference_options, reference_in_use
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.earth_field.reference import Reference
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
@@ -172,8 +173,15 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
         line.clear()
 
 
-def gather(options: argparse.Namespace, mounting: Mounting, source: Source) -> Gathered:
+def gather(
+    options: argparse.Namespace,
+    mounting: Mounting,
+    source: Source,
+    known: Calibration | None = None,
+) -> Gathered:
     """Read a recording, with progress on stderr, and find its reference field.
+
+    What the motors of a known calibration add is taken off.
 
     Raises
     ------
@@ -183,7 +191,7 @@ def gather(options: argparse.Namespace, mounting: Mounting, source: Source) -> G
         If its IMU is too slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-    mended = RepairedReadings(source)
+    mended = RepairedReadings(source, known=known)
     gathering.take(watched(mended, mended, sys.stderr), source.travel())
     return Gathered(
         gathering,

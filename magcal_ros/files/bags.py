@@ -15,8 +15,16 @@ from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.messages import (
+    field_sample,
+    fix_of,
+    heading_of,
+    imu_sample,
+    seconds,
+    speed_of,
+    velocity_of,
+)
+from magcal_ros.core.samples.travel_samples import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
@@ -32,6 +40,7 @@ if TYPE_CHECKING:
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELD_TYPE = "sensor_msgs/msg/MagneticField"
 FIX_TYPE = "sensor_msgs/msg/NavSatFix"
+BATTERY_TYPE = "sensor_msgs/msg/BatteryState"
 ODOM_TYPE = "nav_msgs/msg/Odometry"
 TWIST_TYPE = "geometry_msgs/msg/TwistStamped"
 SURE_TWIST_TYPE = "geometry_msgs/msg/TwistWithCovarianceStamped"
@@ -169,6 +178,50 @@ class Bag:
                     sample = plane.position(sample)
                 if sample is not None and not isinstance(sample, str):
                     found.append(sample)
+        return sorted(found, key=lambda sample: sample.stamp)
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return stamps, seconds, and currents of the battery, A; empty if there is none.
+
+        Raises
+        ------
+        FileTrouble
+            Where the bag is damaged.
+        """
+        all_of_them = self._reader.connections
+        heard = [c for c in all_of_them if c.msgtype == BATTERY_TYPE and c.msgcount]
+        found = list[tuple[float, float]]()
+        # Several batteries are no one current.
+        if len({c.topic for c in heard}) != 1:
+            return found
+        with _damage_in_words(self._path):
+            for connection, received, data in self._reader.messages(heard, self._first, self._end):
+                message: Any = self._reader.deserialize(data, connection.msgtype)
+                # Zero stamps are usual in drivers of batteries.
+                stamp = seconds(message.header.stamp) or received * 1e-9
+                found.append((stamp, float(message.current)))
+        return sorted(found)
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Return the yaws of a topic's orientations, by stamp.
+
+        Raises
+        ------
+        Misuse
+            If there is no such topic.
+        FileTrouble
+            If the bag is damaged, or the topic tells no heading.
+        """
+        heard, found, why = _named(self._path, self._reader, IMU_TYPE, topic), [], ""
+        with _damage_in_words(self._path):
+            for connection, _, data in self._reader.messages(heard, self._first, self._end):
+                sample = heading_of(self._reader.deserialize(data, connection.msgtype))
+                if isinstance(sample, str):
+                    why = sample
+                else:
+                    found.append(sample)
+        if not found:
+            raise FileTrouble(f"{plain(topic)} tells no heading: {why or 'it is empty'}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _travelled(self, connection: Connection, data: bytes) -> Any:

@@ -8,6 +8,7 @@ from itertools import chain, islice
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.vec3 import between, length
@@ -19,6 +20,7 @@ from magcal_ros.core.samples.stamps import (
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading
+from magcal_ros.core.session.recorded_motors import without_motors
 from magcal_ros.files.sources import Source
 
 LOOKED_AT = 20_000
@@ -43,6 +45,8 @@ class RepairedReadings:
         The recording.
     for_drive : bool
         Whether it is read as a drive, for which its field may be too slow.
+    known : Calibration, optional
+        Whose motors' field is taken off.
 
     Attributes
     ----------
@@ -50,8 +54,10 @@ class RepairedReadings:
         What was repaired, in words; complete when everything has been read.
     """
 
-    def __init__(self, source: Source, for_drive: bool = False) -> None:
-        self._source, self._for_drive = source, for_drive
+    def __init__(
+        self, source: Source, for_drive: bool = False, known: Calibration | None = None
+    ) -> None:
+        self._source, self._for_drive, self._known = source, for_drive, known
         self._ahead = self._given = 0
         self.notes: list[str] = []
 
@@ -68,6 +74,12 @@ class RepairedReadings:
         Refusal
             If a sensor is too slow for what is to be done.
         """
+        if self._known is None or self._known.motors is None:
+            return self._repaired()
+        told = self._source.travel(), self._source.currents()
+        return without_motors(self._repaired(), self._known, *told)
+
+    def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
         begun = list(islice(readings, LOOKED_AT))
         self._ahead, self._given = len(begun), 0

@@ -14,12 +14,13 @@ import numpy as np
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.travel_samples import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
 from magcal_ros.files.logs import ardupilot, phone, px4
 from magcal_ros.files.logs.common import Told
+from magcal_ros.files.plain import plain
 from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.files.tables import read_travel
 
@@ -65,6 +66,12 @@ class Source(Protocol):
     def travel(self) -> list[TravelSample]:
         """Return what receiver and wheels said, by stamp; empty if nothing."""
 
+    def currents(self) -> list[tuple[float, float]]:
+        """Return stamps, seconds, and currents of the battery, A; empty if it tells none."""
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Return the headings that somebody else measured, by stamp."""
+
     def readings(self) -> Iterator[Reading]:
         """Yield what the sensors said in the order in which it was recorded."""
 
@@ -104,6 +111,19 @@ class HeldDrive:
     def travel(self) -> list[TravelSample]:
         """Return what receiver and wheels said, by stamp; empty if nothing."""
         return list(self._recording.travel)
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return no currents: files and logs are not asked for them."""
+        return []
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Refuse: only bags have topics.
+
+        Raises
+        ------
+        Misuse
+        """
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
 
     def yaw(self) -> FloatArray:
         """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""

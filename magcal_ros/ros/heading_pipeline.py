@@ -13,6 +13,7 @@ from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
 from magcal_ros.ros.fused import FusedOutput
@@ -99,10 +100,12 @@ class HeadingPipeline:
             self._reference.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(self, settings: Settings, keeper: Keeper, store: CalibrationStore) -> None:
+    def follow(
+        self, settings: Settings, keeper: Keeper, store: CalibrationStore, turn: TurnState
+    ) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
-        learnt = self.motors.follow(Mode(settings.self_calibration))
+        learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
         if learnt is not None and keeper.keep_motors(learnt):
             store.save(lambda _: None)
 
@@ -118,7 +121,8 @@ class HeadingPipeline:
         streams = self._inputs.streams
         up = self._up.at(sample.stamp, streams.max_gap)
         running = self.motors.as_used(compass, sample.stamp)
-        return Moment.of(compass, sample, up, streams.newest_rate, running)
+        turning = self._up.rate if self._up.is_propagated else None
+        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""

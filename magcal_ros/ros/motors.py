@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState
 
-from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.motors import MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.keeping.decisions import Mode
@@ -25,6 +27,68 @@ PAUSE = 60
 """Seconds of learning between two writings of the file."""
 SILENT = 1.5
 """Seconds without a message after which nobody knows the current any more."""
+
+
+class Commands:
+    """Hears the speed that the robot is told to drive, while somebody tells it.
+
+    The type is that of whoever publishes. Nothing is subscribed to while wheels tell a speed, or
+    while this node turns the robot and asks who listens to its commands.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Where the subscription lives.
+    up : UpFollower
+        Has taken each IMU message.
+    """
+
+    def __init__(self, node: Node, up: UpFollower) -> None:
+        self._node, self._up = node, up
+        self.topic = node.resolve_topic_name("cmd_vel")
+        self._subscription: Subscription | None = None
+        self._kind = ""
+        self._speed, self._told = math.nan, -math.inf
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether a command has come since this subscribes."""
+        return math.isfinite(self._speed)
+
+    def speed_near(self, stamp: float) -> float:
+        """Return the commanded speed, m/s; NaN where nobody told one near a stamp, seconds."""
+        return self._speed if abs(stamp - self._told) < SILENT else math.nan
+
+    def follow(self, is_wanted: bool) -> None:
+        """Subscribe or leave, once a second."""
+        if not is_wanted:
+            self.leave()
+            return
+        kinds = {kind.__name__: kind for kind in (Twist, TwistStamped)}
+        own = self._node.get_name(), self._node.get_namespace()
+        spoken = [
+            each.topic_type.rsplit("/", 1)[-1]
+            for each in self._node.get_publishers_info_by_topic(self.topic)
+            if (each.node_name, each.node_namespace) != own
+        ]
+        kind = next((each for each in spoken if each in kinds), "")
+        if kind and kind != self._kind:
+            self.leave()
+            self._kind = kind
+            self._subscription = self._node.create_subscription(
+                kinds[kind], self.topic, self._on_command, SENSOR_DATA
+            )
+
+    def leave(self) -> None:
+        """Subscribe no longer."""
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+        self._subscription, self._kind, self._speed = None, "", math.nan
+
+    def _on_command(self, message: Twist | TwistStamped) -> None:
+        # A command holds from when it comes, on the clock of the sensors.
+        twist = message.twist if isinstance(message, TwistStamped) else message
+        self._speed, self._told = float(twist.linear.x), self._up.newest_stamp
 
 
 class Motors:
@@ -51,6 +115,7 @@ class Motors:
         self._kept: MotorField | None = None
         self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
         self._is_told = False
+        self.commands = Commands(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
         node.create_subscription(BatteryState, "battery", self._on_battery, SENSOR_DATA)
@@ -60,11 +125,13 @@ class Motors:
         rate = self._up.rate if self._up.is_propagated else None
         current = self._current if abs(stamp - self._told) < SILENT else math.nan
         speed = self._travel.speed_near(stamp)
+        if math.isnan(speed):
+            speed = self.commands.speed_near(stamp)
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
 
-    def as_used(self, compass: Compass, stamp: float) -> Running:
-        """Return the same as far as a compass knows motors."""
-        return AT_REST if compass.motors is None else self.running(stamp)
+    def as_used(self, compass: Compass, stamp: float) -> Running | None:
+        """Return the same; None where a compass knows no motors."""
+        return None if compass.motors is None else self.running(stamp)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
         """Learn from a sample; returns it without what the motors add, as a compass knows them."""
@@ -83,13 +150,23 @@ class Motors:
         running = self.running(sample.stamp)
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
-    def follow(self, mode: Mode) -> MotorField | None:
-        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
+    def follow(self, mode: Mode, is_turning: bool) -> MotorField | None:
+        """Use what was learnt, once a second; returns what is to be kept, where that is new.
+
+        Parameters
+        ----------
+        mode : Mode
+            Of self-calibration.
+        is_turning : bool
+            Whether a turn is under way, in which this node may ask who listens to its commands.
+        """
+        self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
         self._mode = mode
         # Asked once a second, as it holds for long, and not for each message.
-        self._is_told = self._travel.has_wheels or math.isfinite(self._current)
+        told = self._current, self.commands.speed_near(self._up.newest_stamp)
+        self._is_told = self._travel.has_wheels or any(map(math.isfinite, told))
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
         self._has_learnt = False
@@ -138,9 +215,11 @@ class Motors:
             return self._topic
         if which in (MotorInput.TURN_RATE, MotorInput.SIDE):
             return "gyro"
+        speed = self.commands.topic if self.commands.is_heard else self._odom
         if which is MotorInput.SPEED:
-            return self._odom
-        return f"gyro and {self._odom}" if self._travel.has_wheels else "gyro"
+            return speed
+        is_told = self._travel.has_wheels or self.commands.is_heard
+        return f"gyro and {speed}" if is_told else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:
         # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.

@@ -241,6 +241,7 @@ class Calibrator(Node):
             self._magnetometers.start(self._up.gyro_at_rest)
             self._tick.reset()
             if settings.rotation.enabled:
+                self._pipeline.motors.commands.leave()
                 self._rotator.prepare(settings.rotation)
                 self._look.reset()
             self._publish_status()
@@ -354,7 +355,7 @@ class Calibrator(Node):
         if not self._table.settings.accumulate:
             self._control.forget_turns()
         settings, swing = self._table.settings, self._travel.swing
-        self._pipeline.follow(settings, self._keeper, self._store)
+        self._pipeline.follow(settings, self._keeper, self._store, self._control.state)
         self._reference.refresh()
         self._frames.note_up(self._up)
         self._keeping.follow(settings.self_calibration, settings.report_folder, swing)

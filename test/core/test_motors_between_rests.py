@@ -47,7 +47,7 @@ def test_no_drive_answers_for_a_turn_on_the_spot_that_is_told_badly(case):
 
 @pytest.mark.parametrize("by_rate", first_of([True, False]))
 def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
-    """A turn at one rate does not tell a step from what goes with the rate: the sum is known."""
+    """A turn at one rate tells the sum of a step, its side, and what goes with the rate."""
     size = 6e-6
     motion, window = driven(evenly, ROBOT, 6.0)
     rate = motion.angular_rate[:, 2]
@@ -57,7 +57,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 1.0e-6, 6e-6)):
-        u = np.kron([1.0, turn_rate], np.eye(3))
+        u = np.kron([1.0, turn_rate, 1.0], np.eye(3))
         found = u @ motors.gain.ravel()
         sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))
         true = size * np.array([0.6, -0.8, 0.0]) * (turn_rate / full if by_rate else 1.0)

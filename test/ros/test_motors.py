@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import BatteryState, Imu
@@ -136,3 +137,53 @@ def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, mo
 
 def kept(folder):
     return read_calibration(folder / "calibration.yaml")[0].motors
+
+
+@pytest.mark.parametrize("kind", [Twist, TwistStamped])
+def test_what_a_command_explains_is_learnt(graph, with_motors, tmp_path, kind):
+    """Without wheels the commanded speed is the input, whichever of the two types it comes as."""
+    actor = graph.loaded(with_motors, tmp_path, parameters={**REFERENCE, **APPLY})
+    out = actor.node.create_publisher(kind, "cmd_vel", 1)
+    now = {"speed": 0.0}
+    by_speed = np.array([6e-6, -4e-6, 0.0])
+
+    def add(sample):
+        if isinstance(sample, FieldSample):
+            message = kind()
+            twist = message.twist if kind is TwistStamped else message
+            twist.linear.x = now["speed"]
+            out.publish(message)
+            moves = now["speed"] > 0.0
+            added = moves * GAIN[0] + now["speed"] * by_speed
+            sample = sample._replace(field=tuple(np.add(sample.field, added)))
+        return [sample]
+
+    actor.mangle = add
+    actor.run(PATIENCE, stop=out.get_subscription_count)
+    for _ in range(5):
+        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
+            now["speed"] = speed
+            actor.run(0.6)
+
+    def told():
+        return (actor.status["motors"] or {}).get("inputs", {})
+
+    actor.run(PATIENCE, stop=lambda: "speed" in told())
+    found = told()["speed"]
+    assert found["from"] == "/cmd_vel"
+    gap = np.array(found["field_ut"]) * 1e-6 - by_speed
+    assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)
+
+
+def test_this_node_is_no_listener_of_its_own_turn(graph, with_motors, tmp_path):
+    """A command that it follows for the motors says nothing of a base that would turn."""
+    settings = {**REFERENCE, **APPLY, "rotate.enabled": True}
+    actor = graph.loaded(with_motors, tmp_path, parameters=settings)
+    out = actor.node.create_publisher(Twist, "cmd_vel", 1)
+    actor.run(PATIENCE, stop=out.get_subscription_count)
+    started = actor.call("start")
+    actor.run(PATIENCE, stop=started.done)
+    assert started.result().success
+    actor.run(PATIENCE, stop=lambda: not out.get_subscription_count())
+    actor.run(2.5)
+    assert out.get_subscription_count() == 0

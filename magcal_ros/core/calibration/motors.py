@@ -101,17 +101,22 @@ class MotorField:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
-        """Return the inputs and their variances, each of shape (n,).
+        """Return the inputs, shape (n,), and their covariance, shape (n, n).
 
-        An unknown one counts as zero, and varies as usual while the robot moves.
+        An unknown one counts as zero, and varies as usual while the robot moves. Where nobody knows
+        whether it moves, or whether it turns, both the step and its side are in doubt.
         """
         values = np.array([running[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
-        variance = np.where(unknown, running.moving * np.square(self.usual), 0.0)
-        if MotorInput.MOVING in self.inputs:
-            at = self.inputs.index(MotorInput.MOVING)
-            variance[at] = running.moving * (1.0 - running.moving)
-        return np.where(unknown, 0.0, values), variance
+        covariance = np.diag(np.where(unknown, running.moving * np.square(self.usual), 0.0))
+        side = 0.0 if math.isnan(running.side) else running.side
+        step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
+        steps = np.array([step.get(each, 0.0) for each in self.inputs])
+        covariance += running.moving * (1.0 - running.moving) * np.outer(steps, steps)
+        if MotorInput.SIDE in self.inputs:
+            at = self.inputs.index(MotorInput.SIDE)
+            covariance[at, at] += running.moving * abs(side) * (1.0 - abs(side))
+        return np.where(unknown, 0.0, values), covariance
 
     def joint(self, covariance: FloatArray) -> FloatArray:
         """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""
@@ -129,6 +134,32 @@ class MotorField:
     def with_another_calibration(self) -> MotorField:
         """Return the same motors beside twelve numbers that were found otherwise."""
         return replace(self, beside=np.zeros_like(self.beside))
+
+    def with_side(self, side: float) -> MotorField:
+        """Return the same where a step may change side with the turn.
+
+        Turns to one side do not tell a step with motion from one that changes side: either may be
+        all of it.
+
+        Parameters
+        ----------
+        side : float
+            Of the turns: positive to the left.
+        """
+        at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
+        split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))
+        step, turned = slice(3 * at, 3 * at + 3), math.copysign(1.0, side)
+        split[step, step], split[count:, step] = 0.5 * np.eye(3), 0.5 * turned * np.eye(3)
+        apart[step], apart[count:] = np.eye(3), -turned * np.eye(3)
+        whole = np.outer(self.gain[at], self.gain[at]) + self.covariance[step, step]
+        return MotorField(
+            (*self.inputs, MotorInput.SIDE),
+            (split @ self.gain.ravel()).reshape(-1, 3),
+            split @ self.covariance @ split.T + apart @ (0.25 * whole) @ apart.T,
+            self.beside @ split.T,
+            self.ripple,
+            (*self.usual, 1.0),
+        )
 
     def and_of(self, older: MotorField) -> MotorField:
         """Return the same with the inputs that only an older field has."""

@@ -14,9 +14,11 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.calibration.motors import AT_REST, INPUTS, MotorField, Running
+from magcal_ros.core.calibration.motors import INPUTS, MotorField, Running
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.motors_now import MotorsNow
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up import Up
 
@@ -94,6 +96,7 @@ class Compass:
         self._h: tuple[float, ...] = tuple(float(value) for value in h)
         self._certainty = _body_covariance(calibration)
         self._motors: MotorField | None = None
+        self._now: MotorsNow | None = None
         self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
         self._tilt_variance = calibration.noise_up**2
@@ -117,7 +120,11 @@ class Compass:
                 (INPUTS.index(each), float(gain[0]), float(gain[1]), float(gain[2]))
                 for each, gain in zip(motors.inputs, motors.gain, strict=True)
             )
-            self._with_motors = _body_covariance(self.calibration, motors)
+            if self._now is None:
+                own = field_variance(self.calibration)
+                matrix = self.calibration.correction.matrix
+                self._now = MotorsNow(motors, matrix, own, self._noise)
+            self._now.use(motors)
 
     @classmethod
     def without_calibration(cls) -> Compass:
@@ -148,12 +155,22 @@ class Compass:
             a[6] * x + a[7] * y + a[8] * z,
         )
 
+    def at_rest(
+        self, stamp: float, raw: Triple, rate: Triple | None, running: Running
+    ) -> tuple[Triple, FloatArray | None]:
+        """Return the corrected field without what motors add, and the covariance of the latter.
+
+        Stamps go on (`MotorsNow.add`); None where no motors are known.
+        """
+        field = self.correct(raw)
+        return (field, None) if self._now is None else self._now.add(stamp, field, rate, running)
+
     def heading(
         self,
         field: Triple,
         force: Triple,
         tilt_variance: float | None = None,
-        running: Running = AT_REST,
+        motors: FloatArray | None = None,
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
@@ -167,8 +184,8 @@ class Compass:
             Specific force, m/s², or up as a unit vector.
         tilt_variance : float, optional
             Of up in either direction, rad²; that of a single accelerometer reading unless given.
-        running : Running
-            What the motors did, whose field was taken off.
+        motors : ndarray, shape (3, 3), optional
+            Covariance of what motors add to the field, tesla².
 
         Notes
         -----
@@ -200,7 +217,7 @@ class Compass:
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         gradient = (ex / level, ey / level, ez / level)
-        lasting, noise, from_motors = self._field_variances(gradient, field, running)
+        lasting, noise, from_motors = self._field_variances(gradient, field, motors)
         variance += lasting + noise + from_motors
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
@@ -208,23 +225,13 @@ class Compass:
         return Heading(roll, pitch, yaw, tilt, variance, roll_yaw, pitch_yaw, noise, lasting)
 
     def _field_variances(
-        self, gradient: Triple, field: Triple, running: Running
+        self, gradient: Triple, field: Triple, motors: FloatArray | None
     ) -> tuple[float, float, float]:
-        """Return the yaw variances, rad².
-
-        From calibration and motors, which lasts; from field noise; and from what no input tells
-        while motors run.
-        """
-        g, motors, from_motors = np.array(gradient), self._motors, 0.0
-        certainty, q = self._certainty, np.array((field[0], field[1], field[2], -1.0))
-        if motors is not None and running.moving:
-            values, unknown = motors.known(running)
-            certainty, q = self._with_motors, np.concatenate([q, -values])
-            raw = g @ self.calibration.correction.matrix
-            from_motors = running.moving * motors.ripple**2 * float(raw @ raw)
-            from_motors += float(unknown @ (motors.gain @ raw) ** 2)
+        """Return the yaw variances, rad²: from calibration, which lasts, field noise and motors."""
+        g, q = np.array(gradient), np.array((field[0], field[1], field[2], -1.0))
         v = (g[:, None] * q).ravel()
-        return float(v @ certainty @ v), float(g @ self._noise @ g), from_motors
+        from_motors = 0.0 if motors is None else float(g @ motors @ g)
+        return float(v @ self._certainty @ v), float(g @ self._noise @ g), from_motors
 
 
 def field_variance(calibration: Calibration) -> float:
@@ -237,28 +244,19 @@ def field_variance(calibration: Calibration) -> float:
     return float(calibration.strength**2 * matrix + offset) / 3.0
 
 
-def _body_covariance(
-    calibration: Calibration, motors: MotorField | None = None
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Carry the covariance from (A, h, K) to (G, b, c) with an error dm = G m_body - b - c u.
+def _body_covariance(calibration: Calibration) -> FloatArray:
+    """Carry the covariance from (A, h) to (G, b) with an error dm = G m_body - b.
 
-    A change of A by dA, of h by dh and of the motors' gains K by dK moves the corrected field by
-    dA A^-1 m - A (dh + dK u), so G = dA A^-1, b = A dh and c = A dK. The order is row by row,
-    (G00, G01, G02, b0, c00, ..., G10, ...).
+    A change of A by dA and of h by dh moves the corrected field by dA A^-1 m - A dh, so
+    G = dA A^-1 and b = A dh. The order is row by row, (G00, G01, G02, b0, G10, ...).
     """
     a = calibration.correction.matrix
     inverse = np.linalg.inv(a)
-    count = 0 if motors is None else len(motors.inputs)
-    width = 4 + count
-    carry = np.zeros((3 * width, PARAMETERS + 3 * count))
+    carry = np.zeros((PARAMETERS, PARAMETERS))
     for row in range(3):
-        carry[width * row : width * row + 3, 3 * row : 3 * row + 3] = inverse.T
-        for k in range(1 + count):
-            carry[width * row + 3 + k, 9 + 3 * k : 12 + 3 * k] = a[row]
-    covariance = calibration.covariance
-    return np.asarray(
-        carry @ (covariance if motors is None else motors.joint(covariance)) @ carry.T
-    )
+        carry[4 * row : 4 * row + 3, 3 * row : 3 * row + 3] = inverse.T
+        carry[4 * row + 3, 9:] = a[row]
+    return np.asarray(carry @ calibration.covariance @ carry.T)
 
 
 class Moment(NamedTuple):
@@ -291,10 +289,23 @@ class Moment(NamedTuple):
         sample: FieldSample,
         up: Up | None,
         rate: Triple | None,
-        running: Running = AT_REST,
+        running: Running | None = None,
+        turning: Triple | None = None,
     ) -> Moment:
-        """Return what a field sample comes to by the compass in force, and what motors do."""
-        field, heading = compass.correct(compass.without_motors(sample.field, running)), None
+        """Return what a field sample comes to by the compass in force.
+
+        Parameters
+        ----------
+        compass, sample, up, rate
+            The calibration, the sample, and what the IMU says at its stamp.
+        running : Running, optional
+            What the motors do; unless given, they are taken to be off.
+        turning : tuple of float, optional
+            rad/s, body axes, less the gyro's bias; None where no gyro is believed.
+        """
+        field, motors, heading = compass.correct(sample.field), None, None
+        if running is not None:
+            field, motors = compass.at_rest(sample.stamp, sample.field, turning, running)
         if up is not None:
-            heading = compass.heading(field, up.direction, up.variance, running)
+            heading = compass.heading(field, up.direction, up.variance, motors)
         return cls(sample.stamp, field, up, heading, rate)

@@ -18,6 +18,7 @@ from magcal_ros.core.calibration.motors import INPUTS, MotorField, MotorInput, R
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.motors_now import PLACE_FIELD, PlaceFieldTuning
 
 MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -31,25 +32,10 @@ class LearningTuning:
 
     Parameters
     ----------
+    place : PlaceFieldTuning
+        How the field of a place changes in the axes of a robot.
     block : float
         Seconds whose samples are averaged.
-    longest : float
-        Seconds without a sample after which the field of the place is unknown.
-    field : float
-        µT of the Earth's field and all around it: what is believed of a place before the first
-        sample.
-    street, street_length : float
-        µT per axis by which places differ, and metres over which they are alike.
-    passing : float
-        µT per root second by which the field changes while the robot stands.
-    walk : float
-        rad per root second of the gyro's random walk.
-    turn_error : float
-        Share of an angle by which the gyro is off, as a random walk over radians.
-    latency : float
-        Seconds by which gyro and field may be apart.
-    beside : float
-        Metres of the magnetometer from the pivot.
     body, body_length : float
         µT per axis of the body's coloured noise at rest, and seconds over which it is alike.
     freedom : float
@@ -65,16 +51,8 @@ class LearningTuning:
         Largest such field, µT.
     """
 
+    place: PlaceFieldTuning = PLACE_FIELD
     block: float = 0.2
-    longest: float = 1.0
-    field: float = 100.0
-    street: float = 2.0
-    street_length: float = 30.0
-    passing: float = 0.03
-    walk: float = 0.002
-    turn_error: float = 0.01
-    latency: float = 0.01
-    beside: float = 0.15
     body: float = 0.05
     body_length: float = 4.0
     freedom: float = 5.0
@@ -162,7 +140,7 @@ class MotorLearning:
             What the motors do.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
-        if not 0.0 < seconds < self.tuning.longest:
+        if not 0.0 < seconds < self.tuning.place.longest:
             self._forget_place()
             self._block = self._before = None
             return False
@@ -172,8 +150,7 @@ class MotorLearning:
         if moves:
             # A robot at rest has a gyro's noise, and no turn.
             block.turned = block.turned + seconds * np.array(rate)
-        speed = 0.3 if math.isnan(running.speed) else abs(running.speed)
-        block.way += seconds * moves * math.hypot(speed, self.tuning.beside * math.hypot(*rate))
+        block.way += seconds * moves * self.tuning.place.way(running.speed, rate)
         block.seconds += seconds
         block.count += 1
         block.mean_turned = block.mean_turned + (block.turned - block.mean_turned) / block.count
@@ -260,7 +237,7 @@ class MotorLearning:
         for at in (PLACE, BODY):
             self._mean[at] = 0.0
             self._covariance[at, :] = self._covariance[:, at] = 0.0
-        self._covariance[PLACE, PLACE] = self.tuning.field**2 * np.eye(3)
+        self._covariance[PLACE, PLACE] = self.tuning.place.field**2 * np.eye(3)
         self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
 
     def _take(self, block: _Interval, is_even: bool) -> None:
@@ -310,13 +287,7 @@ class MotorLearning:
         self._mean = step @ self._mean
         self._covariance = step @ self._covariance @ step.T
         place = self._mean[PLACE]
-        angle = float(np.linalg.norm(turned))
-        lost = tuning.walk**2 * seconds * moves + tuning.turn_error**2 * angle
-        lost += tuning.latency**2 * float(faster @ faster)
-        across = float(place @ place) * np.eye(3) - np.outer(place, place)
-        drift = 2.0 * tuning.street**2 * way / tuning.street_length
-        drift += tuning.passing**2 * seconds
-        self._covariance[PLACE, PLACE] += lost * across + drift * np.eye(3)
+        self._covariance[PLACE, PLACE] += tuning.place.change(place, turned, faster, way, seconds)
         level = self._ripple if moves else tuning.body
         self._covariance[BODY, BODY] += level**2 * (1.0 - keeps**2) * np.eye(3)
         self._covariance[IRON, IRON] += tuning.iron_walk**2 * seconds * np.eye(3)
@@ -345,6 +316,12 @@ def _beginning(
         joint = motors.joint(calibration.covariance)[9:, 9:]
         covariance[np.ix_(rows, rows)] = turn @ joint @ turn.T * MICROTESLA**2
         mean[rows[3:]] = (motors.gain @ matrix.T).ravel() * MICROTESLA
+        step = INPUTS.index(MotorInput.MOVING)
+        if step in known and INPUTS.index(MotorInput.CURRENT) not in known:
+            # In the turn a current may have made what was taken for a step.
+            at = slice(3 + 3 * step, 6 + 3 * step)
+            whole = np.array(motors.usual) @ motors.gain @ matrix.T * MICROTESLA
+            covariance[at, at] += np.outer(whole, whole)
     # Files may hold numbers that are called exact; a filter needs a positive covariance.
     return mean, covariance + 1e-6 * np.eye(size), known
 

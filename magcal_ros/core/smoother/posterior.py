@@ -37,6 +37,8 @@ from magcal_ros.core.smoother.unknowns import (
 
 MOTORS = {MotorInput.MOVING: "motors_moving", MotorInput.TURN_RATE: "motors_rate"}
 """The unknowns of what the motors' field goes with."""
+ONE_WAY = 0.8
+"""Mean side of the turn rate beyond which a turn went one way."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
         return None
     moves = fit.point.course.moving > 0.0
     rate = fit.point.course.nodes.rate[moves, 2]
-    return MotorField(
+    motors = MotorField(
         tuple(MOTORS),
         found.numbers[PARAMETERS:].reshape(-1, 3),
         found.joint[PARAMETERS:, PARAMETERS:],
@@ -137,6 +139,8 @@ def motors_of(found: Posterior, fit: Fit) -> MotorField | None:
         fit.point.sizes["motors_noise"] / MICROTESLA,
         (1.0, float(np.sqrt(np.mean(rate**2))) if len(rate) else 0.0),
     )
+    side = float(np.mean(np.sign(rate))) if len(rate) else 0.0
+    return motors.with_side(side) if abs(side) > ONE_WAY else motors
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray, up: FloatArray) -> Correction:

@@ -222,10 +222,11 @@ class TestMotors:
 
     @staticmethod
     def numbers(seed):
-        """A calibration with motors, and its joint covariance."""
+        """A calibration with motors, and its joint covariance: what is known of both is apart."""
         rng = np.random.default_rng(seed)
         mix = rng.standard_normal((18, 18)) * np.repeat([0.003, 0.3e-6, 0.3e-6], [9, 3, 6])[:, None]
         joint = mix @ mix.T / 18.0
+        joint[:12, 12:] = joint[12:, :12] = 0.0
         inputs = MotorInput.MOVING, MotorInput.SPEED
         gain = rng.normal(0.0, 5e-6, (2, 3))
         motors = MotorField(inputs, gain, joint[12:, 12:], joint[:12, 12:], 0.0, (1.0, 0.7))
@@ -251,22 +252,33 @@ class TestMotors:
         fields = np.einsum("nij,nj->ni", matrix, raw - found.correction.hard_iron - moved)
         yaws = yaw_from_up_and_field(up, fields)
         args = tuple(field.tolist()), tuple(up.tolist())
-        heading = Compass(found).heading(*args, 0.0, self.RUNNING)
-        assert heading.lasting_variance == pytest.approx(np.var(yaws), rel=0.1)
-        at_rest = Compass(replace(found, motors=None)).heading(*args, 0.0)
-        assert Compass(found).heading(*args, 0.0, AT_REST) == at_rest
+        added = raw + u @ found.motors.gain
+        heading = self.heading(found, added, up, self.RUNNING)
+        assert heading.yaw_variance - heading.noise_variance == pytest.approx(np.var(yaws), rel=0.1)
+        without = Compass(replace(found, motors=None)).heading(*args, 0.0)
+        assert self.heading(found, raw, up, AT_REST) == pytest.approx(without)
+
+    @staticmethod
+    def heading(known, raw, up, running):
+        """The heading of a robot without a gyro."""
+        compass = Compass(known)
+        field, motors = compass.at_rest(0.0, tuple(raw.tolist()), None, running)
+        return compass.heading(field, tuple(up.tolist()), 0.0, motors)
 
     @pytest.mark.parametrize("doubt", [Running(0.5, 0.0, 0.7), Running(1.0, 0.0, math.nan)])
     def test_what_nobody_tells_is_in_the_variance(self, doubt):
         found, _ = self.numbers(3)
         up, field = seen(0.0, 0.0, 0.9, 1.0)
-        args = tuple(field.tolist()), tuple(up.tolist())
-        sure = Compass(found).heading(*args, 0.0, Running(doubt.moving, 0.0, 0.0))
+        raw = found.correction.undo(field)
+        speed = 0.0 if math.isnan(doubt.speed) else doubt.speed
+        told = np.array([doubt.moving, speed]) @ found.motors.gain
+        sure = self.heading(found, raw, up, AT_REST)
         which = int(math.isnan(doubt.speed))
         gain = found.correction.matrix @ found.motors.gain[which] * (0.7 if which else 0.5)
         east = np.cross(field, up)
         turned = float(east @ gain / (east @ east))
-        found = Compass(found).heading(*args, 0.0, doubt)
-        apart = found.yaw_variance - found.lasting_variance
-        assert apart - found.noise_variance == pytest.approx(turned**2, rel=1e-6)
-        assert sure.yaw == found.yaw
+        known = replace(found.motors, covariance=np.zeros((6, 6)))
+        seen_so = self.heading(replace(found, motors=known), raw + told, up, doubt)
+        apart = seen_so.yaw_variance - seen_so.lasting_variance
+        assert apart - seen_so.noise_variance == pytest.approx(turned**2, rel=1e-6)
+        assert seen_so.yaw == pytest.approx(sure.yaw)

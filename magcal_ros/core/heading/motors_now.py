@@ -1,0 +1,309 @@
+"""What motors add at the moment beside what their inputs tell.
+
+Inputs come late and leave out a ripple: a current is told some tenths of a second after it flows,
+and that a robot moves is seen after its motors have started. The field of the place cannot change
+so fast, except as the gyro says. So a Kalman filter on the field of the place and on what is left
+of the motors' field divides each change between the two.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.geometry.vec3 import Triple
+
+MICROTESLA = 1e6
+PLACE, LEFT = slice(0, 3), slice(3, 6)
+"""States: field of the place, and what is left of the motors' field; µT, body axes."""
+EYE = np.eye(3)
+
+
+@dataclass(frozen=True)
+class PlaceFieldTuning:
+    """How the field of a place changes in the axes of a robot.
+
+    Parameters
+    ----------
+    field : float
+        µT of the Earth's field and all around it: what is believed of a place before the first
+        sample.
+    longest : float
+        Seconds without a sample after which the field of the place is unknown.
+    street, street_length : float
+        µT per axis by which places differ, and metres over which they are alike.
+    passing : float
+        µT per root second by which the field changes while the robot stands.
+    walk : float
+        rad per root second of the gyro's random walk.
+    turn_error : float
+        Share of an angle by which the gyro is off, as a random walk over radians.
+    latency : float
+        Seconds by which gyro and field may be apart.
+    beside : float
+        Metres of the magnetometer from the pivot.
+    unknown_speed : float
+        m/s of a robot that moves and does not tell its speed.
+    """
+
+    field: float = 100.0
+    longest: float = 1.0
+    street: float = 2.0
+    street_length: float = 30.0
+    passing: float = 0.03
+    walk: float = 0.002
+    turn_error: float = 0.01
+    latency: float = 0.01
+    beside: float = 0.15
+    unknown_speed: float = 0.3
+
+    def way(self, speed: float, rate: Triple) -> float:
+        """Return the metres a second of the magnetometer at a speed (m/s or NaN) and turn rate."""
+        known = self.unknown_speed if math.isnan(speed) else abs(speed)
+        return math.hypot(known, self.beside * math.hypot(*rate))
+
+    def change(
+        self, place: FloatArray, turned: FloatArray, faster: FloatArray, way: float, seconds: float
+    ) -> FloatArray:
+        """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
+
+        Parameters
+        ----------
+        place : ndarray, shape (3,)
+            µT, body axes.
+        turned : ndarray, shape (3,)
+            Radians by which the robot has turned.
+        faster : ndarray, shape (3,)
+            rad/s by which the turn rate has grown.
+        way : float
+            Metres that the magnetometer has gone; zero at rest.
+        seconds : float
+        """
+        lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
+        lost += self.latency**2 * float(faster @ faster)
+        lost += self.walk**2 * seconds if way > 0.0 else 0.0
+        passed = 2.0 * self.street**2 * way / self.street_length + self.passing**2 * seconds
+        return np.asarray(
+            (lost * float(place @ place) + passed) * EYE - lost * place[:, None] * place
+        )
+
+
+PLACE_FIELD = PlaceFieldTuning()
+
+
+@dataclass(frozen=True)
+class InputTuning:
+    """How well the inputs tell what the motors add.
+
+    Parameters
+    ----------
+    body_length : float
+        Seconds over which what no input tells is alike.
+    late_share : float
+        Of the time in which motors run and nothing shows it yet, or the other way round.
+    longest : float
+        Seconds that this lasts at most.
+    latency : float
+        Seconds by which a speed or a current may be late.
+    """
+
+    body_length: float = 4.0
+    late_share: float = 0.03
+    longest: float = 0.5
+    latency: float = 0.2
+
+
+class _Answer(NamedTuple):
+    """What a sample says if the motors may add so much that no input tells."""
+
+    likelihood: float
+    step: FloatArray
+    covariance: FloatArray
+    left: FloatArray
+    doubt: FloatArray
+
+
+class MotorsNow:
+    """Follows the field of the place and what is left of the motors' field.
+
+    Parameters
+    ----------
+    motors : MotorField
+        What is known of them.
+    matrix : ndarray, shape (3, 3)
+        From the magnetometer's axes to those of the body.
+    iron_variance : float
+        Of the corrected field per axis by the calibration's own uncertainty, tesla²: that part
+        does not turn as the field of the place does.
+    noise : ndarray, shape (3, 3)
+        Covariance of a corrected sample, tesla².
+    """
+
+    def __init__(
+        self, motors: MotorField, matrix: FloatArray, iron_variance: float, noise: FloatArray
+    ) -> None:
+        self.place, self.input = PLACE_FIELD, InputTuning()
+        self._matrix = matrix
+        self._iron = iron_variance * MICROTESLA**2
+        self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
+        self._mean, self._covariance = np.zeros(6), np.zeros((6, 6))
+        self._rate, self._before = np.zeros(3), AT_REST
+        self._stamp, self._late_since = -math.inf, math.nan
+        self._values = self._change = np.zeros(0)
+        self.use(motors)
+
+    def use(self, motors: MotorField) -> None:
+        """Take what is known of the motors from now on."""
+        count = len(motors.inputs)
+        self._motors = motors
+        self._gains = motors.gain @ self._matrix.T * MICROTESLA
+        turn = np.kron(np.eye(count), self._matrix) * MICROTESLA
+        by_gains = turn @ motors.covariance @ turn.T
+        self._by_gains = by_gains.reshape(count, 3, count, 3).transpose(1, 3, 0, 2)
+        self._ripple = (motors.ripple * MICROTESLA) ** 2
+        usual = self._gains * np.array(motors.usual)[:, None]
+        self._whole = usual.T @ usual
+        most = self._whole + self._level(Running(1.0), np.array(motors.usual))
+        # Motors that a sample's own noise hides are not worth the time.
+        self._is_felt = bool(np.trace(most) > np.trace(self._noise))
+        told = (MotorInput.SPEED, MotorInput.CURRENT)
+        self._latency = np.array([self.input.latency * (each in told) for each in motors.inputs])
+        if len(self._values) != count:
+            self._values, self._change = np.zeros(count), np.zeros(count)
+
+    def add(
+        self, stamp: float, field: Triple, rate: Triple | None, running: Running
+    ) -> tuple[Triple, FloatArray]:
+        """Take a corrected sample; returns it less K u and what is left, and the latter's doubt.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field : tuple of float
+            Tesla, body axes.
+        rate : tuple of float or None
+            rad/s, body axes, less the gyro's bias; None without a gyro.
+        running : Running
+            What the motors do.
+
+        Returns
+        -------
+        field : tuple of float
+            Tesla, body axes.
+        doubt : ndarray, shape (3, 3)
+            Covariance of what was taken off it, tesla².
+        """
+        if running.moving == 0.0 and (not self._is_felt or rate is None):
+            return field, np.zeros((3, 3))
+        values, doubt = self._motors.known(running)
+        if not self._is_felt or rate is None:
+            return self._as_told(field, running, values, doubt)
+        self._predict(stamp, rate, running, values)
+        told = values @ self._gains
+        measured = MICROTESLA * np.array(field) - told
+        change = np.diag(np.square(self._latency * self._change))
+        unknown = self._gains.T @ (doubt + change) @ self._gains
+        otherwise = told[:, None] * told if running.moving > 0.0 else self._whole
+        answers = [self._answer(measured, unknown + each) for each in (0.0, otherwise)]
+        late = self._late(stamp, answers[1].likelihood - answers[0].likelihood)
+        if late is None:
+            # What lasts is no start or stop: another motor, or at rest another place.
+            self._forget(PLACE if running.moving == 0.0 else LEFT, self._whole + otherwise)
+            answers, late = [self._answer(measured, unknown)] * 2, 0.0
+        one, other = answers
+        self._mean = self._mean + one.step + late * (other.step - one.step)
+        self._covariance = _mixed(late, one.covariance, other.covariance, other.step - one.step)
+        left = one.left + late * (other.left - one.left)
+        spread = _mixed(late, one.doubt, other.doubt, other.left - one.left)
+        x, y, z = ((measured - left) / MICROTESLA).tolist()
+        return (x, y, z), spread / MICROTESLA**2
+
+    def _as_told(
+        self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
+    ) -> tuple[Triple, FloatArray]:
+        """Return a sample less K u alone: what samples cannot show need not be followed."""
+        x, y, z = (values @ self._gains / MICROTESLA).tolist()
+        spread = self._level(running, values) + self._gains.T @ doubt @ self._gains
+        return (field[0] - x, field[1] - y, field[2] - z), spread / MICROTESLA**2
+
+    def _level(self, running: Running, values: FloatArray) -> FloatArray:
+        """Return the covariance of what motors add beside K u, µT²."""
+        told = (self._by_gains @ values) @ values
+        return np.asarray(running.moving * self._ripple * EYE + told)
+
+    def _late(self, stamp: float, odds: float) -> float | None:
+        """Return the probability that motors run otherwise than is seen; None if that lasts."""
+        share = self.input.late_share
+        late = share / (share + (1.0 - share) * math.exp(min(-odds, 300.0)))
+        if late < 0.5:
+            self._late_since = math.nan
+        elif math.isnan(self._late_since):
+            self._late_since = stamp
+        elif stamp - self._late_since > self.input.longest:
+            self._late_since = math.nan
+            return None
+        return late
+
+    def _answer(self, measured: FloatArray, unknown: FloatArray) -> _Answer:
+        mean, covariance = self._mean, self._covariance
+        off = measured - mean[PLACE] - mean[LEFT]
+        both = covariance[:, PLACE] + covariance[:, LEFT]
+        inverse = np.linalg.inv(both[PLACE] + both[LEFT] + unknown + self._noise)
+        gain = both @ inverse
+        left = both[LEFT] + unknown
+        seen = left @ inverse
+        return _Answer(
+            0.5 * (math.log(np.linalg.det(inverse)) - float(off @ inverse @ off)),
+            gain @ off,
+            covariance - gain @ both.T,
+            mean[LEFT] + seen @ off,
+            covariance[LEFT, LEFT] + unknown - seen @ left.T,
+        )
+
+    def _predict(self, stamp: float, rate: Triple, running: Running, values: FloatArray) -> None:
+        seconds, self._stamp = stamp - self._stamp, stamp
+        moves, moved = running.moving > 0.0, self._before.moving > 0.0
+        level = self._level(running, values)
+        now = np.array(rate)
+        changed, self._values = values - self._values, values
+        faster, self._rate, self._before = now - self._rate, now, running
+        if not 0.0 < seconds < self.place.longest:
+            self._forget(PLACE, level)
+            self._forget(LEFT, level)
+            self._change = np.zeros(len(values))
+            return
+        share = min(seconds / self.input.latency, 1.0)
+        self._change = self._change + share * (changed / seconds - self._change)
+        turned = seconds * moves * (now - 0.5 * faster)
+        keeps = math.exp(-seconds / self.input.body_length) if moves and moved else 0.0
+        step = np.zeros((6, 6))
+        step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
+        self._mean = step @ self._mean
+        covariance = step @ self._covariance @ step.T
+        way = seconds * moves * self.place.way(running.speed, rate)
+        covariance[PLACE, PLACE] += (
+            self.place.change(self._mean[PLACE], turned, faster, way, seconds)
+            + self._iron * math.sqrt(float(turned @ turned)) * EYE
+        )
+        covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
+        covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
+        self._covariance = covariance
+
+    def _forget(self, which: slice, level: FloatArray) -> None:
+        """Begin anew with a place of which nothing is known, or with motors of such a size."""
+        self._mean[which] = 0.0
+        self._covariance[which] = self._covariance[:, which] = 0.0
+        self._covariance[which, which] = self.place.field**2 * EYE if which is PLACE else level
+
+
+def _mixed(share: float, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:
+    """Return the covariance of a mixture of two, whose means are so far apart."""
+    spread = one + share * (other - one) + share * (1.0 - share) * apart[:, None] * apart
+    return np.asarray(0.5 * (spread + spread.T))

@@ -1,0 +1,117 @@
+"""`magcal fit` where headings are known, in place of a turn."""
+
+import math
+
+import numpy as np
+import pytest
+from drives import STORE2, header, write_bag, write_csv
+
+from magcal_ros.cli.main import main
+from magcal_ros.core.samples.streams import FieldSample
+from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.files.calibration_file import read_calibration
+
+ROBOT = Robot(strength=50e-6, inclination=math.radians(60.0), hard_iron=(30e-6, -20e-6, 10e-6))
+REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]
+YAWS = (10.0, 130.0, 250.0)
+
+
+@pytest.fixture
+def fit(tmp_path, capsys):
+    def run(*arguments):
+        output = ["--output", str(tmp_path / "found")]
+        try:
+            status = main(["fit", *map(str, arguments), *output, *REFERENCE])
+        except SystemExit as left:
+            status = left.code
+        return status, "".join(capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def standings(tmp_path_factory):
+    """Recordings of five seconds, one at each heading."""
+    folder, found = tmp_path_factory.mktemp("standings"), []
+    for k, yaw in enumerate(YAWS):
+        ride = Ride(ROBOT, np.random.default_rng(k), start=1000.0 + 60.0 * k, imu_rate=50.0)
+        ride.stand(0.01, -0.02, math.radians(yaw))
+        samples = [sample for _ in range(250) for sample in ride.step(0.0)]
+        found.append(write_csv(folder / f"at_{k}", samples))
+    return found
+
+
+def iron(tmp_path):
+    return read_calibration(tmp_path / "found" / "calibration.yaml")[0].correction.hard_iron
+
+
+def test_three_standings_make_a_calibration(fit, standings, tmp_path):
+    known = "--heading-deg", *YAWS, "--north", "magnetic", "--sigma-deg", 1
+    status, words = fit(*standings, *known)
+    assert status == 0, words
+    assert "One more known heading" in words
+    assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
+
+
+def test_a_bearing_in_place_of_a_yaw_is_named(fit, standings):
+    told = [90.0 - yaw for yaw in YAWS]
+    status, words = fit(*standings, "--heading-deg", *told, "--north", "magnetic")
+    assert status == 4
+    assert "as a compass bearing does" in words
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--heading-deg", 10, 20, 30], "--north true or --north magnetic"),
+        (["--heading-deg", 10, "--north", "true"], "1 headings for 3 recordings"),
+        (["--north", "true"], "give --heading-deg or --heading-topic"),
+        (["--heading-topic", "/heading", "--north", "true"], "takes one recording"),
+    ],
+)
+def test_headings_that_are_not_said_fully_are_refused(fit, standings, arguments, words):
+    status, said = fit(*standings, *arguments)
+    assert status == 2
+    assert words in said
+
+
+def antenna(stamp, yaw):
+    kinds = STORE2.types
+    quaternion = kinds["geometry_msgs/msg/Quaternion"](
+        0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+    )
+    known, absent = np.zeros(9), np.r_[-1.0, np.zeros(8)]
+    known[8] = math.radians(1.0) ** 2
+    nothing = kinds["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+    parts = header(stamp, "gps"), quaternion, known, nothing, absent, nothing, absent
+    return "/heading", kinds["sensor_msgs/msg/Imu"](*parts)
+
+
+def driven(path, sign=1.0):
+    """A bag of a robot that turns slowly once, and what its antennas say of it."""
+    ride = Ride(ROBOT, np.random.default_rng(5), start=1000.0, imu_rate=50.0)
+    samples = []
+    for k in range(50 * 75):
+        new = ride.step(0.09 if k > 100 else 0.0)
+        samples += new
+        if k % 10 == 0:
+            samples.append(antenna(ride.stamp, sign * ride.magnetic_yaw))
+    assert any(isinstance(each, FieldSample) for each in samples)
+    return write_bag(path, samples)
+
+
+def test_the_headings_of_two_antennas_in_a_bag_calibrate(fit, tmp_path):
+    bag = driven(tmp_path / "bag")
+    options = "--imu", "/imu/data_raw", "--heading-topic", "/heading", "--north", "magnetic"
+    status, words = fit(bag, *options)
+    assert status == 0, words
+    assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
+
+
+def test_mirrored_antennas_in_a_bag_are_named(fit, tmp_path):
+    bag = driven(tmp_path / "bag", -1.0)
+    options = "--imu", "/imu/data_raw", "--heading-topic", "/heading", "--north", "magnetic"
+    status, words = fit(bag, *options)
+    assert status == 4
+    assert "mirrored" in words

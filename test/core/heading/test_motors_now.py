@@ -1,0 +1,84 @@
+"""What motors add while nobody tells it yet: the field of the place cannot change so fast."""
+
+import numpy as np
+import pytest
+
+from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.geometry.rotations import exp_rotation
+from magcal_ros.core.heading.motors_now import MotorsNow
+
+PERIOD, NOISE, RATE = 0.04, 0.2e-6, (0.0, 0.0, 0.4)
+EARTH = np.array([18e-6, 5e-6, -42e-6])
+STEP = np.array([6e-6, -8e-6, 3e-6])
+BY_CURRENT = np.array([2e-6, 1.5e-6, -1e-6])
+
+
+def motors(ripple=0.2e-6):
+    inputs = MotorInput.MOVING, MotorInput.CURRENT
+    covariance = np.diag([0.1e-6**2] * 3 + [0.05e-6**2] * 3)
+    gain = np.array([STEP, BY_CURRENT])
+    return MotorField(inputs, gain, covariance, np.zeros((12, 6)), ripple, (1.0, 3.0))
+
+
+def follower(known):
+    return MotorsNow(known, np.eye(3), (0.2e-6) ** 2, NOISE**2 * np.eye(3))
+
+
+def errors(known, told, added, turns, seed=0):
+    """Errors of the field of the place, and its sigmas, shape (n, 3)."""
+    rng, now = np.random.default_rng(seed), follower(known)
+    field, off, sigma = EARTH, [], []
+    for k, (running, more, is_turning) in enumerate(zip(told, added, turns, strict=True)):
+        rate = np.array(RATE) * is_turning
+        field = exp_rotation(-rate * PERIOD) @ field
+        noise = NOISE * rng.standard_normal(3)
+        found, doubt = now.add(k * PERIOD, tuple(field + more + noise), tuple(rate), running)
+        off.append(np.array(found) - noise - field)
+        sigma.append(np.sqrt(np.diag(doubt)))
+    return np.array(off), np.array(sigma)
+
+
+@pytest.mark.parametrize("late", [0.2, 0.0, -0.2])
+def test_a_start_and_a_stop_may_be_seen_late_or_early(late):
+    stamps = np.arange(300) * PERIOD
+    runs = (stamps > 4.0) & (stamps < 8.0)
+    shows = (stamps > 4.0 + late) & (stamps < 8.0 + late)
+    told = [Running(1.0, 0.4, 0.0, 0.0, 1.0) if each else AT_REST for each in shows]
+    off, sigma = errors(motors(), told, np.outer(runs, STEP), runs)
+    assert np.linalg.norm(off, axis=1).max() < 0.2 * np.linalg.norm(STEP)
+    assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
+
+
+def test_a_current_that_ripples_and_comes_late_is_made_up_for():
+    rng = np.random.default_rng(1)
+    stamps = np.arange(500) * PERIOD
+    ripple = np.convolve(rng.standard_normal(520), np.ones(10) / np.sqrt(10.0))[:500]
+    current = np.where(stamps > 2.0, 3.0 + ripple, 0.0)
+    late = np.concatenate([np.zeros(5), current[:-5]])
+    told = [Running(float(t > 2.0), 0.4, 0.0, c, 1.0) for t, c in zip(stamps, late, strict=True)]
+    added = np.outer(stamps > 2.0, STEP) + np.outer(current, BY_CURRENT)
+    off, sigma = errors(motors(1e-6), told, added, stamps > 2.0)
+    plain = np.outer(current - late, BY_CURRENT)
+    assert np.sqrt(np.mean(off**2)) < 0.5 * np.sqrt(np.mean(plain**2))
+    assert np.mean((off / np.maximum(sigma, 0.05e-6)) ** 2) < 2.0
+
+
+def test_another_place_is_not_taken_for_motors_for_long():
+    """A field that changes for good beside a robot that stands, just as motors would change it."""
+    stamps = np.arange(100) * PERIOD
+    now, off = follower(motors()), []
+    for k, stamp in enumerate(stamps):
+        field = EARTH + STEP * (stamp > 2.0)
+        found, _ = now.add(k * PERIOD, tuple(field), (0.0, 0.0, 0.0), AT_REST)
+        off.append(np.linalg.norm(np.array(found) - field))
+    assert max(off[: int(2.0 / PERIOD)]) < 0.1e-6
+    assert max(off[int(2.7 / PERIOD) :]) < 0.1e-6
+
+
+def test_motors_that_noise_hides_leave_a_robot_at_rest_as_it_is():
+    inputs = (MotorInput.MOVING,)
+    none = MotorField(inputs, np.zeros((1, 3)), np.zeros((3, 3)), np.zeros((12, 3)), 0.0, (1.0,))
+    field = (1e-5, 2e-5, -4e-5)
+    found, doubt = follower(none).add(0.0, field, (0.0, 0.0, 0.0), AT_REST)
+    assert found == field
+    assert not doubt.any()
