@@ -32,8 +32,8 @@ Fit = Callable[[Window, Knowledge], Estimate]
 METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
 
-DRIVES = METHODS[1]
-"""The method that takes a drive without a turn."""
+DRIVES, SMOOTHER = METHODS[1:3]
+"""The methods that take a drive without a turn, and a turn without a gyro."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -103,26 +103,24 @@ def calibrate(
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`. By the first a window with a gyro is the smoother's, whether the robot
-        turned on the spot or drove.
+        One of `METHODS`. By the first the smoother answers, with a gyro or without, whether the
+        robot turned on the spot or drove.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, _best_method(window, knowledge, method))
+    return calibrate_by(window, knowledge, _best_method(knowledge, method))
 
 
-def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
+def _best_method(knowledge: Knowledge, method: str) -> str:
     """Return the method that answers where the recommended one was asked for.
 
-    Without a gyro, and for sensors without systematic errors, it is the turn's model.
+    For sensors without systematic errors it is the turn's model.
     """
-    from magcal_ros.core.smoother.without_gyro import living_axes
-
-    lives = living_axes(window.angular_rate)[2] and not knowledge.systematics.are_none
-    return "smoother_one" if lives and method == METHODS[0] else method
+    by_smoother = method == METHODS[0] and not knowledge.systematics.are_none
+    return SMOOTHER if by_smoother else method
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -304,7 +302,7 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
     Infinite where there is no fit.
     """
     try:
-        estimate = find_method(_best_method(window, knowledge, method))(window, knowledge)
+        estimate = find_method(_best_method(knowledge, method))(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

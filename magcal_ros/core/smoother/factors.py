@@ -28,7 +28,6 @@ from magcal_ros.core.smoother.unknowns import (
     BODY_FIELD,
     EARTH,
     LOCAL,
-    RATE,
     ROLL_PITCH,
     SHARED,
     SHIELDING,
@@ -269,70 +268,6 @@ def _heading_less(
     return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
 
 
-def force_at_nodes(course: Course, state: State) -> Linear:
-    """Return what the specific force says at the nodes, where no gyro tells the turning between.
-
-    It is the mean of the same samples as the field's, so that a lean within a node is no error. The
-    velocity of node k is that of the accelerometer between nodes k - 1 and k. The last node, whose
-    end has no velocity, is left out.
-    """
-    nodes, shared = course.nodes, state.shared
-    level, up = course.axes[:, :2], course.axes[:, 2]
-    inside, rate = nodes.inside[:-1], nodes.rate[:-1]
-    turning = (rate @ up)[:, None]
-    velocity = state.local[:, VELOCITY]
-    mean = 0.5 * (velocity[1:] + velocity[:-1])
-    seconds = nodes.seconds[:, None]
-    gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
-    spin = skews(rate)
-    by_arm = spin @ spin
-    moving = course.moving[:-1, None]
-    acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
-    predicted = (
-        np.einsum("nij,nj->ni", inside, gravity)
-        + acceleration @ level.T
-        + by_arm @ shared[AT["lever_arm"]]
-        + shared[AT["force_offset"]]
-        + moving * shared[AT["force_moving"]]
-    )
-    count = len(seconds)
-    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
-    here[:, :, ATTITUDE] = -inside @ skews(gravity)
-    bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
-    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
-    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
-    by = np.zeros((count, 3, SHARED))
-    by[:, :, AT["lever_arm"]] = by_arm
-    by[:, :, AT["force_offset"]] = np.eye(3)
-    by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
-    return Linear(nodes.mean_force[:-1] - predicted, here, there, by)
-
-
-def sway(course: Course, state: State) -> Linear:
-    """Return what is left of the accelerometer's velocity beside the sway of its body, m/s.
-
-    An accelerometer above the pivot is moved by every change of lean. The velocity of node k is
-    that between nodes k - 1 and k.
-    """
-    level, up = course.axes[:, :2], course.axes[:, 2]
-    seconds = course.nodes.seconds[:, None]
-    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
-    rate = -rotation_vectors(between) / seconds
-    height = float(state.shared[AT["height"]][0])
-    # Of rate x (height up), in level axes.
-    across = -level.T @ skews(up[None])[0]
-    count = len(seconds)
-    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
-    by_rate = height * across / seconds[:, :, None]
-    here[:, :, ATTITUDE] = -by_rate @ between
-    there[:, :, ATTITUDE] = by_rate
-    there[:, :, VELOCITY] = np.eye(2)
-    by = np.zeros((count, 2, SHARED))
-    by[:, :, AT["height"]] = -(rate @ across.T)[:, :, None]
-    residual = height * rate @ across.T - state.local[1:, VELOCITY]
-    return Linear(residual, here, there, by)
-
-
 def gyro(course: Course, state: State) -> Linear:
     """Return what the gyro says of the rotation between nodes, radians."""
     nodes, shared = course.nodes, state.shared
@@ -350,19 +285,6 @@ def gyro(course: Course, state: State) -> Linear:
         columns = AT["gyro_matrix"].start + 3 * row
         by[:, row, columns : columns + 3] = -nodes.angle
     return Linear(-off, here, there, by)
-
-
-def turning(course: Course, state: State, axes: FloatArray) -> Linear:
-    """Return what the turn rate that the nodes have says of the rotation between them, radians.
-
-    By axes of which the last one is the turn's; across it the body keeps its axis.
-    """
-    nodes = course.nodes
-    free = gyro(course, state).along(axes)
-    free.residual[:, 2] += nodes.angle @ axes[:, 2]
-    free.residual[:, 2] -= nodes.seconds * state.local[:-1, RATE][:, 0]
-    free.here[:, 2, RATE] = nodes.seconds[:, None]
-    return free
 
 
 def followed(state: State, row: int, keeps: FloatArray, by: tuple[int, int]) -> Linear:

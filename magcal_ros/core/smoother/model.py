@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import rotation_about
-from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
@@ -261,8 +261,8 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     nodes, course, state = model.nodes, point.course, point.state
     assert nodes.tied_to is not None
     per_node = np.median(nodes.count) / nodes.count[:-1]
-    force = factors.force_at_nodes(course, state)
-    turning = factors.turning(course, state, nodes.tied_to)
+    force = factors_by_field.force_at_nodes(course, state)
+    keeps = np.exp(-nodes.seconds / model.priors.lengths.sway)
 
     def sized(name: str, linear: Linear, scale: FloatArray) -> Weighted:
         variance = point.sizes[name] ** 2 * scale + 1e-3 * LEAST_VARIANCE
@@ -271,9 +271,13 @@ def _of_a_turn_without_gyro(model: Model, point: Point) -> dict[str, Weighted]:
     return {
         "force": sized("force", force.part(LEVEL_AXES), per_node),
         "force_up": sized("force_up", force.part(UP_AXIS), per_node),
-        "gyro": sized("gyro", turning.part(LEVEL_AXES), nodes.seconds),
-        "gyro_up": sized("gyro_up", turning.part(UP_AXIS), nodes.seconds),
-        "speed_change": sized("speed_change", factors.sway(course, state), np.ones(len(per_node))),
+        "lean": sized("lean", factors_by_field.lean(state, nodes.tied_to, keeps), 1.0 - keeps**2),
+        "gyro_up": sized(
+            "gyro_up", factors_by_field.turning(course, state, nodes.tied_to), nodes.seconds
+        ),
+        "speed_change": sized(
+            "speed_change", factors_by_field.sway(course, state), np.ones(len(per_node))
+        ),
         "rate_change": sized(
             "rate_change", factors.process(state, RATE, np.ones(len(per_node))), nodes.seconds
         ),

@@ -14,12 +14,12 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.kinds_of_motion import NO_SOLUTION, Smoothed, is_upright, mixed
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_upright, mixed
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
+from magcal_ros.core.smoother.rests import Course
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
-    AT,
     KINDS,
     ON_THE_SPOT,
     SMALL_CIRCLE,
@@ -27,17 +27,18 @@ from magcal_ros.core.smoother.unknowns import (
     priors_of,
 )
 from magcal_ros.core.smoother.without_gyro import (
-    HEIGHT,
     apart,
-    at_height,
     guesses,
+    in_a_bent_field,
     in_a_circle,
     nodes_by_field,
     without_rates,
 )
 
-SWAYING, OTHER = "on the spot, swaying", ", other root"
-USUAL = {SMALL_CIRCLE: 0.1, SWAYING: 0.5}
+NOTHING_FITS = "no installation and hard iron fit these samples; check the axes and repeat the turn"
+BENT = f"{ON_THE_SPOT}, bent field"
+OTHER = ", other root"
+USUAL = {SMALL_CIRCLE: 0.1, BENT: 0.3}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """How usual kinds of motion are without a gyro, which alone would show them, over the usual one."""
 AGAIN = Tolerances(fewest=4)
@@ -50,9 +51,11 @@ RIVAL = 0.05
 """Probability from which another root is a rival."""
 APART = 0.05
 """Radians of installation and hard iron over the field by which two starts are two."""
-FURTHEST = 60.0
-"""Of minus twice the logarithm of the evidence; starts that are worse after a few rounds lead
-nowhere."""
+FURTHEST, HOPELESS = 60.0, 30.0
+"""Of minus twice the logarithm of the evidence over the best one's: starts that are worse after a
+few rounds lead nowhere, and roots that are worse at their optimum weigh nothing."""
+BENDS = 10.0
+"""Factor of the bend's sigma where a fit in a field that bends begins."""
 
 
 def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
@@ -64,40 +67,60 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
         If no fit could be had.
     """
     nodes = nodes_by_field(window, knowledge.mounting.to_body)
-    priors = without_rates(priors_of(knowledge), knowledge.systematics)
+    usual = priors_of(knowledge)
+    assert nodes.tied_to is not None
+    rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
+    priors = without_rates(usual, rests=rests)
+    led = (
+        _fitted(nodes, like.model.priors, like.state, AGAIN, like)
+        for like in _best(nodes, priors, knowledge)
+    )
+    roots = _distinct([each for each in led if each is not None and is_upright(each)], HOPELESS)
+    if not roots:
+        raise Refusal(Reason.NO_SOLUTION, NOTHING_FITS)
     fits: dict[str, Fit] = {}
-    for number, (state, about) in enumerate(_best(nodes, priors, knowledge)):
-        root = "" if number == 0 else OTHER
-        found = _of_one_root(nodes, about, state, is_exact=knowledge.systematics.are_none)
-        fits |= {name + root: each for name, each in found.items()}
-    if not fits:
-        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
+    for each, root in zip(roots, ("", OTHER), strict=False):
+        # Sensors that are exact move no more than their robot does.
+        exact = knowledge.systematics.are_none
+        found = {ON_THE_SPOT: each} if exact else _elsewhere(each)
+        fits |= {name + root: other for name, other in found.items()}
     return mixed(fits, nodes, knowledge, USUAL)
 
 
-def _of_one_root(nodes: Nodes, priors: Priors, state: State, *, is_exact: bool) -> dict[str, Fit]:
-    """Fit a turn on the spot, with an accelerometer high above the pivot, and in a small circle.
+def _elsewhere(first: Fit) -> dict[str, Fit]:
+    """Fit a turn on the spot in a field that bends, and in a small circle; return all fits."""
+    nodes, found = first.model.nodes, {ON_THE_SPOT: first}
 
-    One after the other: begun with a height, the fit may take all lean for sway. Sensors that are
-    exact move no more than their robot does, so that a small circle is not tried.
-    """
-    found: dict[str, Fit] = {}
-
-    def follow(name: str, about: Priors, like: Fit | None, tolerances: Tolerances) -> None:
-        each = _fitted(nodes, about, state, tolerances, like)
-        if each is not None and is_upright(each):
+    def follow(name: str, priors: Priors, like: Fit) -> None:
+        each = _fitted(nodes, priors, like.state, AGAIN, like)
+        known = found.get(name)
+        if each is None or not is_upright(each):
+            return
+        if known is None or each.evidence < known.evidence:
             found[name] = each
 
-    follow(ON_THE_SPOT, priors, None, Tolerances())
-    if not found:
-        return found
-    raised = raised_to(found[ON_THE_SPOT], HEIGHT)
-    follow(SWAYING, at_height(priors, HEIGHT), raised, AGAIN)
-    if not is_exact:
-        best = min(found.values(), key=lambda each: each.evidence)
-        height = float(best.state.shared[AT["height"]][0])
-        follow(SMALL_CIRCLE, in_a_circle(at_height(priors, height)), best, AGAIN)
+    # A field that bends looks like axes out of square, which are square to begin with.
+    groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0, "gradient": BENDS}
+    like = replace(first, point=replace(first.point, groups=groups))
+    follow(BENT, in_a_bent_field(first.model.priors), like)
+    best = min(found, key=lambda name: found[name].evidence)
+    priors = found[best].model.priors
+    follow(SMALL_CIRCLE, in_a_circle(priors), found[best])
+    circle = found.get(SMALL_CIRCLE)
+    if circle is not None and circle.evidence < found[best].evidence:
+        # The sizes of the noises may have gone on to shrink there.
+        follow(best, priors, circle)
     return found
+
+
+def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
+    """Return the fits that lie apart and whose evidence is near the best one's, which is first."""
+    kept: list[Fit] = []
+    for each in sorted(fits, key=lambda fit: fit.evidence):
+        new = all(apart(each.state, other.state) > APART for other in kept)
+        if new and each.evidence < (kept or [each])[0].evidence + furthest:
+            kept.append(each)
+    return kept
 
 
 def _fitted(
@@ -110,27 +133,13 @@ def _fitted(
         return None
 
 
-def raised_to(fit: Fit, height: float) -> Fit:
-    """Return a fit as a start for another height of the accelerometer, metres."""
-    shared = fit.state.shared.copy()
-    shared[AT["height"]] = height
-    return replace(fit, point=replace(fit.point, state=replace(fit.state, shared=shared)))
-
-
-def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[tuple[State, Priors]]:
+def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
     """Return the distinct starts that lead furthest in a few rounds, the best one first."""
     led = [
-        (found, about)
+        _fitted(nodes, about, state, SKETCH)
         for state, about in guesses(nodes, priors, knowledge.reference)
-        if (found := _fitted(nodes, about, state, SKETCH)) is not None
     ]
-    led.sort(key=lambda pair: pair[0].evidence)
-    kept: list[tuple[Fit, Priors]] = []
-    for each, about in led:
-        new = all(apart(each.state, other.state) > APART for other, _ in kept)
-        if new and each.evidence < led[0][0].evidence + FURTHEST and len(kept) < ROOTS:
-            kept.append((each, about))
-    return [(each.state, about) for each, about in kept]
+    return _distinct([each for each in led if each is not None], FURTHEST)[:ROOTS]
 
 
 def rival_gap(found: Smoothed) -> float:

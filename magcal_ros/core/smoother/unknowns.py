@@ -141,10 +141,16 @@ UNKNOWNS: dict[str, Unknown] = {
     "mounting_yaw": Unknown(
         (0.06,), 0.7, 8.0, "rad", "ahead of wheels, left of the x axis", "boards fixed by hand"
     ),
+    "axis": Unknown(
+        (0.3, 0.3), 0.0, 1.0, "rad", "the turn's axis in the body, off its guess", "level by hand"
+    ),
+    "upright": Unknown(
+        (0.1, 0.1), 0.0, 1.0, "rad", "the turn's axis in the world, to east and north", "slopes"
+    ),
     "gradient": Unknown(
-        (0.4,) * 6,
-        1.2,
-        30.0,
+        (0.2,) * 6,
+        1.5,
+        60.0,
         "µT",
         "local disturbance on the turn's own small circle, by east and north of the body's x axis",
         "a sensor 0 to .25 m beside the axis; .1 to 20 µT/m",
@@ -259,6 +265,8 @@ class Lengths:
         m/s that a robot at rest may still move.
     moving : float
         rad/s of turn rate from which a robot on the spot counts as moving.
+    sway : float
+        Seconds over which the lean of a robot that sways is alike.
     """
 
     street: float = 30.0
@@ -267,6 +275,7 @@ class Lengths:
     beside: float = 0.15
     creep: float = 0.01
     moving: float = 0.03
+    sway: float = 1.0
 
 
 def _slices() -> tuple[dict[str, slice], int]:
@@ -337,7 +346,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
     # The gyro tells what the lever arm and the place do.
-    scale[AT["height"]] = scale[AT["gradient"]] = 0.0
+    for name in ("height", "axis", "upright", "gradient"):
+        scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     sizes = dict(SIZES)
     if knowledge.systematics.are_none:

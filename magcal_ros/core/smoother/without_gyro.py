@@ -21,7 +21,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
-from magcal_ros.core.knowledge import ReferenceField, Systematics
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.state import State
@@ -38,21 +38,20 @@ from magcal_ros.core.smoother.unknowns import (
 )
 
 SMOOTHED = 0.5
-"""Seconds (one sigma) over which the field is averaged for the turn rate."""
+"""Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
 NODE = 0.3
 """Seconds of a node; a sway of more than 1 Hz is not followed."""
 AXIS = 0.3
 """Radians by which the turn's axis may lean from the one that is guessed, per axis."""
-HEIGHT = 0.3
-"""Metres of the accelerometer above the pivot of its sway, tried beside zero."""
 CIRCLE = 0.6
 """Metres of the accelerometer from the middle of a small circle: one sigma."""
 NOISELESS = 1e-6
 """Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
 Z = np.array([0.0, 0.0, 1.0])
 
+DEAD = Size(0.01, 1.5, 6.0, "rad/√s", "sway about axes that do not live", "robots: 0 to .1", 0.1)
 SWAY: Mapping[str, Size] = {
-    "gyro": Size(0.01, 1.5, 6.0, "rad/√s", "sway: random walk of the lean", "robots: 0 to .1", 0.1),
+    "lean": Size(0.01, 1.5, 6.0, "rad", "lean of the body from its axis", "robots: 0 to .05", 0.03),
     "gyro_up": Size(0.01, 1.5, 4.0, "rad/√s", "yaw beside a rate that changes", "jerks", 0.05),
     "rate_change": Size(0.05, 1.5, 4.0, "rad/s/√s", "change of the turn rate", "0 to .3", 0.2),
     "speed_change": Size(
@@ -78,12 +77,12 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
 def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     """Average a window that has no gyro by the turn rate that its field shows."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
-    field = _smooth(window.time, window.field @ to_body.T * MICROTESLA)
+    field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
     usual = unit(np.median(window.specific_force, axis=0))
     axis = circle.normal * math.copysign(1.0, float(circle.normal @ usual))
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
-    rate = np.gradient(-turn, window.time)[:, None] * axis
+    rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate)
     nodes = nodes_of(made, to_body, Spacing(longest=NODE))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
@@ -115,34 +114,36 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     dead = ~np.array(living)
     scale[AT["gyro_bias"]][dead] = 0.0
     scale[AT["gyro_matrix"]].reshape(3, 3)[dead] = AXIS
-    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": SWAY["gyro"]})
+    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": DEAD})
 
 
-def without_rates(priors: Priors, systematics: Systematics) -> Priors:
-    """Return the priors of a window that has no gyro."""
-    priors = with_dead_axes(priors, (False, False, False))
+def without_rates(priors: Priors, *, rests: bool) -> Priors:
+    """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
     scale = priors.scale.copy()
+    scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = 0.0
+    for name in ("axis", "upright", "height"):
+        scale[AT[name]] = UNKNOWNS[name].sigma
     # The accelerometer's own up is what the answer leads to: its offset is part of the roll.
     scale[AT["latency"]] = scale[AT["force_offset"]][:2] = 0.0
-    if not systematics.are_none:
-        scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
     if priors.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
         scale[AT["shielding"]] = 0.0
-    return replace(priors, scale=scale, sizes={**priors.sizes, **SWAY})
+    # Without a rest nothing shows how large a shift is that lasts while the robot moves.
+    spread = priors.spread if rests else {**priors.spread, "force_moving": 0.0}
+    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **SWAY})
+
+
+def in_a_bent_field(priors: Priors) -> Priors:
+    """Return the priors of a magnetometer that moves through a field which bends."""
+    scale = priors.scale.copy()
+    scale[AT["gradient"]] = UNKNOWNS["gradient"].sigma
+    return replace(priors, scale=scale)
 
 
 def in_a_circle(priors: Priors) -> Priors:
     """Return the priors of a robot that may drive a small circle: its pivot is far aside."""
     scale = priors.scale.copy()
     scale[AT["lever_arm"]][:2] *= CIRCLE / UNKNOWNS["lever_arm"].sigma[0]
-    return replace(priors, scale=scale)
-
-
-def at_height(priors: Priors, height: float) -> Priors:
-    """Return the priors of a robot whose accelerometer is so many metres above its sway's pivot."""
-    scale, mean = priors.scale.copy(), priors.mean.copy()
-    mean[AT["height"]], scale[AT["height"]] = height, UNKNOWNS["height"].sigma
-    return replace(priors, mean=mean, scale=scale)
+    return replace(priors, scale=scale, spread={**priors.spread, "lever_arm": 0.0})
 
 
 def guesses(nodes: Nodes, priors: Priors, reference: ReferenceField) -> list[tuple[State, Priors]]:

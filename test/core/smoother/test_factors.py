@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magcal_ros.core.geometry.rotations import rotation_about
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_about
 from magcal_ros.core.simulation.simulator import Robot, measure, turn
-from magcal_ros.core.smoother import factors
+from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import Linear
 from magcal_ros.core.smoother.nodes import nodes_of
 from magcal_ros.core.smoother.places import Places
@@ -20,6 +21,7 @@ from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,
     LOCAL,
+    RATE,
     SHARED,
     STREET,
     VELOCITY,
@@ -37,6 +39,11 @@ def course() -> Course:
     return Course.of(nodes_of(window, np.eye(3)), axes, np.zeros(3), Lengths())
 
 
+def turn_axes(course: Course) -> np.ndarray:
+    """Return axes of which the last one is the turn's."""
+    return minimal_rotation(np.array([0.0, 0.0, 1.0]), unit(course.nodes.rate.mean(axis=0)))
+
+
 @pytest.fixture(scope="module")
 def state(course: Course) -> State:
     """Return a state near the gyro's path, so that what is left of the rotations is small."""
@@ -47,6 +54,7 @@ def state(course: Course) -> State:
         attitude.append(turned @ attitude[-1])
     local = 0.3 * rng.standard_normal((len(nodes), LOCAL))
     local[:, :3] = 0.0
+    local[:, RATE] = nodes.rate @ turn_axes(course)[:, 2:] + 0.01 * local[:, RATE]
     shared = priors_of(Robot().knowledge()).mean + 1e-3 * rng.standard_normal(SHARED)
     return State(np.array(attitude), local, shared, rng.standard_normal((4, 3)))
 
@@ -88,13 +96,17 @@ def force_at_rest(_: Course, state: State) -> Linear:
 
 
 def turning(course: Course, state: State) -> Linear:
+    return factors_by_field.turning(course, state, turn_axes(course))
+
+
+def lean(course: Course, state: State) -> Linear:
     axes = np.linalg.qr(np.random.default_rng(7).standard_normal((3, 3)))[0]
-    return factors.turning(course, state, axes)
+    return factors_by_field.lean(state, axes, np.full(len(state.local) - 1, 0.7))
 
 
 BY_SHARED = (
     *(magnetic, factors.force, factors.gyro, force_at_rest),
-    *(factors.force_at_nodes, factors.sway, turning),
+    *(factors_by_field.force_at_nodes, factors_by_field.sway, turning, lean),
 )
 FACTORS = (*BY_SHARED, process, followed, known_heading, known_turn)
 

@@ -1,0 +1,126 @@
+"""What the measurements of a turn without a gyro say of the unknowns, as in `factors`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import exp_rotations, rotation_vectors, skews
+from magcal_ros.core.smoother.factors import QUARTER, Linear
+from magcal_ros.core.smoother.rests import Course
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, LOCAL, RATE, SHARED, VELOCITY
+
+
+def force_at_nodes(course: Course, state: State) -> Linear:
+    """Return what the specific force says at the nodes, where no gyro tells the turning between.
+
+    It is the mean of the same samples as the field's, so that a lean within a node is no error. The
+    velocity of node k is that of the accelerometer between nodes k - 1 and k. The last node, whose
+    end has no velocity, is left out.
+    """
+    nodes, shared = course.nodes, state.shared
+    level, up = course.axes[:, :2], course.axes[:, 2]
+    inside, rate = nodes.inside[:-1], nodes.rate[:-1]
+    turning = (rate @ up)[:, None]
+    velocity = state.local[:, VELOCITY]
+    mean = 0.5 * (velocity[1:] + velocity[:-1])
+    seconds = nodes.seconds[:, None]
+    gravity = STANDARD_GRAVITY * state.attitude[:-1, :, 2]
+    spin = skews(rate)
+    by_arm = spin @ spin
+    moving = course.moving[:-1, None]
+    acceleration = (velocity[1:] - velocity[:-1]) / seconds + turning * mean @ QUARTER.T
+    predicted = (
+        np.einsum("nij,nj->ni", inside, gravity)
+        + acceleration @ level.T
+        + by_arm @ shared[AT["lever_arm"]]
+        + shared[AT["force_offset"]]
+        + moving * shared[AT["force_moving"]]
+    )
+    count = len(seconds)
+    here, there = np.zeros((count, 3, LOCAL)), np.zeros((count, 3, LOCAL))
+    here[:, :, ATTITUDE] = -inside @ skews(gravity)
+    bend = 0.5 * turning[:, :, None] * (level @ QUARTER)
+    here[:, :, VELOCITY] = bend - level / seconds[:, :, None]
+    there[:, :, VELOCITY] = bend + level / seconds[:, :, None]
+    by = np.zeros((count, 3, SHARED))
+    by[:, :, AT["lever_arm"]] = by_arm
+    by[:, :, AT["force_offset"]] = np.eye(3)
+    by[:, :, AT["force_moving"]] = moving[:, :, None] * np.eye(3)
+    return Linear(nodes.mean_force[:-1] - predicted, here, there, by)
+
+
+def sway(course: Course, state: State) -> Linear:
+    """Return what is left of the accelerometer's velocity beside the sway of its body, m/s.
+
+    An accelerometer above the pivot is moved by every change of lean. The velocity of node k is
+    that between nodes k - 1 and k.
+    """
+    level, up = course.axes[:, :2], course.axes[:, 2]
+    seconds = course.nodes.seconds[:, None]
+    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
+    rate = -rotation_vectors(between) / seconds
+    height = float(state.shared[AT["height"]][0])
+    # Of rate x (height up), in level axes.
+    across = -level.T @ skews(up[None])[0]
+    count = len(seconds)
+    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
+    by_rate = height * across / seconds[:, :, None]
+    here[:, :, ATTITUDE] = -by_rate @ between
+    there[:, :, ATTITUDE] = by_rate
+    there[:, :, VELOCITY] = np.eye(2)
+    by = np.zeros((count, 2, SHARED))
+    by[:, :, AT["height"]] = -(rate @ across.T)[:, :, None]
+    residual = height * rate @ across.T - state.local[1:, VELOCITY]
+    return Linear(residual, here, there, by)
+
+
+def turning(course: Course, state: State, axes: FloatArray) -> Linear:
+    """Return what is left of the rotation about the turn's axis between nodes, (n - 1, 1) radians.
+
+    The last one of the axes is near the turn's.
+    """
+    seconds, rate = course.nodes.seconds[:, None], state.local[:-1, RATE]
+    axis, by_axis = _leaning(axes, state.shared[AT["axis"]])
+    between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
+    off = rotation_vectors(between @ exp_rotations(seconds * rate * axis))
+    count = len(seconds)
+    here, there = np.zeros((count, 1, LOCAL)), np.zeros((count, 1, LOCAL))
+    here[:, 0, ATTITUDE] = -axis @ between
+    there[:, 0, ATTITUDE] = axis
+    here[:, :, RATE] = seconds[:, :, None]
+    by = np.zeros((count, 1, SHARED))
+    by[:, 0, AT["axis"]] = off @ by_axis
+    return Linear(-off @ axis[:, None], here, there, by)
+
+
+def lean(state: State, axes: FloatArray, keeps: FloatArray) -> Linear:
+    """Return what a process that forgets says of the axis' lean in the world, (n - 1, 2) radians.
+
+    The body turns about an axis that is fixed in the body and in the world, and sways around it.
+    """
+    axis, by_axis = _leaning(axes, state.shared[AT["axis"]])
+    upright, by_upright = _leaning(np.eye(3), state.shared[AT["upright"]])
+    across = axes[:, :2].T
+    turned = state.attitude @ upright
+    leans = (turned - axis) @ across.T
+    by_attitude = -across @ skews(turned)
+    by = np.zeros((len(leans), 2, SHARED))
+    by[:, :, AT["axis"]] = -across @ by_axis
+    by[:, :, AT["upright"]] = across @ state.attitude @ by_upright
+    count, kept = len(keeps), keeps[:, None, None]
+    here, there = np.zeros((count, 2, LOCAL)), np.zeros((count, 2, LOCAL))
+    here[:, :, ATTITUDE] = -kept * by_attitude[:-1]
+    there[:, :, ATTITUDE] = by_attitude[1:]
+    residual = keeps[:, None] * leans[:-1] - leans[1:]
+    return Linear(residual, here, there, by[1:] - kept * by[:-1])
+
+
+def _leaning(axes: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a unit vector (3,) off the last axis by (2,) along the others, and its derivative."""
+    vector = axes[:, 2] + axes[:, :2] @ off
+    length = np.linalg.norm(vector)
+    axis = vector / length
+    return axis, (axes[:, :2] - np.outer(axis, axis @ axes[:, :2])) / length
