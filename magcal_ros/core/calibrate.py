@@ -111,16 +111,21 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, _best_method(knowledge, method))
+    return calibrate_by(window, knowledge, _best_method(window, knowledge, method))
 
 
-def _best_method(knowledge: Knowledge, method: str) -> str:
+def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
     """Return the method that answers where the recommended one was asked for.
 
-    For sensors without systematic errors it is the turn's model.
+    For sensors without systematic errors it is the turn's model, and for turns without a gyro where
+    the reference field is known: the smoother does not yet fit a body there that weakens the field.
     """
-    by_smoother = method == METHODS[0] and not knowledge.systematics.are_none
-    return SMOOTHER if by_smoother else method
+    if method != METHODS[0] or knowledge.systematics.are_none:
+        return method
+    from magcal_ros.core.smoother.without_gyro import living_axes
+
+    has_gyro = living_axes(window.angular_rate)[2]
+    return method if knowledge.reference.is_complete and not has_gyro else SMOOTHER
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -302,7 +307,7 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
     Infinite where there is no fit.
     """
     try:
-        estimate = find_method(_best_method(knowledge, method))(window, knowledge)
+        estimate = find_method(_best_method(window, knowledge, method))(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

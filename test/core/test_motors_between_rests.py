@@ -56,7 +56,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
     knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
-    for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 1.0e-6, 6e-6)):
+    for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.7e-6, 6e-6)):
         u = np.kron([1.0, turn_rate, 1.0], np.eye(3))
         found = u @ motors.gain.ravel()
         sigma = np.sqrt(np.diag(u @ motors.covariance @ u.T))

@@ -11,6 +11,28 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
+AGAINST_REFERENCE: tuple[Bound, ...] = (
+    Bound(
+        Figure.RADIUS_MISFIT,
+        10.0,
+        25.0,
+        "radius of the field against the reference",
+        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
+        excellent=3.0,
+        unit="%",
+    ),
+    Bound(
+        Figure.LEVEL_SHARE,
+        90.0,
+        15.0,
+        "share of the level field that reaches the sensor",
+        "mount the sensor away from steel, or check the reference field",
+        excellent=97.0,
+        unit="%",
+        at_least=True,
+    ),
+)
+"""The level field against that of the reference."""
 TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.HEADING_SIGMA,
@@ -40,25 +62,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         excellent=5.0,
         unit="%",
     ),
-    Bound(
-        Figure.RADIUS_MISFIT,
-        10.0,
-        25.0,
-        "radius of the field against the reference",
-        "check reference.strength_ut and inclination_deg, or look for soft iron and steel near by",
-        excellent=3.0,
-        unit="%",
-    ),
-    Bound(
-        Figure.LEVEL_SHARE,
-        90.0,
-        15.0,
-        "share of the level field that reaches the sensor",
-        "mount the sensor away from steel, or check the reference field",
-        excellent=97.0,
-        unit="%",
-        at_least=True,
-    ),
+    *AGAINST_REFERENCE,
     Bound(
         Figure.ELLIPSE_EXCESS,
         12.0,
@@ -323,6 +327,7 @@ DRIVE_BOUNDS: tuple[Bound, ...] = (
         excellent=1.0,
         unit="σ",
     ),
+    *AGAINST_REFERENCE,
     *SITS_STRAIGHT,
 )
 """From simulated drives and twelve recordings. The most important come first."""

@@ -218,7 +218,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
-        **({Figure.LEVEL_SHARE: float(share)} if weakened else {}),
+        Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: float(share),
         Figure.STEADY_PULL: _pull(best) / STANDARD_GRAVITY,
         Figure.POSSIBLE_PULL: found.by_pull,
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
