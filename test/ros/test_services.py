@@ -88,8 +88,8 @@ def test_reset_stops_the_yaw_and_load_brings_it_back(loaded):
 
 
 def test_accept_applies_what_the_verdict_refused(stage):
-    # A reference a third too strong: the circle's radius contradicts it.
-    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 80.0}, speed=8.0)
+    # A reference a third too weak: steel does not make the field larger.
+    actor = stage(parameters={**REFERENCE, "reference.strength_ut": 32.0}, speed=8.0)
     assert "no fitted calibration" in actor.answer(actor.call("accept")).message
     refused = calibrate_quickly(actor)
     assert not refused.success
