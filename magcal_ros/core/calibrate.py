@@ -122,10 +122,13 @@ def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
     """
     if method != METHODS[0] or knowledge.systematics.are_none:
         return method
+    return method if knowledge.reference.is_complete and not _has_gyro(window) else SMOOTHER
+
+
+def _has_gyro(window: Window) -> bool:
     from magcal_ros.core.smoother.without_gyro import living_axes
 
-    has_gyro = living_axes(window.angular_rate)[2]
-    return method if knowledge.reference.is_complete and not has_gyro else SMOOTHER
+    return living_axes(window.angular_rate)[2]
 
 
 def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
@@ -306,8 +309,13 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
+    best = _best_method(window, knowledge, method)
     try:
-        estimate = find_method(_best_method(window, knowledge, method))(window, knowledge)
+        if best == SMOOTHER and _has_gyro(window):
+            from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
+
+            return promised_sigma(window, knowledge)
+        estimate = find_method(best)(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

@@ -18,7 +18,16 @@ from magcal_ros.core.smoother.nodes import Nodes, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SIZES, USUAL, Priors, priors_of
+from magcal_ros.core.smoother.unknowns import (
+    KINDS,
+    ON_THE_SPOT,
+    ON_WHEELS,
+    SIZES,
+    SMALL_CIRCLE,
+    USUAL,
+    Priors,
+    priors_of,
+)
 from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
 
 BELIEVED = 0.25
@@ -94,6 +103,24 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
     return mixed(fits, nodes, knowledge)
+
+
+def promised_sigma(window: Window, knowledge: Knowledge) -> float:
+    """Return about what sigma of the level heading `smooth` would come to, radians.
+
+    Parameters and errors as of `smooth`. It takes a fifth of the time: two kinds of motion are
+    fitted, and not to the end.
+    """
+    nodes, state, priors = _started(window, knowledge)
+    fits: dict[str, Fit] = {}
+    _try(fits, ON_THE_SPOT, nodes, priors, state, tolerances=ROUGHLY)
+    if ON_THE_SPOT in fits and gyro_is_usual(fits[ON_THE_SPOT]):
+        _try(fits, SMALL_CIRCLE, nodes, priors, state, fits[ON_THE_SPOT], ROUGHLY)
+    else:
+        _try(fits, ON_WHEELS, nodes, priors, state, tolerances=ROUGHLY)
+    if not fits:
+        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
+    return mixed(fits, nodes, knowledge).posterior.heading_sigma
 
 
 def _fit_drives(fits: dict[str, Fit], nodes: Nodes, priors: Priors, state: State) -> None:
