@@ -312,8 +312,11 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
     best = _best_method(window, knowledge, method)
     try:
         if best == SMOOTHER and _has_gyro(window):
+            from magcal_ros.core.methods.checks import refuse_empty
+            from magcal_ros.core.methods.smoother_one import FEWEST_SAMPLES
             from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
 
+            refuse_empty(window, FEWEST_SAMPLES)
             return promised_sigma(window, knowledge)
         estimate = find_method(best)(window, knowledge)
     except Refusal:
