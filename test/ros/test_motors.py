@@ -99,6 +99,20 @@ def odometry(stamp, speed):
     return message
 
 
+def learnt_of_speed(actor, now):
+    """Start and stop at several speeds, and return what the node tells of the field by speed."""
+    for _ in range(5):
+        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
+            now["speed"] = speed
+            actor.run(0.6)
+
+    def told():
+        return (actor.status["motors"] or {}).get("inputs", {})
+
+    actor.run(PATIENCE, stop=lambda: "speed" in told())
+    return told()["speed"]
+
+
 def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, monkeypatch):
     """The turn knew of nothing that goes with the speed; a few starts and stops show it."""
     monkeypatch.setattr("magcal_ros.ros.motors.PAUSE", 2)
@@ -116,16 +130,7 @@ def test_what_wheels_explain_is_learnt_and_kept(graph, with_motors, tmp_path, mo
         return [sample]
 
     actor.mangle = add
-    for _ in range(5):
-        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
-            now["speed"] = speed
-            actor.run(0.6)
-
-    def told():
-        return (actor.status["motors"] or {}).get("inputs", {})
-
-    actor.run(PATIENCE, stop=lambda: "speed" in told())
-    found = told()["speed"]
+    found = learnt_of_speed(actor, now)
     assert found["from"] == "/odom"
     gap = np.array(found["field_ut"]) * 1e-6 - by_speed
     assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)
@@ -160,16 +165,7 @@ def test_what_a_command_explains_is_learnt(graph, with_motors, tmp_path, kind):
 
     actor.mangle = add
     actor.run(PATIENCE, stop=out.get_subscription_count)
-    for _ in range(5):
-        for speed in (0.0, 0.5, 0.5, 0.9, 0.9, 0.5):
-            now["speed"] = speed
-            actor.run(0.6)
-
-    def told():
-        return (actor.status["motors"] or {}).get("inputs", {})
-
-    actor.run(PATIENCE, stop=lambda: "speed" in told())
-    found = told()["speed"]
+    found = learnt_of_speed(actor, now)
     assert found["from"] == "/cmd_vel"
     gap = np.array(found["field_ut"]) * 1e-6 - by_speed
     assert np.linalg.norm(gap) < 4.0 * max(found["sigma_ut"] * 1e-6, 0.1e-6)

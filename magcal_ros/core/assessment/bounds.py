@@ -11,6 +11,16 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP
 
+INSTALLATION = Bound(
+    Figure.INSTALLATION_ANGLE,
+    15.0,
+    45.0,
+    "installation error",
+    "give the sensor's nominal pose with mount_rpy_deg",
+    excellent=5.0,
+    when_refused=SITS_OTHERWISE,
+)
+"""How far the magnetometer is from its nominal pose."""
 AGAINST_REFERENCE: tuple[Bound, ...] = (
     Bound(
         Figure.RADIUS_MISFIT,
@@ -128,15 +138,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         excellent=1.5,
         unit="σ",
     ),
-    Bound(
-        Figure.INSTALLATION_ANGLE,
-        15.0,
-        45.0,
-        "installation error",
-        "give the sensor's nominal pose with mount_rpy_deg",
-        excellent=5.0,
-        when_refused=SITS_OTHERWISE,
-    ),
+    INSTALLATION,
     Bound(
         Figure.INSTALLATION_YAW_SIGMA,
         3.0,
@@ -269,15 +271,7 @@ def _adapted(bound: Bound, estimate: Estimate) -> Bound:
 
 DRIVE_ON = "drive on, with bends to both sides, to all headings"
 SITS_STRAIGHT: tuple[Bound, ...] = (
-    Bound(
-        Figure.INSTALLATION_ANGLE,
-        15.0,
-        45.0,
-        "installation error",
-        "give the sensor's nominal pose with mount_rpy_deg",
-        excellent=5.0,
-        when_refused=SITS_OTHERWISE,
-    ),
+    INSTALLATION,
     Bound(
         Figure.AXIS_LEAN,
         45.0,

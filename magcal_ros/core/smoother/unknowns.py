@@ -69,7 +69,7 @@ class Size(NamedTuple):
     start : float
         Where the iterations begin, if not at the median.
     most : float
-        Beyond it no sensor or robot is.
+        Largest value: no sensor or robot exceeds it.
     """
 
     usual: float
@@ -163,7 +163,7 @@ SIZES: dict[str, Size] = {
     ),
     "force": Size(0.03, 1.5, 4.0, "m/s²", "noise of a link's level force", "vibration: .01 to .5"),
     "force_up": Size(0.03, 1.5, 4.0, "m/s²", "the same along z", "bumps of the road: to 1"),
-    # Without a limit the lean of a body is a noise of the gyro, where the robot accelerates.
+    # Without a limit the fit takes the acceleration of a drive for gyro noise.
     "gyro": Size(
         0.001, 0.5, 3.0, "rad/√s", "random walk about x and y", "MEMS: .0002 to .003", most=0.004
     ),
@@ -212,8 +212,8 @@ class KindOfMotion(NamedTuple):
     lever_arm : float
         Usual distance of the accelerometer from the pivot, metres per axis.
     begins : float
-        m/s² of the velocity's change where the iterations begin: of a drive it has to be large, or
-        lean takes what accelerates it, and of a turn small.
+        Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
+        acceleration is taken for lean; if it is too large, lean is taken for acceleration.
     """
 
     speed: float
@@ -243,8 +243,8 @@ KINDS: dict[str, KindOfMotion] = {
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
-"""How usual the kinds of motion are, where not as usual as the others: most robots have wheels, and
-few turn exactly on a spot."""
+"""Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
+and few turn exactly on a spot."""
 
 
 @dataclass(frozen=True)

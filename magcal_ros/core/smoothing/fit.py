@@ -264,20 +264,16 @@ class LikelihoodRatio:
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 
 
-def likelihood_ratio(
-    nodes: Nodes,
-    old: Correction,
-    new: Correction,
-    knowledge: Knowledge,
-    tuning: SmootherTuning = TUNING,
+def likelihood_ratio_of(
+    old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
 ) -> LikelihoodRatio:
-    """Return the log likelihood ratio of the nodes between a new calibration and an old one.
+    """Return the log likelihood ratio of nodes between a new calibration and an old one.
 
     Parameters
     ----------
-    nodes : Nodes
-    old, new : Correction
-        Both are held; yaw, street and the Earth's field are free.
+    old, new : Nodes
+        Corrected by the one and by the other, which both are held; yaw, street and the Earth's
+        field are free.
     knowledge : Knowledge
     tuning : SmootherTuning
 
@@ -286,14 +282,6 @@ def likelihood_ratio(
     LikelihoodRatio
         Nothing where one of them cannot be followed.
     """
-    before, after = (corrected(nodes, each, knowledge.mounting.matrix) for each in (old, new))
-    return likelihood_ratio_of(before, after, knowledge, tuning)
-
-
-def likelihood_ratio_of(
-    old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> LikelihoodRatio:
-    """Return the same as `likelihood_ratio` of nodes that are corrected already."""
     fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
         return LikelihoodRatio()

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, level_part
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
@@ -82,27 +81,6 @@ class DriveLog:
         if known.mean() > 0.5:
             return np.interp(self.time, self.time[known], self.speed[known])
         return np.zeros(len(self)) if self.level.stays else None
-
-    @property
-    def stays(self) -> bool:
-        """Whether it is one of a robot that stays where it is."""
-        return self.driven is not None and not self.driven.any()
-
-    @cached_property
-    def jolts(self) -> float:
-        """RMS by which the force beside up changes from second to second of the turns.
-
-        Radians per axis. Vehicles jolt, also on even circles; who turns on the spot hardly does.
-        """
-        if self.seconds < 2.0:
-            return 0.0
-        second = (self.time - self.time[0]).astype(int)
-        means = Means(np.flatnonzero(np.diff(second, prepend=-1)), len(self))
-        beside = level_part(self.force, self.level.up)
-        change = np.diff(means.of(beside), axis=0) / STANDARD_GRAVITY
-        turns = means.of(np.linalg.norm(self.rate, axis=1)) > TUNING.turning
-        counted = change[turns[1:] & turns[:-1]]
-        return 0.5 * math.sqrt(float(np.mean(np.sum(counted**2, axis=1)))) if len(counted) else 0.0
 
     def nodes(self, to_body: FloatArray) -> Nodes:
         """Return the nodes of all of it; `to_body` as for `nodes_of`."""
