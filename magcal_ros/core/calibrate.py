@@ -33,7 +33,9 @@ METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "elli
 """Names that `find_method` knows, the recommended one first."""
 
 DRIVES, SMOOTHER = METHODS[1:3]
-"""The methods that take a drive without a turn, and a turn without a gyro."""
+"""The methods that take a drive without a turn, and any window."""
+ALSO_CALLED = {METHODS[0]: SMOOTHER}
+"""The recommended method keeps the name by which parameters and scripts know it."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -85,7 +87,7 @@ def find_method(name: str) -> Fit:
     """
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
-    module = importlib.import_module(f"magcal_ros.core.methods.{name}")
+    module = importlib.import_module(f"magcal_ros.core.methods.{ALSO_CALLED.get(name, name)}")
     return cast("Fit", module.fit)
 
 
@@ -94,7 +96,7 @@ def calibrate(
     knowledge: Knowledge,
     method: str = METHODS[0],
 ) -> Outcome:
-    """Fit a window as a turn, or as the drive that it was, and judge the result.
+    """Fit a window by a method, and judge the result.
 
     Parameters
     ----------
@@ -103,36 +105,14 @@ def calibrate(
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`. By the first the smoother answers, with a gyro or without, whether the
-        robot turned on the spot or drove.
+        One of `METHODS`. By the first, as by `smoother_one`, the smoother answers, with a gyro or
+        without, whether the robot turned on the spot or drove.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, _best_method(window, knowledge, method))
-
-
-def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
-    """Return the method that answers where the recommended one was asked for.
-
-    For sensors without systematic errors it is the turn's model, and for turns without a gyro where
-    the reference field is known: the smoother does not yet fit a body there that weakens the field.
-    """
-    if method != METHODS[0] or knowledge.systematics.are_none:
-        return method
-    return method if knowledge.reference.is_complete and not _has_gyro(window) else SMOOTHER
-
-
-def _has_gyro(window: Window) -> bool:
-    from magcal_ros.core.smoother.without_gyro import living_axes
-
-    return living_axes(window.angular_rate)[2]
-
-
-def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
-    """Fit a window by one method alone, and judge the result; otherwise as `calibrate`."""
     try:
         estimate = find_method(method)(window, knowledge)
     except Refusal as refusal:
@@ -201,7 +181,7 @@ def calibrate_turns(
     -------
     Outcome
         Never raises for bad data. A turn that does not belong to the others is left out, with
-        the reason, and the rest stands. One turn alone gives what `calibrate_by` gives.
+        the reason, and the rest stands. One turn alone gives what `calibrate` gives.
 
     Raises
     ------
@@ -210,11 +190,11 @@ def calibrate_turns(
     """
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
-        return calibrate_by(pooled(windows), knowledge, method)
+        return calibrate(pooled(windows), knowledge, method)
     if method != JOINS:
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
-        return calibrate_by(windows[0], knowledge, method)
+        return calibrate(windows[0], knowledge, method)
     from magcal_ros.core.multi_turn.joined import join
     from magcal_ros.core.multi_turn.turn import survey
 
@@ -309,16 +289,17 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
-    best = _best_method(window, knowledge, method)
     try:
-        if best == SMOOTHER and _has_gyro(window):
+        if ALSO_CALLED.get(method, method) == SMOOTHER:
             from magcal_ros.core.methods.checks import refuse_empty
             from magcal_ros.core.methods.smoother_one import FEWEST_SAMPLES
             from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
+            from magcal_ros.core.smoother.without_gyro import living_axes
 
-            refuse_empty(window, FEWEST_SAMPLES)
-            return promised_sigma(window, knowledge)
-        estimate = find_method(best)(window, knowledge)
+            if living_axes(window.angular_rate)[2]:
+                refuse_empty(window, FEWEST_SAMPLES)
+                return promised_sigma(window, knowledge)
+        estimate = find_method(method)(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

@@ -17,7 +17,6 @@ import numpy as np
 
 from magcal_ros.core.estimation import parameters as p
 from magcal_ros.core.estimation.block import TurnBlock
-from magcal_ros.core.estimation.correlation import inefficiency_factor
 from magcal_ros.core.estimation.information import inverse_information
 from magcal_ros.core.estimation.joint_equations import JointEquations
 from magcal_ros.core.estimation.parameters import Globals
@@ -34,6 +33,7 @@ from magcal_ros.core.estimation.sigmas import largest_change
 from magcal_ros.core.estimation.weighting import Weights, chi_squares, whitened
 from magcal_ros.core.estimation.weights import gate, student_weights
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.samples.correlation import inefficiency_factor
 
 
 class Status(Enum):

@@ -9,23 +9,24 @@ import numpy as np
 from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimation.consistency import gyro_compass_swing
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
-from magcal_ros.core.geometry.rotations import chained, exp_rotations
+from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.checks import refuse_empty, too_slow
-from magcal_ros.core.methods.maximum_likelihood.screening import (
+from magcal_ros.core.methods.checks import (
     check_agreement,
     check_arc,
     check_radius,
     check_rival,
     check_window,
+    refuse_empty,
+    too_slow,
 )
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import QUARTER, distortion, gyro_matrix
 from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
 from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
@@ -161,7 +162,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         covariance=posterior.covariance,
         installation=Installation(float(roll), float(pitch), float(shared[YAW])),
         axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
-        arc=_arc(best.state.attitude),
+        arc=_arc(best.state.attitude, nodes.tied_to),
         strength=posterior.strength,
         inclination=posterior.inclination,
         noise_field=max(float(steps), 1e-9),
@@ -190,10 +191,14 @@ def _swing(found: Smoothed) -> GyroSwing:
     return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
 
 
-def _arc(attitude: FloatArray) -> float:
-    """Return the radians of heading that were seen."""
-    yaw = np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
-    return min(float(np.ptp(yaw)), math.tau)
+def _arc(attitude: FloatArray, tied_to: FloatArray | None) -> float:
+    """Return the radians of heading that were seen, or of turning about the axis."""
+    if tied_to is None:
+        angle = np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
+    else:
+        steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
+        angle = np.append(0.0, np.cumsum(steps @ tied_to[:, 2]))
+    return min(float(np.ptp(angle)), math.tau)
 
 
 def _pull(best: Fit) -> float:

@@ -10,6 +10,9 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from magcal_ros.core.samples.rest import RestBeside
 
+NEIGHBOURS, SPIKE = 9, 4.5
+"""A spike is so many robust sigmas from the median of so many samples, itself among them."""
+
 
 @dataclass(frozen=True, eq=False)
 class Window:
@@ -85,3 +88,25 @@ class Window:
             angular_rate=None if self.angular_rate is None else self.angular_rate[rows],
             turned=None if self.turned is None else self.turned[rows],
         )
+
+
+def white_noise(values: FloatArray) -> FloatArray:
+    """Return the noise of samples (n, 3) per axis by fourth differences, to which sway adds little.
+
+    It is zero where there are too few.
+    """
+    bends = np.diff(values, 4, axis=0)
+    if not len(bends):
+        return np.zeros(values.shape[1])
+    return np.asarray(np.median(np.abs(bends), axis=0) / 0.6745 / np.sqrt(70.0))
+
+
+def without_spikes(values: FloatArray) -> BoolArray:
+    """Return which rows (n, 3) agree with the median of their neighbours (a Hampel filter)."""
+    reach = NEIGHBOURS // 2
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    stretches = np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS, axis=0)
+    away = np.abs(values - np.median(stretches, axis=2))
+    # Where the values rise or fall the median is the middle one, and only their peaks deviate.
+    usual = np.maximum(1.4826 * np.median(away, axis=0), white_noise(values)) + 1e-12
+    return np.asarray((away < SPIKE * usual).all(axis=1))

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, white_noise
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 from magcal_ros.core.up import unseen_angles
 
@@ -146,7 +146,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         np.diff(mean_rate, axis=0) / np.diff(time[middle])[:, None],
         np.diff(middle).astype(float),
         links.unseen,
-        _white_noise(field),
+        float(np.median(white_noise(field))),
         _means(window.specific_force, first, count),
     )
     for rest in window.rests:
@@ -190,12 +190,6 @@ def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArra
     mean = _means(values, first, count)
     square = _means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first, count)
     return np.asarray(np.sqrt(square).max(axis=1))
-
-
-def _white_noise(field: FloatArray) -> float:
-    """Return the noise of samples by their second differences, to which a turn adds little."""
-    bends = np.diff(field, 2, axis=0)
-    return float(np.median(np.abs(bends)) / 0.6745 / np.sqrt(6.0)) if len(bends) else 0.0
 
 
 def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:

@@ -13,16 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.estimation.averaging import without_spikes
-from magcal_ros.core.estimation.initial import starts
-from magcal_ros.core.estimation.model import Samples
-from magcal_ros.core.estimation.model import State as Guess
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, without_spikes
+from magcal_ros.core.smoother.guesses import Guess, starts
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
@@ -32,15 +29,19 @@ from magcal_ros.core.smoother.unknowns import (
     MICROTESLA,
     RATE,
     ROLL_PITCH,
+    SHIELDING,
     UNKNOWNS,
     Priors,
     Size,
+    none_of,
 )
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
 NODE = 0.3
 """Seconds of a node; a sway of more than 1 Hz is not followed."""
+SHORT = 0.1
+"""The same where nothing else is in doubt."""
 AXIS = 0.3
 """Radians by which the turn's axis may lean from the one that is guessed, per axis."""
 CIRCLE = 0.6
@@ -58,6 +59,7 @@ SWAY: Mapping[str, Size] = {
         0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
     ),
 }
+RIGID = Size(0.001, 2.5, 6.0, "rad", "lean where nothing else is in doubt", "0 to .2", 0.03)
 
 
 def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
@@ -74,7 +76,7 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
     return x, y, z
 
 
-def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
+def nodes_by_field(window: Window, to_body: FloatArray, longest: float = NODE) -> Nodes:
     """Average a window that has no gyro by the turn rate that its field shows."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
@@ -84,7 +86,7 @@ def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate)
-    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
+    nodes = nodes_of(made, to_body, Spacing(longest=longest))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 
@@ -117,8 +119,18 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": DEAD})
 
 
-def without_rates(priors: Priors, *, rests: bool) -> Priors:
-    """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
+def without_rates(priors: Priors, *, rests: bool, exact: bool) -> Priors:
+    """Return the priors of a window that has no gyro.
+
+    Parameters
+    ----------
+    priors : Priors
+        Of a window that has one.
+    rests : bool
+        Whether it shows a rest.
+    exact : bool
+        Whether sensors and place have no errors of their own.
+    """
     scale = priors.scale.copy()
     scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = 0.0
     for name in ("axis", "upright", "height"):
@@ -129,7 +141,12 @@ def without_rates(priors: Priors, *, rests: bool) -> Priors:
         scale[AT["shielding"]] = 0.0
     # Without a rest nothing shows how large a shift is that lasts while the robot moves.
     spread = priors.spread if rests else {**priors.spread, "force_moving": 0.0}
-    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **SWAY})
+    sizes = {**priors.sizes, **SWAY}
+    if exact:
+        scale[AT["height"]] = 0.0
+        sizes["speed_change"] = none_of(SWAY["speed_change"])
+        sizes["lean"] = RIGID
+    return replace(priors, scale=scale, spread=spread, sizes=sizes)
 
 
 def in_a_bent_field(priors: Priors) -> Priors:
@@ -148,12 +165,8 @@ def in_a_circle(priors: Priors) -> Priors:
 
 def guesses(nodes: Nodes, priors: Priors, reference: ReferenceField) -> list[tuple[State, Priors]]:
     """Return starts: every way in which the axis, the field's circle and the dip fit together."""
-    level, down = priors.mean[EARTH]
-    scale = float(np.hypot(level, down))
     up = unit(_smooth(nodes.time, nodes.mean_force))
-    samples = Samples(up, nodes.field / scale, np.eye(3))
-    found = starts(samples, reference, scale / MICROTESLA, 1.0)
-    return [_as_state(guess, nodes, priors, scale) for guess in found]
+    return [_as_state(guess, nodes, priors) for guess in starts(nodes.field, up, reference)]
 
 
 def apart(one: State, other: State) -> float:
@@ -163,17 +176,30 @@ def apart(one: State, other: State) -> float:
     return float(max(off[ROLL_PITCH].max(), off[AT["iron"]].max() / field))
 
 
-def _as_state(guess: Guess, nodes: Nodes, priors: Priors, scale: float) -> tuple[State, Priors]:
-    own = guess.shared
-    attitude = own.body_axis @ guess.attitude @ own.world_axis.T
+def _as_state(guess: Guess, nodes: Nodes, priors: Priors) -> tuple[State, Priors]:
     shared = priors.mean.copy()
-    shared[AT["iron"]] = own.hard_iron * scale
-    shared[ROLL_PITCH] = own.roll, own.pitch
-    strength = own.strength * scale
-    about = priors.about(shared[AT["iron"]], strength * math.cos(own.inclination))
+    shared[AT["iron"]] = guess.iron
+    shared[ROLL_PITCH] = guess.roll, guess.pitch
+    level, down = guess.strength * np.array(
+        [math.cos(guess.inclination), math.sin(guess.inclination)]
+    )
+    about = priors.about(guess.iron, level)
     if about.earth[0, 0] < priors.earth[0, 0] + 1.0:
-        shared[EARTH] = strength * np.array([math.cos(own.inclination), math.sin(own.inclination)])
-    local = np.zeros((len(attitude), LOCAL))
+        shared[EARTH] = level, down
+    if priors.scale[SHIELDING] > 0.0:
+        shared[SHIELDING] = _gain(nodes.field, guess.attitude, shared[EARTH]) - 1.0
+    local = np.zeros((len(nodes), LOCAL))
     assert nodes.tied_to is not None
     local[:, RATE] = nodes.rate @ nodes.tied_to[:, 2:]
-    return State(attitude, local, shared), about
+    return State(guess.attitude, local, shared), about
+
+
+def _gain(field: FloatArray, attitude: FloatArray, earth: FloatArray) -> float:
+    """Return by how much the part of a field (n, 3) that turns exceeds what attitudes make of it.
+
+    `earth` is the level and the downward field. Bodies may weaken the field to a fifth.
+    """
+    level, down = earth
+    expected = attitude @ np.array([0.0, level, -down])
+    turns, seen = expected - expected.mean(axis=0), field - field.mean(axis=0)
+    return max(float(np.sum(turns * seen) / np.sum(turns**2)), 0.2)

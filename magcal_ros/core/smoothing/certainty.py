@@ -9,8 +9,8 @@ import numpy as np
 
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
-from magcal_ros.core.estimation.correlation import inefficiency_factor
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.samples.correlation import inefficiency_factor
 from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.estimation.averaging import TYPICAL_STRENGTH
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.drive_model import (
@@ -25,6 +24,8 @@ from magcal_ros.core.smoothing.drive_model import (
 from magcal_ros.core.smoothing.nodes import MICROTESLA
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
+TYPICAL_STRENGTH = 50e-6
+"""Tesla, where nobody knows the strength."""
 HELD = 1e-6
 """Sigma of a number that is held, in its own unit."""
 

@@ -12,7 +12,6 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.estimation.averaging import Prepared, prepare
 from magcal_ros.core.estimation.block import TurnBlock
-from magcal_ros.core.estimation.consistency import gyro_compass_swing, lasting_stray
 from magcal_ros.core.estimation.effect_choice import gyro_block
 from magcal_ros.core.estimation.effects import Effect
 from magcal_ros.core.estimation.free_attitude import FreeBlock
@@ -46,16 +45,17 @@ from magcal_ros.core.estimation.uncertainty import twelve_covariance
 from magcal_ros.core.estimation.weighting import Weights
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, SoftIron, Systematics
+from magcal_ros.core.methods.checks import check_window
 from magcal_ros.core.methods.maximum_likelihood.diagnostics import measure_figures
 from magcal_ros.core.methods.maximum_likelihood.report import EstimateParts, build_estimate
 from magcal_ros.core.methods.maximum_likelihood.screening import (
     check_gyro,
     check_solution,
-    check_window,
     seen_arc,
 )
 from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, weakened
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing, lasting_stray
 
 COMPASS_SHARE = 0.5
 """Share of the compass in its squared deviation from the gyro, which has errors as well."""

@@ -10,13 +10,10 @@ from long_form import first_of
 from magcal_ros.core.assessment.verdict import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimation.parameters import Globals
-from magcal_ros.core.estimation.uncertainty import correction_from
+from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.methods.maximum_likelihood import fit
-from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, weakened
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -25,7 +22,6 @@ from magcal_ros.core.simulation.simulator import (
     Robot,
     heading_errors,
     measure,
-    slope_rpy,
     turn,
 )
 
@@ -53,15 +49,6 @@ def test_a_body_that_weakens_the_level_field_is_fitted_and_said(share, gyro):
     assert level_error(outcome.estimate, robot) < 2.0 * DEGREE
 
 
-def test_a_slope_or_no_reference_weakens_nothing():
-    robot = Robot()
-    motion = turn(start_rpy=slope_rpy(12.0 * DEGREE, 1.0, 0.5))
-    window = measure(robot, motion, np.random.default_rng(2))
-    assert weakened(known(robot), level_share(window, known(robot))) is None
-    unknown = robot.knowledge(math.inf, math.inf)
-    assert level_share(window, unknown) == 1.0
-
-
 def test_a_weak_field_hides_no_mirrored_gyro():
     robot = Robot(soft_iron=np.diag([-0.7, -0.7, 0.0]), noise_field=0.2e-6)
     window = measure(robot, turn(arc=7.0), np.random.default_rng(2), gyro=True)
@@ -69,15 +56,6 @@ def test_a_weak_field_hides_no_mirrored_gyro():
     outcome = calibrate(mirrored, known(robot))
     assert not outcome.verdict.accepted
     assert outcome.reason in (Reason.CIRCLE_TOO_SMALL, Reason.AXES_DISAGREE)
-
-
-@pytest.mark.parametrize("elements", [(-1.0, 0, 0, 0, 0, 0), (-1.5, 0, 0, 0, 0, 0)])
-def test_iron_that_flattens_or_mirrors_is_refused_and_raises_nothing_else(elements):
-    shared = Globals(
-        np.eye(3), np.eye(3), 0.0, 0.0, np.zeros(3), 1.0, 1.0, soft_iron=np.array(elements)
-    )
-    with pytest.raises(Refusal, match="flattens or mirrors"):
-        correction_from(shared, np.eye(3), 1.0)
 
 
 @pytest.mark.parametrize("seed", first_of(range(2)))

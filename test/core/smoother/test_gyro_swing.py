@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.estimation.consistency import lasting_stray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.smoother.gyro_swing import lasting_stray
 
 
 @pytest.mark.parametrize(("arc", "samples"), [(360.0, 500), (180.0, 500), (360.0, 60)])
