@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.keeping.decisions import Mode
@@ -251,10 +251,10 @@ def _shift(settings: Settings) -> float | None:
 def _is_better(found: Calibration, before: Calibration | None) -> bool:
     """Return whether a calibration replaces the one in force: one of a turn stays."""
     if before is None:
-        return predicted_heading_sigma(found) < ENOUGH
+        return calibration_sigma(found) < ENOUGH
     if before.evidence.method != METHOD:
         return False
-    return predicted_heading_sigma(found) < predicted_heading_sigma(before)
+    return calibration_sigma(found) < calibration_sigma(before)
 
 
 ENOUGH = math.radians(5.0)

@@ -258,6 +258,12 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
         if pull**2 > TUNING.mostly_pull * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
+        if Figure.LOCAL_SIGMA in figures:
+            # No calibration takes away what the field along the way adds.
+            local = figures[Figure.LOCAL_SIGMA]
+            own = math.sqrt(max(figure**2 - local**2, 0.0))
+            note = f", {shown(own * DEGREES)}° of it by the calibration"
+            return bound.check(figure, excess=own, note=note)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
@@ -364,8 +370,14 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
     if not verdict.accepted:
         return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED)}."
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
+    level, local = figures[Figure.HEADING_SIGMA], figures.get(Figure.LOCAL_SIGMA, 0.0)
+    own = math.sqrt(max(level**2 - local**2, 0.0))
+    apart = (
+        f"of which the calibration makes ±{own * DEGREES:.2f}° and local magnetic disturbances"
+        f" along the way ±{local * DEGREES:.2f}°, "
+    )
     words = (
-        f"{grades}: heading ±{figures[Figure.HEADING_SIGMA] * DEGREES:.2f}° on the level, "
+        f"{grades}: heading ±{level * DEGREES:.2f}° on the level, {apart if local else ''}"
         f"±{figures[Figure.HEADING_SIGMA_TILTED] * DEGREES:.2f}° at 10° of tilt (1σ); "
         f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
     )
@@ -376,7 +388,7 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
     warnings = _reasons(verdict, Grade.WARN)
-    rough = " roughly" if figures[Figure.HEADING_SIGMA] > TUNING.rough else ""
+    rough = " roughly" if own > TUNING.rough else ""
     return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
 
 

@@ -238,8 +238,10 @@ def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
     attitude = found.fit.state.attitude[course.moving > 0.0]
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
     sectors = np.unique(np.floor(np.mod(yaw, math.tau) * SECTORS / math.tau))
+    sizes = found.fit.point.sizes
     return {
         Figure.HEADINGS_DRIVEN: float(len(sectors)),
         Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
-        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
+        Figure.STREET: sizes["street"] / MICROTESLA,
+        Figure.LOCAL_FIELD: math.hypot(sizes["street"], sizes["motors_noise"]) / MICROTESLA,
     }

@@ -12,7 +12,7 @@ from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import yaw_jacobian
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit, wrapped
@@ -201,7 +201,7 @@ def dock(
     words.append(_next_in_words(standings, knowledge))
     applies = verdict.accepted
     if applies and other is not None:
-        own, theirs = (predicted_heading_sigma(each) for each in (calibration, other))
+        own, theirs = (calibration_sigma(each) for each in (calibration, other))
         if theirs < own:
             applies = False
             words.insert(
