@@ -57,26 +57,6 @@ class Owner(Protocol):
 class Antenna:
     """Listens to `heading`; without it, it does nothing.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    owner : Owner
-        Puts in force what was found.
-    keeper : Keeper
-        Has what is in force.
-    settled : callable
-        Returns the parameters as they hold for a turn.
-    frames : SensorFrames
-        Whose heading is told.
-    follower : UpFollower
-        Has taken each IMU message.
-    fused : FusedOutput
-        Whose yaw the heading corrects.
-    fits : BackgroundThread
-    group : CallbackGroup
-        Of the subscription.
-
     Attributes
     ----------
     is_heard : bool

@@ -15,19 +15,7 @@ MOST_KNOWN = 100
 
 
 class CalibrationLoader:
-    """Loads the calibration of the sensor, or checks that the loaded one was made for it.
-
-    Parameters
-    ----------
-    keeper : Keeper
-        Holds the calibration in force.
-    files : Runner
-        Reads files in another thread.
-    chosen : callable
-        Returns the parameter calibration_file.
-    info, error : callable
-        Called with what was loaded, and what went wrong.
-    """
+    """Loads the calibration of the sensor, or checks that the loaded one was made for it."""
 
     def __init__(
         self,

@@ -84,17 +84,6 @@ class House(Protocol):
 class Control:
     """Runs one turn at a time.
 
-    Parameters
-    ----------
-    streams : Streams
-        The cleaned sensor streams.
-    house : House
-        Does what a turn leads to.
-    robot : SelfTurn
-        Turns itself where the parameters ask for it.
-    fits, files : Runner
-        Compute and store elsewhere.
-
     Attributes
     ----------
     turn : TurnMachine
@@ -136,14 +125,7 @@ class Control:
         self._tell(ev.SensorsMet(field, imu))
 
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
-        """Open a session; refused while another is under way.
-
-        Parameters
-        ----------
-        settings : Settings
-        gyro : GyroAtRest, optional
-            What a rest before it has shown of the gyro.
-        """
+        """Open a session; refused while another is under way."""
         rotation, limits = settings.rotation, settings.limits
         order = None
         if rotation.enabled:

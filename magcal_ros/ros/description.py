@@ -32,13 +32,6 @@ class Description:
 
     Both are whatever the network sends. They are read in a thread of their own, and no more than
     `LARGEST` bytes at a time.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    changed : callable
-        Called in the executor's thread when there is something new.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:

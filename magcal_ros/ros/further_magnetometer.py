@@ -55,23 +55,6 @@ class FurtherMagnetometer:
     """A magnetometer beside the one on `imu/mag`: its messages, calibration, file and turns.
 
     It is nothing but a subscription until its first message comes.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node that subscribes.
-    pipeline : HeadingPipeline
-        Computes the heading from all magnetometers.
-    number : int
-        2 for `imu/mag_2`.
-    beside : Inputs
-        The IMU, and the first magnetometer.
-    chosen : callable
-        The parameter calibration_file of the moment.
-    fits, files : Runner
-        Compute and store in other threads.
-    listeners : Listeners
-        What it calls when something happens to it.
     """
 
     def __init__(

@@ -22,17 +22,7 @@ TOPIC = "compass/fused/enu/imu"
 
 
 class FusedOutput:
-    """Publishes the fused yaw while a calibration is in force and somebody listens.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publisher lives.
-    follower : UpFollower
-        Has taken each IMU message before it comes here.
-    frames : SensorFrames
-        Tells whose attitude is published.
-    """
+    """Publishes the fused yaw while a calibration is in force and somebody listens."""
 
     def __init__(self, node: Node, follower: UpFollower, frames: SensorFrames) -> None:
         self._frames = frames
@@ -57,17 +47,7 @@ class FusedOutput:
             self._fused = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Propagate the yaw to an IMU message, and publish it there.
-
-        Parameters
-        ----------
-        seconds, stamp : float, bytes
-            The message's stamp, as a number and as it came.
-        frame : str
-            The IMU's frame.
-        reference : ReferenceField
-            Without a declination the yaw is to magnetic north, else to true north.
-        """
+        """Propagate the yaw to an IMU message, and publish it there."""
         if self._calibration is None:
             return
         is_heard = bool(self._out.get_subscription_count())

@@ -36,17 +36,6 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    up : UpFollower
-        Has taken each IMU message.
-    inputs : Inputs
-        The IMU and the first magnetometer.
-    frames, reference_source, travel : SensorFrames, ReferenceSource, Travel
-        How the sensors sit, where the robot is, and what it drives on.
-
     Attributes
     ----------
     motors : Motors

@@ -37,20 +37,7 @@ class Loaded:
 
 
 class Keeper:
-    """Holds the calibration in force and moves it to and from its file.
-
-    Parameters
-    ----------
-    namespace, node : str
-        The node's, part of the default path.
-    given : str
-        The file that was named when the node was started. Of any other that is named the network
-        is not told what it is.
-    apply : callable
-        Called with the calibration (or None) and the magnetometer's frame whenever it changes.
-    number : int
-        Of the magnetometer; from the second on it stands in the file's name.
-    """
+    """Holds the calibration in force and moves it to and from its file."""
 
     def __init__(
         self,
@@ -133,13 +120,6 @@ class Keeper:
     def read(self, chosen: str, magnetometer_frame: str) -> Loaded:
         """Read a file, in any thread; one that has not changed since is not read again.
 
-        Parameters
-        ----------
-        chosen : str
-            The file that the user named; empty for that of node and sensor.
-        magnetometer_frame : str
-            Frame of the sensor that is there; empty while it is not known.
-
         Raises
         ------
         FileTrouble
@@ -176,15 +156,7 @@ class Keeper:
         return f"loaded {loaded.path} (made {made}{where})"
 
     def store(self, find_path: Callable[[], Path], with_backup: bool = True) -> Callable[[], str]:
-        """Return the work of saving what is in force now, to be done in any thread.
-
-        Parameters
-        ----------
-        find_path : callable
-            Returns the file.
-        with_backup : bool
-            Whether another calibration that the file holds is kept beside it.
-        """
+        """Return the work of saving what is in force now, to be done in any thread."""
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
             raise FileTrouble("there is no calibration in force to save")
@@ -241,19 +213,7 @@ def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:
 
 
 class CalibrationStore:
-    """Saves and loads the calibration when a service asks for it.
-
-    Parameters
-    ----------
-    keeper : Keeper
-        Has the calibration in force.
-    files : BackgroundThread
-        Reads and writes the files.
-    find_path : callable
-        Returns the file to save to.
-    of_sensor : callable
-        Returns the file that the user named (or nothing) and the magnetometer's frame.
-    """
+    """Saves and loads the calibration when a service asks for it."""
 
     def __init__(
         self,

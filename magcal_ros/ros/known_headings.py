@@ -45,25 +45,6 @@ NO_NORTH = (
 class KnownHeadings:
     """Calibrates where the robot stands at a known heading.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    owner : Owner
-        Puts in force what was found.
-    keeper : Keeper
-        Has what is in force.
-    settled : callable
-        Returns the parameters as they hold for a turn.
-    frames : SensorFrames
-        Whose heading is published, and so is told.
-    follower : UpFollower
-        Has taken each IMU message.
-    streams : Streams
-    fused : FusedOutput
-    fits : BackgroundThread
-    group : CallbackGroup
-        Of the subscription.
-
     Attributes
     ----------
     antenna : Antenna
@@ -127,14 +108,7 @@ class KnownHeadings:
         self._sensors = sensors
 
     def calibrate(self, turns: Turns, tell: Tell) -> None:
-        """Collect where the robot stands now, and tell what its heading shows.
-
-        Parameters
-        ----------
-        turns : Turns
-            Another calibration that may be under way.
-        tell : callable
-        """
+        """Collect where the robot stands now, and tell what its heading shows."""
         if turns.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
             return

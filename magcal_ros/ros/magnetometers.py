@@ -26,19 +26,7 @@ Ask = Callable[[Tell], object]
 
 
 class Magnetometers:
-    """All magnetometers of the node: who is there, the heading of all, and turns of all at once.
-
-    Parameters
-    ----------
-    first : Control
-        Runs the turns of the first magnetometer.
-    topic : str
-        That of the first magnetometer.
-    keeper : Keeper
-        Has what is in force for it.
-    several : SeveralCompasses
-        Joins them.
-    """
+    """All magnetometers of the node: who is there, the heading of all, and turns of all at once."""
 
     def __init__(
         self, first: Control, topic: str, keeper: Keeper, several: SeveralCompasses

@@ -15,11 +15,6 @@ def bound(megabytes: float) -> None:
     """Let this process take so much more memory than it has now.
 
     Only Linux counts what a process takes in this way; elsewhere nothing is bound.
-
-    Parameters
-    ----------
-    megabytes : float
-        MB of data memory (RLIMIT_DATA).
     """
     if sys.platform == "linux":
         _limit(_data_bytes() + int(megabytes * 1e6))

@@ -66,13 +66,7 @@ HEARTBEAT = 1.0
 
 
 class Calibrator(Node):
-    """Calibrates a magnetometer from one turn and publishes what it measures from then on.
-
-    Parameters
-    ----------
-    **kwargs
-        Passed on to `rclpy.node.Node`.
-    """
+    """Calibrates a magnetometer from one turn and publishes what it measures from then on."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("calibrator", **kwargs)

@@ -35,15 +35,7 @@ RELIABLE = QoSProfile(depth=10)
 
 
 class FieldOutput:
-    """Publishes the corrected field of one magnetometer, and its bias.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    topic : str
-        That of the raw field; the two begin with it.
-    """
+    """Publishes the corrected field of one magnetometer, and its bias."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
@@ -94,13 +86,6 @@ class HeadingOutput:
     """Publishes the heading that follows from each field message.
 
     What nobody listens to is not filled in.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    frames : SensorFrames
-        Tells whose attitude is published.
     """
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
@@ -142,19 +127,7 @@ class HeadingOutput:
         self.moment = None
 
     def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Publish everything that follows from one field message.
-
-        Parameters
-        ----------
-        moment : Moment
-            What it comes to; without a heading nothing is published.
-        stamp : bytes
-            The message's, as it came.
-        frame : str
-            The IMU's frame.
-        reference : ReferenceField
-            Without a declination there is no true north.
-        """
+        """Publish everything that follows from one field message."""
         moment, declination = self._doubted(moment), reference.declination
         self.moment = moment
         view = self._frames.view

@@ -23,11 +23,8 @@ from magcal_ros.ros.spec import Later, Spec, Value
 class Parameters:
     """The node's parameters, declared, checked and kept as `settings`.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where they are declared. A value from the command line or a file that is not allowed is
-        said in the log and replaced by the default: the node stays alive.
+    A value from the command line or a file that is not allowed is reported in the log and replaced
+    by the default: the node stays alive.
     """
 
     def __init__(self, node: Node) -> None:

@@ -49,20 +49,7 @@ class Owner(Protocol):
 
 
 class SelfKeeping:
-    """Lets a calibration keep itself.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose executor takes what was found.
-    owner : Owner
-    keeper : Keeper
-        Has what is in force, and its file.
-    files : BackgroundThread
-        Does the disk's work.
-    say : callable
-        Takes one line for the log.
-    """
+    """Lets a calibration keep itself."""
 
     def __init__(
         self,
@@ -105,15 +92,7 @@ class SelfKeeping:
         self._sensors = sensors
 
     def follow(self, mode: str, reports: str, course: CourseSwing | None) -> None:
-        """Look after the rest, once a second.
-
-        Parameters
-        ----------
-        mode, reports : str
-            The parameters self_calibration and report_folder.
-        course : CourseSwing or None
-            How the compass in force swings against course.
-        """
+        """Look after the rest, once a second."""
         self._jobs.deliver()
         self._reports = reports
         self._machine.note_course(course)

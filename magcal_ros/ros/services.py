@@ -39,18 +39,8 @@ class Turns(Protocol):
 class Services:
     """Offers the calibration to the graph.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the services live.
-    turns : Turns
-        The turn of all magnetometers.
-    short : dict of callable
-        What the services that answer at once do; one of them is `start`.
-    slow : dict of callable
-        What those do that go to the disk; each is given whom to tell when it is done.
-    note : callable
-        Told each error in a service; its caller is told as well.
+    `short` services answer at once, one of them is `start`; `slow` ones tell when they are done.
+    `note` is given each error in a service; its caller is told as well.
     """
 
     def __init__(

@@ -46,17 +46,6 @@ BETTER = 0.7
 class Travel:
     """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    thread : BackgroundThread
-        Does the fits beside the messages.
-    group : CallbackGroup
-        Of the subscriptions.
-    on_fix : callable
-        Told each fix.
-
     Attributes
     ----------
     subscriptions : list of Subscription
