@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
@@ -20,13 +19,10 @@ from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample
 from magcal_ros.core.samples.travel_samples import HeadingSample
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
-from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.fused import FusedOutput
-from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.heading_pipeline import HeadingPipeline
+from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
-from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.wire.incoming import Unreadable, by_rclpy
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
@@ -47,13 +43,6 @@ NO_DECLINATION = (
 )
 
 
-class Owner(Protocol):
-    """What the node does for it."""
-
-    def put_in_force(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
-        """Apply a calibration and store it; only what is stored as well is a success."""
-
-
 class Antenna:
     """Listens to `heading`; without it, it does nothing.
 
@@ -68,17 +57,14 @@ class Antenna:
     def __init__(
         self,
         node: Node,
-        owner: Owner,
-        keeper: Keeper,
-        settled: Callable[[], Settings],
-        frames: SensorFrames,
-        follower: UpFollower,
-        fused: FusedOutput,
+        magnetometer: Magnetometer,
+        pipeline: HeadingPipeline,
         fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
-        self._follower, self._fused, self._fits = follower, fused, fits
+        self._magnetometer, self._settled = magnetometer, pipeline.settled
+        self._frames, self._follower, self._fits = pipeline.frames, pipeline.up, fits
+        self._fused = pipeline.fused
         self._say = node.get_logger().info
         self._worker = WorkerProcess()
         self.topic = node.resolve_topic_name(TOPIC)
@@ -215,12 +201,12 @@ class Antenna:
         if log is not self._log:
             return
         self._answer = outcome.verdict.summary
-        found, before = outcome.calibration, self._keeper.calibration
+        found, before = outcome.calibration, self._magnetometer.keeper.calibration
         if found is None or not outcome.verdict.accepted or not _is_better(found, before):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")
         is_another = before is None or before.evidence.method != METHOD
-        self._owner.put_in_force(found, lambda done: self._say(done.message), is_another)
+        self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
 
 
 def _shift(settings: Settings) -> float | None:

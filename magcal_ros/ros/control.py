@@ -10,11 +10,11 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.errors import MagcalError
+from magcal_ros.core.errors import in_words
 from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
@@ -22,6 +22,7 @@ from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.ros.keeper import Runner
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 
@@ -29,31 +30,8 @@ SAVING_PATIENCE = 1.5
 """Seconds that a disk may take to store a calibration while the node is being ended."""
 
 
-T = TypeVar("T")
-
-
-def in_words(error: Exception) -> str:
-    """Return what an error says: a known one its words, another also what it is."""
-    return str(error) if isinstance(error, MagcalError) else repr(error)
-
-
 def _broken_off(error: Exception) -> str:
     return f"the turn was broken off by an error ({error}); the node's log says where"
-
-
-class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.background_thread.BackgroundThread` is one."""
-
-    def run(
-        self,
-        work: Callable[[], T],
-        then: Callable[[T], object],
-        otherwise: Callable[[Exception], object],
-    ) -> None:
-        """Do some work, then go on in the executor's thread."""
-
-    def finish_within(self, patience: float) -> bool:
-        """Wait so many seconds for the work that was asked for."""
 
 
 class House(Protocol):

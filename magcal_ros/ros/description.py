@@ -12,12 +12,12 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.frame_tree import FIXED, FrameJoint, FrameTree
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import in_words
 from magcal_ros.ros.wire.incoming import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -12,8 +12,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-
-Tell = Callable[[Conclusion], None]
+from magcal_ros.ros.keeper import Tell
 
 CALLS = QoSProfile(depth=100)
 """With the usual depth of 10, calls of a storm overwrite each other before they are read."""
