@@ -56,27 +56,18 @@ CROWD = (
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What the guided half minute brought.
-
-    Parameters
-    ----------
-    log : SensorLog
-        All samples.
-    knowledge : Knowledge
-        What the user gave, and how the robot's description says the magnetometer sits.
-    answers : UserAnswers
-        What the person was seen to do.
-    more : tuple of Finding
-        What the graph shows beside the samples.
-    described : str
-        The described pose in words; empty where none was used.
-    """
+    """What the guided half minute brought."""
 
     log: SensorLog
+    """All samples."""
     knowledge: Knowledge
+    """What the user gave, and how the robot's description says the magnetometer sits."""
     answers: UserAnswers
+    """What the person was seen to do."""
     more: tuple[Finding, ...]
+    """What the graph shows beside the samples."""
     described: str
+    """The described pose in words; empty where none was used."""
 
     def page_with(self, page: Page) -> Page:
         """Return the page with what the graph shows, and the description against the measured."""

@@ -119,18 +119,13 @@ class SensorFile:
 
     Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
     names stand in the file's.
-
-    Parameters
-    ----------
-    frame : str
-        `frame_id` of the field messages; empty if they have none.
-    namespace, node : str
-        The node's: two robots may carry the same sensor.
     """
 
     frame: str
+    """`frame_id` of the field messages; empty if they have none."""
     namespace: str = "/"
     node: str = DEFAULT_NODE
+    """The node's: two robots may carry the same sensor."""
 
     @property
     def path(self) -> Path:

@@ -21,37 +21,25 @@ FIELD_COLUMNS = ("t", "mx", "my", "mz")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as it was recorded, nothing cleaned.
-
-    Parameters
-    ----------
-    imu : ndarray, shape (n, 7)
-        Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro).
-    field : ndarray, shape (m, 4)
-        Stamp (s), raw field (tesla).
-    travel : tuple of TravelSample
-        What receiver and wheels said, by stamp.
-    place : Place or None
-        Where the first good fix was.
-    imu_topic, field_topic : str
-        What to call the two.
-    field_frame : str
-        What a calibration remembers of the magnetometer.
-    yaw : ndarray, shape (k, 2)
-        Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north).
-    notes : tuple of str
-        What is to be said of the recording.
-    """
+    """A drive as it was recorded, nothing cleaned."""
 
     imu: FloatArray
+    """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
     field: FloatArray
+    """Stamp (s), raw field (tesla). Shape (m, 4)."""
     travel: tuple[TravelSample, ...] = ()
+    """What receiver and wheels said, by stamp."""
     place: Place | None = None
+    """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
+    """What to call the two."""
     field_frame: str = ""
+    """What a calibration remembers of the magnetometer."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
+    """What is to be said of the recording."""
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""

@@ -19,29 +19,20 @@ ONE_CLOCK = (
 
 @dataclass(frozen=True)
 class ClockTuning:
-    """When stamps are taken for those of two clocks.
-
-    Parameters
-    ----------
-    shared : float
-        Share of the shorter stream that the other one must cover.
-    step : float
-        Seconds at which the streams' own speeds are compared.
-    least : float
-        Seconds below which it is a latency, which is measured better elsewhere.
-    alike, better : float
-        Correlation of the speeds beyond the latter lag that is believed, and by how much it must
-        exceed the best within it.
-    longest : float
-        Seconds beyond which speeds are not compared.
-    """
+    """When stamps are taken for those of two clocks."""
 
     shared: float = 0.5
+    """Share of the shorter stream that the other one must cover."""
     step: float = 0.1
+    """Seconds at which the streams' own speeds are compared."""
     least: float = 0.6
+    """Seconds below which it is a latency, which is measured better elsewhere."""
     alike: float = 0.55
     better: float = 0.2
+    """Correlation of the speeds beyond the latter lag that is believed, and by how much it must
+    exceed the best within it."""
     longest: float = 7200.0
+    """Seconds beyond which speeds are not compared."""
 
 
 TUNING = ClockTuning()

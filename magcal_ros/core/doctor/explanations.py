@@ -31,38 +31,26 @@ WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
 
 @dataclass(frozen=True)
 class ExplanationTuning:
-    """What is believed of sensors that may be faulty, and when an explanation is dropped.
-
-    Parameters
-    ----------
-    fit : AlignmentTuning
-        Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a
-        second of latency.
-    pruned : float
-        Chi-square beyond which a way is not fitted.
-    most : int
-        Ways that are fitted.
-    doubtful : float
-        Chi-square at most that field or gravity count for where soft iron or linear acceleration
-        could explain it.
-    good_fit : float
-        Residual over the changing field up to which small differences of the fit are believed.
-    settled : float
-        Seconds of latency that need no further look.
-    looks : int
-        At the latency.
-    least_turn : float
-        Radians between the first and some later attitude.
-    """
+    """What is believed of sensors that may be faulty, and when an explanation is dropped."""
 
     fit: AlignmentTuning = WIDE
+    """Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second
+    of latency."""
     pruned: float = 80.0
+    """Chi-square beyond which a way is not fitted."""
     most: int = 32
+    """Ways that are fitted."""
     doubtful: float = 12.0
+    """Chi-square at most that field or gravity count for where soft iron or linear acceleration
+    could explain it."""
     good_fit: float = 0.06
+    """Residual over the changing field up to which small differences of the fit are believed."""
     settled: float = 0.02
+    """Seconds of latency that need no further look."""
     looks: int = 4
+    """At the latency."""
     least_turn: float = math.radians(40.0)
+    """Radians between the first and some later attitude."""
 
 
 TUNING = ExplanationTuning()
@@ -70,35 +58,27 @@ TUNING = ExplanationTuning()
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """What became of every way that was weighed.
-
-    Parameters
-    ----------
-    gyro, field : ndarray, shape (k, 3, 3)
-        Axes of the two sensors in the accelerometer's.
-    cost : ndarray, shape (k,)
-        Chi-square in independent samples, above that of the best without an inclination.
-    base : ndarray, shape (k / 2,)
-        The same without the inclination, which alone tells the field from its opposite.
-    rms : ndarray, shape (k,)
-        Typical residual of the field over the size of its changing part.
-    parameters, sigma : ndarray, shape (k, 23)
-        What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
-    part : LogStretch
-        What was fitted.
-    found : Alignment
-        The fit, which does not know the field from its opposite.
-    """
+    """What became of every way that was weighed."""
 
     gyro: FloatArray
     field: FloatArray
+    """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
     cost: FloatArray
+    """Chi-square in independent samples, above that of the best without an inclination. Shape
+    (k,)."""
     base: FloatArray
+    """The same without the inclination, which alone tells the field from its opposite. Shape (k /
+    2,)."""
     rms: FloatArray
+    """Typical residual of the field over the size of its changing part. Shape (k,)."""
     parameters: FloatArray
     sigma: FloatArray
+    """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
+    Shape (k, 23)."""
     part: LogStretch
+    """What was fitted."""
     found: Alignment
+    """The fit, which does not know the field from its opposite."""
 
     @property
     def misfit(self) -> FloatArray:

@@ -15,29 +15,20 @@ from magcal_ros.core.samples.stretch import Stretch
 
 @dataclass(frozen=True)
 class GravityTurnsTuning:
-    """How changes of gravity are compared with the gyro's turns.
-
-    Parameters
-    ----------
-    span : float
-        Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias.
-    bias, scale : float
-        Standard deviations of what the gyro may err by, rad/s and relative.
-    lever : float
-        Metres, standard deviation of how far the sensor is from the point about which it turns: a
-        hand swings it around an elbow, a vehicle turns about its rear axle.
-    floor : float
-        Radians of noise that is believed at least.
-    rounds : int
-        Of robust weights.
-    """
+    """How changes of gravity are compared with the gyro's turns."""
 
     span: float = 0.6
+    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
     bias: float = math.radians(6.0)
     scale: float = 0.2
+    """Standard deviations of what the gyro may err by, rad/s and relative."""
     lever: float = 1.0
+    """Metres, standard deviation of how far the sensor is from the point about which it turns: a
+    hand swings it around an elbow, a vehicle turns about its rear axle."""
     floor: float = math.radians(0.5)
+    """Radians of noise that is believed at least."""
     rounds: int = 3
+    """Of robust weights."""
 
 
 TUNING = GravityTurnsTuning()

@@ -16,34 +16,23 @@ from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field
 
 @dataclass(frozen=True)
 class HealthTuning:
-    """Where a stream's fault begins.
-
-    Parameters
-    ----------
-    jitter : float
-        RMS deviation of the gaps over the usual gap that is worth a look.
-    repeats : float
-        Share of samples with the values of the one before.
-    coarse : float
-        Tesla, step of the field's numbers.
-    lattice : float
-        Share of a step by which numbers on a grid may be off it.
-    saturated : tuple of float
-        Places along the other two axes, in twentieths of the field's size, at which one axis must
-        stand at its extreme; and how many times those just below the extreme.
-    gravity : float
-        Misfit of the usual acceleration.
-    fewest : int
-        Samples below which nothing is said of a stream.
-    """
+    """Where a stream's fault begins."""
 
     jitter: float = 0.5
+    """RMS deviation of the gaps over the usual gap that is worth a look."""
     repeats: float = 0.05
+    """Share of samples with the values of the one before."""
     coarse: float = 0.5e-6
+    """Tesla, step of the field's numbers."""
     lattice: float = 0.05
+    """Share of a step by which numbers on a grid may be off it."""
     saturated: tuple[int, float] = (5, 1.5)
+    """Places along the other two axes, in twentieths of the field's size, at which one axis must
+    stand at its extreme; and how many times those just below the extreme."""
     gravity: float = 0.15
+    """Misfit of the usual acceleration."""
     fewest: int = 50
+    """Samples below which nothing is said of a stream."""
 
 
 TUNING = HealthTuning()

@@ -30,44 +30,30 @@ OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, har
 
 @dataclass(frozen=True)
 class LatencyTuning:
-    """How the latency of a sensor is fitted.
-
-    Parameters
-    ----------
-    most : int
-        Samples; more are averaged.
-    field, force : AlignmentTuning
-        What is believed of the magnetometer and of the accelerometer, whose offset counts in the
-        changing part of gravity.
-    lever : float
-        Metres, standard deviation of how far the accelerometer sits off the turn's axis.
-    walk_step : float
-        Seconds between the steps of the gyro's random walk at least.
-    walk_steps : int
-        Of them at most.
-    walk : float
-        Radians in a second that a gyro without noise walks.
-    shaken : float
-        Seconds over which the noise is taken together.
-    least : float
-        Seconds, standard deviation of the stamps' own habits.
-    rounds : int
-        Of robust weights.
-    steps : int
-        Of the fit between two estimates of the noise.
-    """
+    """How the latency of a sensor is fitted."""
 
     most: int = 1500
+    """Samples; more are averaged."""
     field: AlignmentTuning = OF_FIELD
     force: AlignmentTuning = OF_FORCE
+    """What is believed of the magnetometer and of the accelerometer, whose offset counts in the
+    changing part of gravity."""
     lever: float = 0.3
+    """Metres, standard deviation of how far the accelerometer sits off the turn's axis."""
     walk_step: float = 1.0
+    """Seconds between the steps of the gyro's random walk at least."""
     walk_steps: int = 40
+    """Of them at most."""
     walk: float = math.radians(0.01)
+    """Radians in a second that a gyro without noise walks."""
     shaken: float = 1.5
+    """Seconds over which the noise is taken together."""
     least: float = 1e-3
+    """Seconds, standard deviation of the stamps' own habits."""
     rounds: int = 3
+    """Of robust weights."""
     steps: int = 4
+    """Of the fit between two estimates of the noise."""
 
 
 @dataclass(frozen=True)

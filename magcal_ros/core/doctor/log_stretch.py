@@ -15,22 +15,15 @@ from magcal_ros.core.samples.stretch import Stretch, field_size
 
 @dataclass(frozen=True)
 class LogStretchTuning:
-    """How a log is averaged.
-
-    Parameters
-    ----------
-    longest : float
-        Seconds of the part that is looked at; the field of a drive does not stay the same.
-    widest_block : float
-        Radians of turn that are averaged.
-    fewest, most : int
-        Averages.
-    """
+    """How a log is averaged."""
 
     longest: float = 60.0
+    """Seconds of the part that is looked at; the field of a drive does not stay the same."""
     widest_block: float = math.radians(4.0)
+    """Radians of turn that are averaged."""
     fewest: int = 120
     most: int = 240
+    """Averages."""
 
 
 TUNING = LogStretchTuning()
@@ -38,18 +31,12 @@ TUNING = LogStretchTuning()
 
 @dataclass(frozen=True, eq=False)
 class LogStretch:
-    """A stretch, and when its averages were.
-
-    Parameters
-    ----------
-    stretch : Stretch
-        The averages.
-    time : ndarray, shape (n,)
-        IMU stamps to which they belong, seconds.
-    """
+    """A stretch, and when its averages were."""
 
     stretch: Stretch
+    """The averages."""
     time: FloatArray
+    """IMU stamps to which they belong, seconds. Shape (n,)."""
 
 
 def stretch_of_log(

@@ -40,40 +40,27 @@ NO_GYRO = (
 
 @dataclass(frozen=True)
 class MotionTuning:
-    """Where an error between the sensors is worth a word.
-
-    Parameters
-    ----------
-    bias : float
-        rad/s of the gyro's bias.
-    scale : float
-        Relative error of the gyro's scale.
-    at_rest : float
-        rad/s, standard deviation of a bias that was read at rest.
-    borne_out : float
-        Share of the bias by which the rate at rest may be another.
-    alike : float
-        Times the least residual with which rad/s are preferred to a known slip.
-    lag : float
-        Seconds between the sensors' stamps.
-    sigmas : float
-        So many standard deviations it must be, too.
-    vague : tuple of float
-        Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
-        beyond which it is not shown.
-    largest_noise : float
-        Usual change between neighbours, over the whole changing part, that is no noise at rest.
-    """
+    """Where an error between the sensors is worth a word."""
 
     bias: float = math.radians(0.8)
+    """rad/s of the gyro's bias."""
     scale: float = 0.03
+    """Relative error of the gyro's scale."""
     at_rest: float = math.radians(0.1)
+    """rad/s, standard deviation of a bias that was read at rest."""
     borne_out: float = 0.4
+    """Share of the bias by which the rate at rest may be another."""
     alike: float = 1.2
+    """Times the least residual with which rad/s are preferred to a known slip."""
     lag: float = 0.015
+    """Seconds between the sensors' stamps."""
     sigmas: float = 3.0
+    """So many standard deviations it must be, too."""
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
+    beyond which it is not shown."""
     largest_noise: float = 0.25
+    """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 
 
 TUNING = MotionTuning()
@@ -81,33 +68,22 @@ TUNING = MotionTuning()
 
 @dataclass(frozen=True, eq=False)
 class MotionFound:
-    """What was found, and by which explanation.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        The lines.
-    axes : AxesFound or None
-        Of the magnetometer, where it is the one that errs; None where nothing was shown.
-    explanations : Explanations or None
-        What was weighed.
-    chosen : int
-        The explanation that is taken.
-    factor : float
-        What makes rad/s of the gyro's numbers.
-    up_is_down : bool or None
-        Whether gravity's sign is what errs; None where that is not decided.
-    explained : bool
-        Whether the explanation explains the movement.
-    """
+    """What was found, and by which explanation."""
 
     findings: tuple[Finding, ...]
+    """The lines."""
     axes: AxesFound | None = None
+    """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
     explanations: Explanations | None = None
+    """What was weighed."""
     chosen: int = 0
+    """The explanation that is taken."""
     factor: float = 1.0
+    """What makes rad/s of the gyro's numbers."""
     up_is_down: bool | None = False
+    """Whether gravity's sign is what errs; None where that is not decided."""
     explained: bool = False
+    """Whether the explanation explains the movement."""
 
 
 def compare(

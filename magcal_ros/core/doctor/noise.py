@@ -14,18 +14,12 @@ from magcal_ros.core.samples.sensor_log import SensorLog
 
 @dataclass(frozen=True)
 class NoiseTuning:
-    """From which standard deviation per axis and sample noise is worth a look.
-
-    Parameters
-    ----------
-    field : float
-        Tesla.
-    rate : float
-        rad/s; an engine shakes a good gyro by a tenth.
-    """
+    """From which standard deviation per axis and sample noise is worth a look."""
 
     field: float = 3e-6
+    """Tesla."""
     rate: float = 0.3
+    """rad/s; an engine shakes a good gyro by a tenth."""
 
 
 TUNING = NoiseTuning()

@@ -27,22 +27,15 @@ PAIRED = ("bursts", "stamps", "repeats")
 
 @dataclass(frozen=True)
 class Page:
-    """What was found.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        All lines.
-    mount_rpy_deg : tuple of int, or None
-        The mounting that alone mends the magnetometer's axes; None where none does, or where none
-        has to.
-    used : AxesInUse or None
-        What a drive's course can be compared with.
-    """
+    """What was found."""
 
     findings: tuple[Finding, ...]
+    """All lines."""
     mount_rpy_deg: tuple[int, int, int] | None = None
+    """The mounting that alone mends the magnetometer's axes; None where none does, or where none
+    has to."""
     used: AxesInUse | None = None
+    """What a drive's course can be compared with."""
 
     @property
     def misleads(self) -> bool:

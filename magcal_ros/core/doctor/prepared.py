@@ -27,40 +27,26 @@ from magcal_ros.core.samples.stamps import evenly, long_gaps
 
 @dataclass(frozen=True)
 class FrozenTuning:
-    """When a sensor is called frozen that says the same for a while.
-
-    Parameters
-    ----------
-    lasts : float
-        Seconds.
-    rate : float
-        rad/s beyond its median that the gyro must read meanwhile.
-    field : float
-        Share of its whole swing by which the field must move meanwhile.
-    """
+    """When a sensor is called frozen that says the same for a while."""
 
     lasts: float = 1.0
+    """Seconds."""
     rate: float = 0.09
+    """rad/s beyond its median that the gyro must read meanwhile."""
     field: float = 0.2
+    """Share of its whole swing by which the field must move meanwhile."""
 
 
 @dataclass(frozen=True, eq=False)
 class CleanLog:
-    """A log of finite, fresh samples with increasing stamps.
-
-    Parameters
-    ----------
-    log : SensorLog
-        What is left.
-    findings : tuple of Finding
-        What the streams show by themselves.
-    restamped : bool
-        Whether stamps came in bursts and were spread evenly.
-    """
+    """A log of finite, fresh samples with increasing stamps."""
 
     log: SensorLog
+    """What is left."""
     findings: tuple[Finding, ...]
+    """What the streams show by themselves."""
     restamped: bool
+    """Whether stamps came in bursts and were spread evenly."""
 
 
 def prepare(

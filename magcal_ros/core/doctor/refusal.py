@@ -123,22 +123,15 @@ def _by_the_page(window: Window, knowledge: Knowledge, lines: tuple[str, ...] = 
 
 @dataclass(frozen=True)
 class GyroSignsTuning:
-    """When a gyro is said to contradict the accelerometer.
-
-    Parameters
-    ----------
-    span : float
-        Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias.
-    contradicts : float
-        Share of gravity's changes that a gyro at odds with them leaves at least: it makes more
-        of them than there was.
-    explained : float
-        Share that other signs may leave at most; the rest is a hand's acceleration.
-    """
+    """When a gyro is said to contradict the accelerometer."""
 
     span: float = 0.5
+    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
     contradicts: float = 1.5
+    """Share of gravity's changes that a gyro at odds with them leaves at least: it makes more of
+    them than there was."""
     explained: float = 0.6
+    """Share that other signs may leave at most; the rest is a hand's acceleration."""
 
 
 def gyro_contradicts(window: Window, tuning: GyroSignsTuning = GyroSignsTuning()) -> bool:

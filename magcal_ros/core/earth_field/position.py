@@ -11,25 +11,17 @@ from magcal_ros.core.samples.travel_samples import PositionSample
 
 @dataclass(frozen=True)
 class PositionTuning:
-    """When a place counts as another.
-
-    Attributes
-    ----------
-    moved : float
-        Metres after which the field is looked up again: in that way it changes by less than 0.1°
-        and 0.1 µT at most places.
-    confirmed : int
-        Fixes in a row that must agree on a new place: one alone may be wild.
-    far : float
-        Metres from where the robot is said to be, or was at first, that are worth a word.
-    altitude_unknown : float
-        Metres that are taken for it: a hundred change the strength by 0.005%.
-    """
+    """When a place counts as another."""
 
     moved: float = 10_000.0
+    """Metres after which the field is looked up again: in that way it changes by less than 0.1° and
+    0.1 µT at most places."""
     confirmed: int = 3
+    """Fixes in a row that must agree on a new place: one alone may be wild."""
     far: float = 50_000.0
+    """Metres from where the robot is said to be, or was at first, that are worth a word."""
     altitude_unknown: float = 0.0
+    """Metres that are taken for it: a hundred change the strength by 0.005%."""
 
 
 TUNING = PositionTuning()
@@ -43,23 +35,16 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 
 @dataclass(frozen=True)
 class Fix:
-    """What a receiver says.
-
-    Parameters
-    ----------
-    has_fix : bool
-        Its own word on it.
-    latitude_deg, longitude_deg, altitude : float
-        Degrees and metres; the altitude may be NaN.
-    stamp : float
-        Seconds.
-    """
+    """What a receiver says."""
 
     has_fix: bool
+    """Its own word on it."""
     latitude_deg: float
     longitude_deg: float
     altitude: float
+    """Degrees and metres; the altitude may be NaN."""
     stamp: float
+    """Seconds."""
 
 
 def place_of(fix: Fix) -> Place | str:

@@ -13,18 +13,12 @@ whose gyro had 4.5 °/s."""
 
 
 class GyroAtRest(NamedTuple):
-    """A gyro's bias as a rest has shown it.
-
-    Parameters
-    ----------
-    rate : tuple of float
-        rad/s, body axes.
-    sigma : float
-        Of it, per axis, rad/s, while the robot stood.
-    """
+    """A gyro's bias as a rest has shown it."""
 
     rate: Triple
+    """rad/s, body axes."""
     sigma: float
+    """Of it, per axis, rad/s, while the robot stood."""
 
     @property
     def later_sigma(self) -> float:

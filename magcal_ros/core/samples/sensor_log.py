@@ -13,27 +13,18 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 @dataclass(frozen=True, eq=False)
 class SensorLog:
-    """Both streams in the order in which they came, nothing cleaned.
-
-    Parameters
-    ----------
-    imu_time : ndarray, shape (n,)
-        Stamps, seconds.
-    force : ndarray, shape (n, 3)
-        Specific force as published, meant as m/s².
-    rate : ndarray, shape (n, 3)
-        Angular rate as published, meant as rad/s; NaN without a gyro.
-    field_time : ndarray, shape (m,)
-        Stamps, seconds.
-    field : ndarray, shape (m, 3)
-        Raw field as published, meant as tesla.
-    """
+    """Both streams in the order in which they came, nothing cleaned."""
 
     imu_time: FloatArray
+    """Stamps, seconds. Shape (n,)."""
     force: FloatArray
+    """Specific force as published, meant as m/s². Shape (n, 3)."""
     rate: FloatArray
+    """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
     field_time: FloatArray
+    """Stamps, seconds. Shape (m,)."""
     field: FloatArray
+    """Raw field as published, meant as tesla. Shape (m, 3)."""
 
     @classmethod
     def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:

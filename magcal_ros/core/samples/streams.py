@@ -20,36 +20,25 @@ SWAY = 0.22
 
 @dataclass(frozen=True)
 class StreamTuning:
-    """What passes for a sample, and how samples hang together.
-
-    Parameters
-    ----------
-    restart_after : int
-        So many stamps in a row before the newest mean that time itself went back (a looped bag).
-    max_gap : float
-        Seconds. IMU samples further apart are usually not interpolated between.
-    longest_gyro_step : float
-        Seconds between two samples over which a gyro still propagates; beyond, its path is lost.
-    remembered : int
-        Samples kept of each stream: four seconds of the fastest sensors.
-    smallest_field, largest_field : float
-        Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
-        error or a magnet on the sensor.
-    smallest_force, largest_force : float
-        m/s². No accelerometer reads less or more, milli-g published as m/s² included.
-    largest_rate : float
-        rad/s. No gyro reads more, degrees published as radians included.
-    """
+    """What passes for a sample, and how samples hang together."""
 
     restart_after: int = 10
+    """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
     max_gap: float = 0.2
+    """Seconds. IMU samples further apart are usually not interpolated between."""
     longest_gyro_step: float = 0.5
+    """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
     remembered: int = 4096
+    """Samples kept of each stream: four seconds of the fastest sensors."""
     smallest_field: float = 1e-9
     largest_field: float = 1e-3
+    """Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
+    error or a magnet on the sensor."""
     smallest_force: float = 1e-6
     largest_force: float = 1e5
+    """m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
     largest_rate: float = 1e4
+    """rad/s. No gyro reads more, degrees published as radians included."""
 
 
 STREAMS = StreamTuning()

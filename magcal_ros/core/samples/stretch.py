@@ -14,21 +14,14 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class StretchTuning:
-    """How far samples are averaged.
-
-    Parameters
-    ----------
-    largest : int
-        Neighbouring samples are averaged until no more than this number remain.
-    most : int
-        Where the turn is too fast to average so many, the liveliest part of this length is used.
-    widest_block : float
-        Radians of turn over which samples are averaged.
-    """
+    """How far samples are averaged."""
 
     largest: int = 120
+    """Neighbouring samples are averaged until no more than this number remain."""
     most: int = 240
+    """Where the turn is too fast to average so many, the liveliest part of this length is used."""
     widest_block: float = math.radians(5.0)
+    """Radians of turn over which samples are averaged."""
 
 
 TUNING = StretchTuning()
@@ -36,32 +29,23 @@ TUNING = StretchTuning()
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Averaged samples with the turns between them.
-
-    Parameters
-    ----------
-    field : ndarray, shape (n, 3)
-        Over `size`.
-    up : ndarray, shape (n, 3)
-        Specific force over its own usual size.
-    turn : ndarray, shape (n - 1, 3)
-        The gyro's rate integrated from each sample to the next, radians.
-    coning : ndarray, shape (n - 1, 3)
-        What must be added for rotation vectors, because turns do not commute: second order.
-    seconds : ndarray, shape (n - 1,)
-    rate : ndarray, shape (n, 3)
-        The gyro's mean rate, rad/s.
-    size : float
-        Of the field's changing part, tesla.
-    """
+    """Averaged samples with the turns between them."""
 
     field: FloatArray
+    """Over `size`. Shape (n, 3)."""
     up: FloatArray
+    """Specific force over its own usual size. Shape (n, 3)."""
     turn: FloatArray
+    """The gyro's rate integrated from each sample to the next, radians. Shape (n - 1, 3)."""
     coning: FloatArray
+    """What must be added for rotation vectors, because turns do not commute: second order. Shape (n
+    - 1, 3)."""
     seconds: FloatArray
+    """Shape (n - 1,)."""
     rate: FloatArray
+    """The gyro's mean rate, rad/s. Shape (n, 3)."""
     size: float
+    """Of the field's changing part, tesla."""
 
 
 def field_size(field: FloatArray) -> float:

@@ -101,26 +101,17 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
 
 @dataclass(frozen=True)
 class DiagnosisTuning:
-    """When a stream is worth a complaint.
-
-    Parameters
-    ----------
-    worth_a_word : float
-        Share of dropped samples that is said.
-    most_repeats : float
-        Share of repeated field values beyond which the sensor is frozen or the robot at
-        rest.
-    largest_offset : float
-        Seconds between the two sensors' newest stamps.
-    ahead_in_gaps : float
-        Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter
-        any more.
-    """
+    """When a stream is worth a complaint."""
 
     worth_a_word: float = 0.02
+    """Share of dropped samples that is said."""
     most_repeats: float = 0.9
+    """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
     largest_offset: float = 1.0
+    """Seconds between the two sensors' newest stamps."""
     ahead_in_gaps: float = 1.5
+    """Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any
+    more."""
 
 
 TUNING = DiagnosisTuning()
@@ -141,21 +132,14 @@ IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on one topic in the time that is judged.
-
-    Parameters
-    ----------
-    topic : str
-        Its name.
-    messages : int
-        How many came.
-    drops : Counter of Drop
-        How many of them were not used, by reason.
-    """
+    """What came on one topic in the time that is judged."""
 
     topic: str
+    """Its name."""
     messages: int
+    """How many came."""
     drops: Counter[Drop] = field(default_factory=Counter)
+    """How many of them were not used, by reason."""
 
     def since(self, earlier: Heard) -> Heard:
         """Return what came after an earlier count of the same topic."""

@@ -15,26 +15,6 @@ from magcal_ros.core.samples.rest import RestBeside
 class Window:
     """Samples of one turn, one row per field sample.
 
-    Parameters
-    ----------
-    time : array_like, shape (n,)
-        Seconds of the field's stamps, increasing.
-    field : array_like, shape (n, 3)
-        Raw field in tesla, in the magnetometer's axes.
-    specific_force : array_like, shape (n, 3)
-        m/s² in body axes at the same moments, +9.81 upwards at rest.
-    angular_rate : array_like, shape (n, 3), or None
-        rad/s in body axes at the same moments; None without a gyro.
-    turned : array_like, shape (n, 3, 3), or None
-        Rotations from the body axes at one moment to those of each sample, by all that the gyro
-        said, where samples between those of the window were left out.
-    rests : tuple of RestBeside
-        What was seen right before and after the turn, where the robot stood there; the gyro's bias
-        that they show is taken off `angular_rate`.
-    sigma_before : float
-        rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
-        infinite where none was.
-
     Raises
     ------
     ValueError
@@ -42,12 +22,22 @@ class Window:
     """
 
     time: FloatArray
+    """Seconds of the field's stamps, increasing. Shape (n,)."""
     field: FloatArray
+    """Raw field in tesla, in the magnetometer's axes. Shape (n, 3)."""
     specific_force: FloatArray
+    """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
+    """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     turned: FloatArray | None = None
+    """Rotations from the body axes at one moment to those of each sample, by all that the gyro
+    said, where samples between those of the window were left out. Shape (n, 3, 3)."""
     rests: tuple[RestBeside, ...] = ()
+    """What was seen right before and after the turn, where the robot stood there; the gyro's bias
+    that they show is taken off `angular_rate`."""
     sigma_before: float = math.inf
+    """rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
+    infinite where none was."""
 
     def __post_init__(self) -> None:
         time = frozen_array(self.time, (-1,), "time")

@@ -44,15 +44,10 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 
 @dataclass(frozen=True)
 class RecordedTuning:
-    """How much of a recording is remembered.
-
-    Attributes
-    ----------
-    longest_drive : float
-        Seconds of movement; of a longer drive the last ones.
-    """
+    """How much of a recording is remembered."""
 
     longest_drive: float = 7200.0
+    """Seconds of movement; of a longer drive the last ones."""
 
 
 TUNING = RecordedTuning()

@@ -36,30 +36,20 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Brief:
-    """What a turn is opened with.
-
-    Parameters
-    ----------
-    limits : Limits
-        When it ends by itself.
-    knowledge : Knowledge
-        What is known beforehand.
-    method : str
-        One of `magcal_ros.core.calibrate.METHODS`.
-    accumulate : bool
-        Whether it joins the turns before it.
-    order : Order or None
-        How the robot turns itself; None if somebody turns it.
-    gyro : GyroAtRest or None
-        What a rest before the turn has shown of the gyro.
-    """
+    """What a turn is opened with."""
 
     limits: Limits
+    """When it ends by itself."""
     knowledge: Knowledge
+    """What is known beforehand."""
     method: str
+    """One of `magcal_ros.core.calibrate.METHODS`."""
     accumulate: bool
+    """Whether it joins the turns before it."""
     order: Order | None = None
+    """How the robot turns itself; None if somebody turns it."""
     gyro: GyroAtRest | None = None
+    """What a rest before the turn has shown of the gyro."""
 
 
 @dataclass(frozen=True)
@@ -155,18 +145,12 @@ class Faulted(Event):
 
 @dataclass(frozen=True)
 class Broken(Event):
-    """Something that a turn needs has failed, and it cannot go on.
-
-    Parameters
-    ----------
-    words : str
-        What has failed.
-    was_under_way : bool
-        Whether the turn has to be concluded even if it has been left already.
-    """
+    """Something that a turn needs has failed, and it cannot go on."""
 
     words: str
+    """What has failed."""
     was_under_way: bool = False
+    """Whether the turn has to be concluded even if it has been left already."""
 
 
 @dataclass(frozen=True)

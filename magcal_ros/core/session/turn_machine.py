@@ -32,19 +32,12 @@ from magcal_ros.core.session.turn_events import (
 
 @dataclass(frozen=True)
 class PreviewTuning:
-    """When the heading sigma is predicted in mid-turn.
-
-    Attributes
-    ----------
-    preview_arc : float
-        Radians of arc before which no prediction is made.
-    preview_share : float
-        Share of one core that may go into predicting the heading sigma while the robot
-        turns.
-    """
+    """When the heading sigma is predicted in mid-turn."""
 
     preview_arc: float = math.radians(120.0)
+    """Radians of arc before which no prediction is made."""
     preview_share: float = 0.25
+    """Share of one core that may go into predicting the heading sigma while the robot turns."""
 
 
 TUNING = PreviewTuning()

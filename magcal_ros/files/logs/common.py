@@ -65,29 +65,19 @@ class Deadline:
 
 @dataclass
 class LogTables:
-    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes.
-
-    Attributes
-    ----------
-    imus, fields : dict of int to array
-        As in `Recording`, by the number of the sensor.
-    frames : dict of int to str
-        What a calibration remembers of each magnetometer, for `export`.
-    fixes : list of Fix
-    velocities : list of VelocitySample
-    yaw : array, shape (n, 2)
-        Stamp and the autopilot's own yaw, ENU, true north.
-    notes : list of str
-        What is to be said of the log.
-    """
+    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes."""
 
     imus: dict[int, FloatArray] = field(default_factory=dict)
     fields: dict[int, FloatArray] = field(default_factory=dict)
+    """As in `Recording`, by the number of the sensor."""
     frames: dict[int, str] = field(default_factory=dict)
+    """What a calibration remembers of each magnetometer, for `export`."""
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Stamp and the autopilot's own yaw, ENU, true north. Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
+    """What is to be said of the log."""
 
 
 @dataclass(frozen=True)
