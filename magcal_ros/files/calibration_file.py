@@ -167,11 +167,6 @@ def require_ours(path: Path) -> None:
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     """Read a calibration back.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
     Returns
     -------
     Calibration, Origin

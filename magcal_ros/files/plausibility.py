@@ -41,11 +41,6 @@ BOUNDS = Bounds()
 def require_possible(calibration: Calibration) -> None:
     """Refuse numbers that no turn can have found.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        As read from a file that may have been edited or damaged.
-
     Raises
     ------
     ValueError

@@ -75,15 +75,6 @@ def _imu_sample(row: list[float]) -> ImuSample:
 def read_csv_folder(folder: Path) -> Recording:
     """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds the two files, each with a header line; SI units.
-
-    Returns
-    -------
-    Recording
-
     Raises
     ------
     FileTrouble

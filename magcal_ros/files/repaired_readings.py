@@ -39,15 +39,6 @@ class RepairedReadings:
     A recording is read once, and twice more where its stamps come in bursts. An IMU of 1 to 5 Hz,
     whose samples are too far apart to be joined, is interpolated where it turns slowly.
 
-    Parameters
-    ----------
-    source : Source
-        The recording.
-    for_drive : bool
-        Whether it is read as a drive, for which its field may be too slow.
-    known : Calibration, optional
-        Whose motors' field is taken off.
-
     Attributes
     ----------
     notes : list of str

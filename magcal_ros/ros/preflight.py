@@ -65,12 +65,7 @@ class Preflight:
 
 
 def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
-    """Listen to the sensors of a running calibrator.
-
-    Returns
-    -------
-    Preflight
-    """
+    """Listen to the sensors of a running calibrator."""
     topics = _sensor_topics(node, calibrator)
     if topics is None:
         return Preflight(

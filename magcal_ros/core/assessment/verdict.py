@@ -164,21 +164,7 @@ NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Judge an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        What a method found.
-    knowledge : Knowledge
-        What was known beforehand.
-    window : Window, optional
-        The samples; without them gravity is not checked.
-
-    Returns
-    -------
-    Verdict
-    """
+    """Judge an estimate."""
     figures = judged_figures(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:

@@ -135,10 +135,6 @@ def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArr
     correction : Correction
     field_body, gradient : ndarray, shape (..., 3)
         Corrected field, and the gradient there, body axes.
-
-    Returns
-    -------
-    ndarray, shape (..., 12)
     """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]

@@ -121,11 +121,6 @@ class MotorField:
 
         Turns to one side do not tell a step with motion from one that changes side: either may be
         all of it.
-
-        Parameters
-        ----------
-        side : float
-            Of the turns: positive to the left.
         """
         at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
         split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))

@@ -63,17 +63,7 @@ class Blame:
 
 
 def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:
-    """Name the sensors whose axes err, or may err.
-
-    Parameters
-    ----------
-    explanations : Explanations
-        All ways that were weighed.
-    knowledge : Knowledge
-        For the mounting that is known, and whether the inclination is.
-    answers : UserAnswers
-        What a person did: an explanation that says otherwise is none.
-    """
+    """Name the sensors whose axes err, or may err."""
     best = explanations.best
     if explanations.rms[best] > AXES.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)

@@ -39,13 +39,7 @@ TUNING = ClockTuning()
 
 
 def on_one_clock(log: SensorLog) -> tuple[SensorLog, tuple[Finding, ...]]:
-    """Return the log with the field's stamps on the IMU's clock, and a line where they were not.
-
-    Parameters
-    ----------
-    log : SensorLog
-        Finite numbers, increasing stamps, at least two samples of each.
-    """
+    """Return the log with the field's stamps on the IMU's clock, and a line where they were not."""
     starts = log.imu_time[0], log.field_time[0]
     ends = log.imu_time[-1], log.field_time[-1]
     shorter = min(end - start for start, end in zip(starts, ends, strict=True))

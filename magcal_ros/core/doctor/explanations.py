@@ -126,16 +126,7 @@ class Explanations:
 def explain(
     log: SensorLog, inclination: Belief, tuning: ExplanationTuning = TUNING
 ) -> Explanations | None:
-    """Weigh the ways in which axes may lie; None where too little moves.
-
-    Parameters
-    ----------
-    log : SensorLog
-        Finite numbers, increasing stamps, a gyro.
-    inclination : Belief
-        Of the field; it tells a magnetometer from its opposite.
-    tuning : ExplanationTuning, optional
-    """
+    """Weigh the ways in which axes may lie; None where too little moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0

@@ -89,17 +89,7 @@ class MotionFound:
 def compare(
     prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
 ) -> MotionFound:
-    """Compare accelerometer, gyro and field.
-
-    Parameters
-    ----------
-    prepared : CleanLog
-        The cleaned streams.
-    knowledge : Knowledge
-        Its mounting is taken off; its inclination helps.
-    answers : UserAnswers
-        What a person did.
-    """
+    """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)

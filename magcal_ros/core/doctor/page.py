@@ -67,17 +67,7 @@ class Page:
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
 ) -> Page:
-    """Look at everything that a log shows of its sensors.
-
-    Parameters
-    ----------
-    log : SensorLog
-        As published; at best of a robot that stands, turns once and lifts its nose.
-    knowledge : Knowledge, optional
-        Mounting and reference field.
-    answers : UserAnswers, optional
-        What a person did.
-    """
+    """Look at everything that a log shows of its sensors."""
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:

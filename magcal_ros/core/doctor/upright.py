@@ -67,17 +67,7 @@ class Upright:
 def upright(
     log: SensorLog, given: Explanations | None, other: Explanations | None, answers: UserAnswers
 ) -> Upright:
-    """Look at which way gravity points.
-
-    Parameters
-    ----------
-    log : SensorLog
-        The cleaned streams.
-    given, other : Explanations or None
-        With the inclination as it is, and as it seems where gravity has the wrong sign.
-    answers : UserAnswers
-        What a person did.
-    """
+    """Look at which way gravity points."""
     usual = np.median(log.force, axis=0)
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"

@@ -106,13 +106,7 @@ class Fixes:
         return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
-        """Say what is wrong with the fixes; empty if nothing is.
-
-        Parameters
-        ----------
-        given : Place or None
-            Where the robot is by the user's word, which wins.
-        """
+        """Say what is wrong with the fixes; empty if nothing is."""
         if self.place is None:
             return [
                 f"gps/fix: no place yet, its messages {fault}" for fault in sorted(self._faults)

@@ -51,10 +51,6 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
     upwards : ndarray, shape (3,)
         The side to which the normal shall point.
 
-    Returns
-    -------
-    Circle
-
     Raises
     ------
     Refusal

@@ -137,10 +137,6 @@ class PlaneFit(str, Enum):
         points : ndarray, shape (n, 3)
             The cloud, in any unit.
 
-        Returns
-        -------
-        Plane
-
         Raises
         ------
         Refusal

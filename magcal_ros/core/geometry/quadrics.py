@@ -75,10 +75,6 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
     shape : QuadricFit
         Q with six free elements, diagonal, or a multiple of one.
 
-    Returns
-    -------
-    Ellipsoid
-
     Raises
     ------
     Refusal

@@ -114,12 +114,7 @@ def spread_bursts(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> Floa
 
 
 class BurstWatch:
-    """Tells whether stamps come in bursts, gap after gap.
-
-    Parameters
-    ----------
-    tuning : BurstTuning
-    """
+    """Tells whether stamps come in bursts, gap after gap."""
 
     def __init__(self, tuning: BurstTuning = BurstTuning()) -> None:
         self._tuning = tuning

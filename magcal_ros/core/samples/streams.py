@@ -255,13 +255,7 @@ def _interpolate(
 
 
 class Pairer:
-    """Holds field samples until the IMU samples around them have come.
-
-    Parameters
-    ----------
-    streams : Streams
-        Where the IMU samples are.
-    """
+    """Holds field samples until the IMU samples around them have come."""
 
     def __init__(self, streams: Streams) -> None:
         self._streams = streams

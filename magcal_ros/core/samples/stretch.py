@@ -55,14 +55,7 @@ def field_size(field: FloatArray) -> float:
 
 
 def stretch_of(window: Window, tuning: StretchTuning = TUNING) -> Stretch:
-    """Average neighbours and propagate the gyro between them; `window` has a gyro.
-
-    Parameters
-    ----------
-    window : Window
-        Samples in their order.
-    tuning : StretchTuning, optional
-    """
+    """Average neighbours and propagate the gyro between them; `window` has a gyro."""
     rate = window.angular_rate
     assert rate is not None
     vectors = 0.5 * (rate[1:] + rate[:-1]) * np.diff(window.time)[:, None]

@@ -28,13 +28,7 @@ the drivers that are known to publish it so."""
 
 
 def likely_field_unit(size: float) -> str:
-    """Say in words which units a field of `size` "tesla" may have; empty if none fits.
-
-    Parameters
-    ----------
-    size : float
-        Length of the field vector as published.
-    """
+    """Say in words which units a field of `size` "tesla" may have; empty if none fits."""
     fitting = [
         f"looks like {name} published as tesla{f', as by {drivers}' if drivers else ''}; "
         f"multiply by {factor} in the driver"
@@ -58,13 +52,7 @@ ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (
 
 
 def likely_acceleration_unit(size: float) -> str:
-    """Say in words which unit gravity of `size` "m/s²" probably has; empty if none fits.
-
-    Parameters
-    ----------
-    size : float
-        Length of the acceleration at rest as published.
-    """
+    """Say in words which unit gravity of `size` "m/s²" probably has; empty if none fits."""
     for low, high, name, factor in ACCELERATION_UNITS:
         if low <= size < high:
             return f"it looks like {name} published as m/s²; multiply by {factor} in the driver"
@@ -148,15 +136,7 @@ class Heard:
 
 
 def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
-    """Say what is wrong with two streams, and what to do; empty if nothing is.
-
-    Parameters
-    ----------
-    streams : Streams
-        The cleaned streams, for their newest stamps.
-    imu, mag : Heard
-        What came on the two topics.
-    """
+    """Say what is wrong with two streams, and what to do; empty if nothing is."""
     found = []
     if mag.drops[Drop.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)

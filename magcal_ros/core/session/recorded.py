@@ -184,15 +184,6 @@ def _arc(session: Session) -> float:
 def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
     """Calibrate from what was gathered.
 
-    Parameters
-    ----------
-    gathering : Gathering
-        After it took the recording.
-    knowledge : Knowledge
-        What is known beforehand.
-    method : str
-        One of `METHODS`.
-
     Returns
     -------
     Outcome
@@ -219,17 +210,6 @@ def fit_several(
     method: str = METHODS[0],
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
-
-    Parameters
-    ----------
-    gatherings : sequence of Gathering
-        One for each recording, after it took it.
-    names : sequence of str
-        What to call them.
-    knowledge : Knowledge
-        What is known beforehand, of all alike.
-    method : str
-        `maximum_likelihood` joins turns, `ellipsoid` and `min_max` pool their samples.
 
     Returns
     -------

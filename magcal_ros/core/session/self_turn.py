@@ -141,13 +141,7 @@ Stage: TypeAlias = Waiting | Moving | Stopping | None
 
 
 class SelfTurn:
-    """Turns the robot from the first usable samples of a turn until its end.
-
-    Parameters
-    ----------
-    topics : Topics
-        Names for the messages.
-    """
+    """Turns the robot from the first usable samples of a turn until its end."""
 
     def __init__(self, topics: Topics = Topics()) -> None:
         self._topics = topics

@@ -53,11 +53,6 @@ UNCHANGED = "the calibration in force is unchanged"
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
-    Parameters
-    ----------
-    robot : SelfTurn or None
-        Turns itself where a brief has an order for it.
-
     Attributes
     ----------
     progress : Progress or None

@@ -86,11 +86,6 @@ class UpFollower:
     With a gyro up is propagated by it and corrected by the accelerometer as far as the motion
     allows; without one, or with one that has dead axes or turns otherwise than the accelerometer,
     the latter is smoothed.
-
-    Parameters
-    ----------
-    tuning : UpTuning, optional
-        What is taken for granted.
     """
 
     def __init__(self, tuning: UpTuning | None = None) -> None:

@@ -95,15 +95,6 @@ def recording_of(
 ) -> Recording:
     """Choose the sensors and return what they recorded.
 
-    Parameters
-    ----------
-    path : Path
-        For words.
-    tables : LogTables
-    names : Names
-    imu, mag : str
-        The sensors the user chose, as "MAG[1]" or "1"; empty for the first that lives.
-
     Raises
     ------
     FileTrouble
