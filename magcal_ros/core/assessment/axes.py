@@ -219,7 +219,7 @@ def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound |
             window.angular_rate,
         )
     )
-    if most_turned(stretch) < TUNING.least_turn:
+    if stretch is None or most_turned(stretch) < TUNING.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()

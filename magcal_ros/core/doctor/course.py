@@ -78,11 +78,11 @@ def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> Axe
     )
     if not np.array_equal(explanations.gyro[k], np.eye(3)) or is_mirrored(axes):
         return None
-    up = explanations.part.stretch.up[0]
+    up = explanations.part.up[0]
     level = float(np.linalg.norm(np.cross(state[FIELD], up)))
     if not float(sigma[IRON].max()) < TUNING.iron * level:
         return None
-    size = explanations.part.stretch.size
+    size = explanations.part.size
     to_axes = axes.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
     compass = Calibration(

@@ -17,14 +17,13 @@ import numpy as np
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.assessment.axes import inclination_misfit, most_turned
 from magcal_ros.core.doctor.gravity_turns import gravity_misfit
-from magcal_ros.core.doctor.log_stretch import LogStretch, stretch_of_log
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
 
 WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
 
@@ -75,7 +74,7 @@ class Explanations:
     sigma: FloatArray
     """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
     Shape (k, 23)."""
-    part: LogStretch
+    part: Stretch
     """What was fitted."""
     found: Alignment
     """The fit, which does not know the field from its opposite."""
@@ -116,7 +115,7 @@ class Explanations:
 
     def turned(self, k: int) -> float:
         """Return the angle that a way says was turned about the accelerometer's up, radians."""
-        stretch = self.part.stretch
+        stretch = self.part
         up = stretch.up[:-1] / np.linalg.norm(stretch.up[:-1], axis=1, keepdims=True)
         rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
         rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
@@ -130,19 +129,19 @@ def explain(
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part.stretch) < tuning.least_turn:
+    if part is None or most_turned(part) < tuning.least_turn:
         return None
-    senses = _against_the_field(part.stretch, proper, tuning.fit)
+    senses = _against_the_field(part, proper, tuning.fit)
     for _ in range(tuning.looks):
         more = float(senses.parameters[senses.best, LAG])
         nearer = stretch_of_log(log, lag + more) if abs(more) > tuning.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _against_the_field(part.stretch, proper, tuning.fit)
-    ways = _remaining(part.stretch, senses, every, proper, tuning)
+        senses = _against_the_field(part, proper, tuning.fit)
+    ways = _remaining(part, senses, every, proper, tuning)
     gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
-    found = align(part.stretch, field, tuning.fit, gyro)
+    found = align(part, field, tuning.fit, gyro)
     base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
@@ -209,7 +208,7 @@ def _signed(
     found: Alignment,
     inclination: Belief,
     lag: float,
-    part: LogStretch,
+    part: Stretch,
 ) -> Explanations:
     """Let the inclination weigh each field against its opposite, which turns alike."""
     count = len(field)

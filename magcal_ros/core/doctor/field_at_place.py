@@ -60,7 +60,7 @@ def reference_findings(
     up_is_down: bool | None = False,
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
-    size = explanations.part.stretch.size
+    size = explanations.part.size
     state, sigma = explanations.parameters[k], explanations.sigma[k]
     vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
     strength = float(np.linalg.norm(vector)) * size
@@ -131,7 +131,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
     field = log.field @ explanations.field[k]
     time = log.field_time - lag
-    iron = state[IRON] * explanations.part.stretch.size
+    iron = state[IRON] * explanations.part.size
     up = unit(np.median(log.force, axis=0))
     steps, spread, level = [], [], []
     for moment, sign in _starts_and_stops(log, rate):

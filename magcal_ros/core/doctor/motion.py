@@ -13,7 +13,6 @@ from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
-from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
 from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
@@ -23,7 +22,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
 from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that shows everything."""
@@ -96,11 +95,11 @@ def compare(
         return MotionFound((found, *upright(log, None, None, answers).findings))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
-    if part is None or not _field_moves(part.stretch):
+    if part is None or not _field_moves(part):
         return _nothing_shown(log, None, answers)
     rest = longest_rest(body)
-    factors = rate_factors(part.stretch)
-    stands_still = rest is not None and rest.is_certain and not _turns_beside(part.stretch, rest)
+    factors = rate_factors(part)
+    stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, answers)
@@ -251,7 +250,7 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     Linear acceleration and a field that is bent change what one of them tells.
     """
     alone = align(
-        explanations.part.stretch,
+        explanations.part,
         explanations.field[chosen : chosen + 1],
         WEIGHED.fit,
         explanations.gyro[chosen : chosen + 1],

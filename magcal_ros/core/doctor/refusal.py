@@ -67,7 +67,8 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
-    if rate_factors(stretch_of(window)):
+    stretch = stretch_of(window)
+    if stretch is not None and rate_factors(stretch):
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None
