@@ -23,8 +23,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import pose_in_words
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.window import SensorLog
 
 if TYPE_CHECKING:
     from rclpy.node import Node

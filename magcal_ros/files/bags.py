@@ -24,7 +24,7 @@ from magcal_ros.core.messages import (
     speed_of,
     velocity_of,
 )
-from magcal_ros.core.samples.travel_samples import HeadingSample, TravelSample
+from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble

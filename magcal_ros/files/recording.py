@@ -11,8 +11,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.files.tables import read_columns
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")

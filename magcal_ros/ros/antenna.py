@@ -16,8 +16,7 @@ from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.messages import heading_of
-from magcal_ros.core.samples.streams import STREAMS, FieldSample
-from magcal_ros.core.samples.travel_samples import HeadingSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.heading_pipeline import HeadingPipeline

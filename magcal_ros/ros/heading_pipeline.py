@@ -14,11 +14,10 @@ from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.ros.fused import FusedOutput
 from magcal_ros.ros.inputs import Sensor
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.motors import Motors
-from magcal_ros.ros.outputs import HeadingOutput
+from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.reference_source import ReferenceSource
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.settings import Settings

@@ -15,7 +15,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import Drop, FieldSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn

@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.magnetometer import Magnetometer

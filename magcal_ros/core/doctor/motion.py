@@ -21,8 +21,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that shows everything."""

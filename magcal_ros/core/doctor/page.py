@@ -12,14 +12,13 @@ from magcal_ros.core.assessment.grading import Grade, worst
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
 from magcal_ros.core.doctor.finding import Finding
+from magcal_ros.core.doctor.health import noise_findings
 from magcal_ros.core.doctor.motion import MotionFound, compare
-from magcal_ros.core.doctor.noise import noise_findings
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import known_habits
 from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import SensorLog, Window
 
 PAIRED = ("bursts", "stamps", "repeats")
 """Lines of which paired samples show nothing."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.units import FIELD_UNITS
+from magcal_ros.core.samples.window import SensorLog
 
 WRAP = 2.0**32 * 1e-6
 """Seconds after which a clock of 32 bits that counts microseconds begins anew."""

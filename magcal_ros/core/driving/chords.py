@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.driving.course_tuning import ChordTuning
 from magcal_ros.core.driving.gyro_frame import Tick
-from magcal_ros.core.samples.travel_samples import PositionSample, VelocitySample
+from magcal_ros.core.samples.streams import PositionSample, VelocitySample
 
 
 class Chord(NamedTuple):

@@ -10,8 +10,13 @@ import numpy as np
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import Drop, StampGuard
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import (
+    Drop,
+    PositionSample,
+    SpeedSample,
+    StampGuard,
+    VelocitySample,
+)
 
 
 @dataclass(frozen=True, eq=False)

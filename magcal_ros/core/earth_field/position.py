@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from magcal_ros.core.earth_field.wmm import VALIDITY, Place
-from magcal_ros.core.samples.travel_samples import PositionSample
+from magcal_ros.core.samples.streams import PositionSample
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,14 @@ from magcal_ros.core.keeping.keeping_tuning import KEEPING
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import PositionSample, TravelSample
+from magcal_ros.core.samples.streams import (
+    STREAMS,
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    Streams,
+    TravelSample,
+)
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
 

@@ -18,8 +18,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
 
 @dataclass(frozen=True, eq=False)

@@ -288,3 +288,43 @@ class Pairer:
 
     def _count_unpaired(self) -> None:
         self._streams.field_drops[Drop.UNPAIRED] += 1
+
+
+class SpeedSample(NamedTuple):
+    """Speed along the vehicle's x (m/s, negative backwards) at a stamp (s).
+
+    `is_signed` is false where the source knows no backwards: a receiver's speed over ground.
+    """
+
+    stamp: float
+    speed: float
+    is_signed: bool = True
+
+
+class PositionSample(NamedTuple):
+    """Place in a local plane, metres east and north of any origin, at a stamp (s)."""
+
+    stamp: float
+    east: float
+    north: float
+
+
+class VelocitySample(NamedTuple):
+    """Velocity over ground, m/s east and north, at a stamp (s), and its sigma per axis, m/s."""
+
+    stamp: float
+    east: float
+    north: float
+    sigma: float
+
+
+TravelSample = SpeedSample | PositionSample | VelocitySample
+"""Whatever tells how a vehicle travels."""
+
+
+class HeadingSample(NamedTuple):
+    """ENU yaw (rad) that somebody else measures, with its sigma, at a stamp (s)."""
+
+    stamp: float
+    yaw: float
+    sigma: float

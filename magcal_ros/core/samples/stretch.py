@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import SensorLog, Window
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,3 +77,42 @@ class Window:
             angular_rate=None if self.angular_rate is None else self.angular_rate[rows],
             turned=None if self.turned is None else self.turned[rows],
         )
+
+
+@dataclass(frozen=True, eq=False)
+class SensorLog:
+    """Both streams in the order in which they came, nothing cleaned."""
+
+    imu_time: FloatArray
+    """Stamps, seconds. Shape (n,)."""
+    force: FloatArray
+    """Specific force as published, meant as m/s². Shape (n, 3)."""
+    rate: FloatArray
+    """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
+    field_time: FloatArray
+    """Stamps, seconds. Shape (m,)."""
+    field: FloatArray
+    """Raw field as published, meant as tesla. Shape (m, 3)."""
+
+    @classmethod
+    def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:
+        """Gather samples."""
+        imu: list[ImuSample] = []
+        field: list[FieldSample] = []
+        for sample in samples:
+            if isinstance(sample, ImuSample):
+                imu.append(sample)
+            else:
+                field.append(sample)
+        return cls(
+            np.array([s.stamp for s in imu], dtype=np.float64),
+            np.array([s.force for s in imu], dtype=np.float64).reshape(-1, 3),
+            np.array([s.rate for s in imu], dtype=np.float64).reshape(-1, 3),
+            np.array([s.stamp for s in field], dtype=np.float64),
+            np.array([s.field for s in field], dtype=np.float64).reshape(-1, 3),
+        )
+
+    @property
+    def has_gyro(self) -> bool:
+        """Whether most IMU samples carry a rate."""
+        return bool(len(self.rate) and np.isfinite(self.rate).all(axis=1).mean() > 0.5)

@@ -29,9 +29,9 @@ from magcal_ros.core.samples.streams import (
     ImuSample,
     Pairer,
     Streams,
+    TravelSample,
     slow_field_words,
 )
-from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session

@@ -14,12 +14,12 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
+    HeadingSample,
     ImuSample,
     Pair,
     Pairer,
     Streams,
 )
-from magcal_ros.core.samples.travel_samples import HeadingSample
 from magcal_ros.core.session.antenna import HeadingLog, fit_log
 from magcal_ros.core.session.dockings import Stood, dock_stood
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro

@@ -12,8 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
+from magcal_ros.core.samples.rest import (
+    GyroAtRest,
+    RestBeside,
+    bias_at_rest,
+    mean_and_sigma,
+    rests_around,
+)
 from magcal_ros.core.up import relative_attitudes
 
 

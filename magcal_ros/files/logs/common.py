@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.travel_samples import TravelSample, VelocitySample
+from magcal_ros.core.samples.streams import TravelSample, VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import damage_in_words, open_regular
