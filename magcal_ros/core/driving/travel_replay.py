@@ -17,13 +17,6 @@ NOTHING: Triple = (0.0, 0.0, 0.0)
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
 
-    Parameters
-    ----------
-    travel : iterable
-        Samples of receiver and wheels, by stamp.
-    streams : Streams, optional
-        Drop what they do, as a node would.
-
     Attributes
     ----------
     up : UpFollower

@@ -44,11 +44,6 @@ class _Seen(NamedTuple):
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
 
-    Parameters
-    ----------
-    tuning : CourseTuning, optional
-        What is taken for granted.
-
     Attributes
     ----------
     scatter : float
