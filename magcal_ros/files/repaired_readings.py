@@ -58,13 +58,7 @@ class RepairedReadings:
         return self._source.share * self._given / max(self._ahead, self._given, 1)
 
     def __iter__(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded.
-
-        Raises
-        ------
-        Refusal
-            If a sensor is too slow for what is to be done.
-        """
+        """Yield what the sensors said in the order in which it was recorded."""
         if self._known is None or self._known.motors is None:
             return self._repaired()
         told = self._source.travel(), self._source.currents()
@@ -102,13 +96,7 @@ class RepairedReadings:
             yield reading
 
     def _filled_up(self, readings: Iterable[Reading], gap: float, slow: str) -> Iterator[Reading]:
-        """Yield a slow IMU with samples between its own, and no field of fast turns.
-
-        Raises
-        ------
-        Refusal
-            If it is too slow for that.
-        """
+        """Yield a slow IMU with samples between its own, and no field of fast turns."""
         if gap > SLOWEST:
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}")
         last: ImuSample | None = None

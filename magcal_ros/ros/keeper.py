@@ -257,13 +257,7 @@ class Keeper:
         self._resets += 1
 
     def _path(self, frame: str, chosen: str | None = None) -> Path:
-        """Return the file to save to: as chosen, or by the node and the sensor's frame.
-
-        Raises
-        ------
-        FileTrouble
-            If it lies in a home that does not exist.
-        """
+        """Return the file to save to: as chosen, or by the node and the sensor's frame."""
         chosen = self._chosen() if chosen is None else chosen
         own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
         return numbered(own, self._number)

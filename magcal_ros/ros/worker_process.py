@@ -122,13 +122,7 @@ class WorkerProcess:
 
 
 def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
-    """Send a call and return the answer.
-
-    Raises
-    ------
-    EOFError, OSError
-        If the process goes meanwhile, or somebody stops it.
-    """
+    """Send a call and return the answer."""
     assert process.stdin is not None
     assert process.stdout is not None
     to, back = process.stdin.fileno(), process.stdout.fileno()
