@@ -37,8 +37,7 @@ from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.up import UpFollower

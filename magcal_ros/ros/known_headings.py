@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer, Streams
+from magcal_ros.core.errors import in_words
+from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer
 from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.antenna import Antenna, Owner
+from magcal_ros.ros.antenna import Antenna
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import in_words
-from magcal_ros.ros.fused import FusedOutput
-from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.services import Tell, Turns
+from magcal_ros.ros.heading_pipeline import HeadingPipeline
+from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.magnetometer import Magnetometer
+from magcal_ros.ros.services import Turns
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
@@ -45,25 +43,6 @@ NO_NORTH = (
 class KnownHeadings:
     """Calibrates where the robot stands at a known heading.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    owner : Owner
-        Puts in force what was found.
-    keeper : Keeper
-        Has what is in force.
-    settled : callable
-        Returns the parameters as they hold for a turn.
-    frames : SensorFrames
-        Whose heading is published, and so is told.
-    follower : UpFollower
-        Has taken each IMU message.
-    streams : Streams
-    fused : FusedOutput
-    fits : BackgroundThread
-    group : CallbackGroup
-        Of the subscription.
-
     Attributes
     ----------
     antenna : Antenna
@@ -73,27 +52,22 @@ class KnownHeadings:
     def __init__(
         self,
         node: Node,
-        owner: Owner,
-        keeper: Keeper,
-        settled: Callable[[], Settings],
-        frames: SensorFrames,
-        follower: UpFollower,
-        streams: Streams,
-        fused: FusedOutput,
+        magnetometer: Magnetometer,
+        pipeline: HeadingPipeline,
         fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
-        self._follower, self._streams, self._fits = follower, streams, fits
-        heard = node, owner, keeper, settled, frames, follower, fused
-        self.antenna = Antenna(*heard, fits, group)
+        self._magnetometer, self._settled = magnetometer, pipeline.settled
+        self._frames, self._follower, self._fits = pipeline.frames, pipeline.up, fits
+        self._streams = pipeline.streams
+        self.antenna = Antenna(node, magnetometer, pipeline, fits, group)
         self._worker = WorkerProcess()
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._sensors = ""
         self._since: TurnSince | None = None
         self._pairs: list[Pair] = []
-        self._pairer = Pairer(streams)
+        self._pairer = Pairer(self._streams)
         self._told: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
@@ -127,14 +101,7 @@ class KnownHeadings:
         self._sensors = sensors
 
     def calibrate(self, turns: Turns, tell: Tell) -> None:
-        """Collect where the robot stands now, and tell what its heading shows.
-
-        Parameters
-        ----------
-        turns : Turns
-            Another calibration that may be under way.
-        tell : callable
-        """
+        """Collect where the robot stands now, and tell what its heading shows."""
         if turns.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
             return
@@ -225,7 +192,8 @@ class KnownHeadings:
         follower, forward = self._follower, view.pose[0]
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
         pairs, since, knowledge = tuple(self._pairs), self._since, settings.knowledge
-        before, in_force, epoch = self._standings, self._keeper.calibration, self._epoch
+        before, epoch = self._standings, self._epoch
+        in_force = self._magnetometer.keeper.calibration
         self._pairs = []
 
         def work() -> Docked:
@@ -265,7 +233,7 @@ class KnownHeadings:
             # A heading that agrees with a better calibration is no failure.
             self._conclude(Conclusion(docked.outcome.verdict.accepted, docked.words))
             return
-        self._owner.put_in_force(
+        self._magnetometer.use(
             calibration,
             lambda done: self._conclude(Conclusion(done.success, f"{docked.words} {done.message}")),
         )

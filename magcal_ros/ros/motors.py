@@ -34,13 +34,6 @@ class Commands:
 
     The type is that of whoever publishes. Nothing is subscribed to while wheels tell a speed, or
     while this node turns the robot and asks who listens to its commands.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    up : UpFollower
-        Has taken each IMU message.
     """
 
     def __init__(self, node: Node, up: UpFollower) -> None:
@@ -95,15 +88,6 @@ class Motors:
     """Follows what the motors do, by gyro, wheels and battery, and learns what they add.
 
     It learns where wheels or a battery tell, unless self-calibration is off.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    up : UpFollower
-        Has taken each IMU message.
-    travel : Travel
-        Knows the speed.
     """
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
@@ -151,15 +135,7 @@ class Motors:
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
     def follow(self, mode: Mode, is_turning: bool) -> MotorField | None:
-        """Use what was learnt, once a second; returns what is to be kept, where that is new.
-
-        Parameters
-        ----------
-        mode : Mode
-            Of self-calibration.
-        is_turning : bool
-            Whether a turn is under way, in which this node may ask who listens to its commands.
-        """
+        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
         self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None

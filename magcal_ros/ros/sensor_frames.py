@@ -29,15 +29,7 @@ FAR_OFF = 0.26
 
 
 class SensorFrames:
-    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node that subscribes to the robot's description.
-    settings : callable
-        Returns the parameters in use.
-    """
+    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in."""
 
     def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
         self._settings = settings

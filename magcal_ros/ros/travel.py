@@ -27,8 +27,7 @@ from magcal_ros.core.monitoring.course_check import (
     check_by_course,
     course_fault,
 )
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
@@ -45,17 +44,6 @@ BETTER = 0.7
 
 class Travel:
     """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    thread : BackgroundThread
-        Does the fits beside the messages.
-    group : CallbackGroup
-        Of the subscriptions.
-    on_fix : callable
-        Told each fix.
 
     Attributes
     ----------

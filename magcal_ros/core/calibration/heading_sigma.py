@@ -130,10 +130,6 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
         The Earth's field, tesla.
     tilt : float
         Radians. Zero for the level; otherwise over slopes to all four sides.
-
-    Returns
-    -------
-    ndarray, shape (24, 12), or (96, 12) on slopes
     """
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])

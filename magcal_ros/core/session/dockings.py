@@ -114,23 +114,15 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Docked:
-    """What came of a standing at a known heading.
-
-    Parameters
-    ----------
-    standings : tuple of Standing
-        All that count from now on.
-    outcome : Outcome
-    applies : bool
-        Whether what was found is to be put in force.
-    words : str
-        What is known now, and what the next heading would show.
-    """
+    """What came of a standing at a known heading."""
 
     standings: tuple[Standing, ...]
+    """All that count from now on."""
     outcome: Outcome
     applies: bool
+    """Whether what was found is to be put in force."""
     words: str
+    """What is known now, and what the next heading would show."""
 
 
 @dataclass(frozen=True, eq=False)

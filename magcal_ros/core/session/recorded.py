@@ -29,9 +29,9 @@ from magcal_ros.core.samples.streams import (
     ImuSample,
     Pairer,
     Streams,
+    TravelSample,
     slow_field_words,
 )
-from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
@@ -44,15 +44,10 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 
 @dataclass(frozen=True)
 class RecordedTuning:
-    """How much of a recording is remembered.
-
-    Attributes
-    ----------
-    longest_drive : float
-        Seconds of movement; of a longer drive the last ones.
-    """
+    """How much of a recording is remembered."""
 
     longest_drive: float = 7200.0
+    """Seconds of movement; of a longer drive the last ones."""
 
 
 TUNING = RecordedTuning()
@@ -189,15 +184,6 @@ def _arc(session: Session) -> float:
 def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
     """Calibrate from what was gathered.
 
-    Parameters
-    ----------
-    gathering : Gathering
-        After it took the recording.
-    knowledge : Knowledge
-        What is known beforehand.
-    method : str
-        One of `METHODS`.
-
     Returns
     -------
     Outcome
@@ -224,17 +210,6 @@ def fit_several(
     method: str = METHODS[0],
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
-
-    Parameters
-    ----------
-    gatherings : sequence of Gathering
-        One for each recording, after it took it.
-    names : sequence of str
-        What to call them.
-    knowledge : Knowledge
-        What is known beforehand, of all alike.
-    method : str
-        `maximum_likelihood` joins turns, `ellipsoid` and `min_max` pool their samples.
 
     Returns
     -------

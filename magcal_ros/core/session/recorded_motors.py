@@ -11,8 +11,7 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, TravelSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, TravelSample
 from magcal_ros.core.up import UpFollower
 
 Reading = TypeVar("Reading", bound=ImuSample | FieldSample | None)

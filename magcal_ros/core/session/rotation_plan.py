@@ -13,31 +13,21 @@ from enum import Enum
 
 @dataclass(frozen=True)
 class RotationTuning:
-    """How a robot turns itself, and how a fault is recognised.
-
-    Attributes
-    ----------
-    acceleration : float
-        rad/s² of the ramps.
-    pause : float
-        Seconds at rest between the two ways.
-    longest_step : float
-        Seconds. After a longer delay between two looks the ramp goes on as after this one.
-    least_share : float
-        A robot that turns with less of the commanded rate does not turn.
-    most_share : float
-        A robot that turns with more than so many times the commanded rate, and `most_more`
-        on top, is far too fast.
-    most_more : float
-        rad/s on top of `most_share`.
-    """
+    """How a robot turns itself, and how a fault is recognised."""
 
     acceleration: float = 0.5
+    """rad/s² of the ramps."""
     pause: float = 0.5
+    """Seconds at rest between the two ways."""
     longest_step: float = 0.2
+    """Seconds. After a longer delay between two looks the ramp goes on as after this one."""
     least_share: float = 0.3
+    """A robot that turns with less of the commanded rate does not turn."""
     most_share: float = 1.75
+    """A robot that turns with more than so many times the commanded rate, and `most_more` on top,
+    is far too fast."""
     most_more: float = 0.1
+    """rad/s on top of `most_share`."""
 
 
 TUNING = RotationTuning()
@@ -62,24 +52,16 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Seen:
-    """What the sensors show of the turn.
-
-    Parameters
-    ----------
-    turned : float
-        Radians since the start, left positive.
-    rate : float
-        rad/s over the last moments, left positive.
-    by_gyro : bool
-        Whether the gyro shows it; the compass alone is slower, and shows nothing at first.
-    is_complete : bool
-        Whether every heading was seen.
-    """
+    """What the sensors show of the turn."""
 
     turned: float
+    """Radians since the start, left positive."""
     rate: float
+    """rad/s over the last moments, left positive."""
     by_gyro: bool
+    """Whether the gyro shows it; the compass alone is slower, and shows nothing at first."""
     is_complete: bool
+    """Whether every heading was seen."""
 
 
 @dataclass(frozen=True)
@@ -200,20 +182,13 @@ class RotationPlan:
 
 @dataclass(frozen=True)
 class RotationLimitsTuning:
-    """Limits of a robot that turns itself.
-
-    Attributes
-    ----------
-    leeway : float
-        The two turns may take so many times as long as planned, and be commanded so many
-        times as far: wheels slip.
-    farthest_beyond : float
-        Radians that a robot may stand beyond either end of its full turn, by the gyro: it
-        coasts.
-    """
+    """Limits of a robot that turns itself."""
 
     leeway: float = 1.5
+    """The two turns may take so many times as long as planned, and be commanded so many times as
+    far: wheels slip."""
     farthest_beyond: float = math.radians(45.0)
+    """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
 
 
 ROTATION_LIMITS = RotationLimitsTuning()

@@ -24,34 +24,24 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class ObjectionTuning:
-    """When the field contradicts the gyro.
-
-    Attributes
-    ----------
-    spans : tuple[float, float, float]
-        Radians that gyro or commands have turned before a test; larger spans show more.
-    disagree : float
-        Share of the span by which gyro and commands must differ before the field is tested.
-    factors : tuple[float, float, float]
-        How far an angle may be off in scale and still be taken for the true one.
-    clearly_worse : float
-        Times the squared misfit of the other angle, from which an angle is rejected.
-    smallest_radius : float
-        Tesla. A field on a smaller circle has not turned.
-    most_rows : int
-        Samples that are looked at, evenly over the span.
-    """
+    """When the field contradicts the gyro."""
 
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
         math.radians(300.0),
     )
+    """Radians that gyro or commands have turned before a test; larger spans show more."""
     disagree: float = 0.38
+    """Share of the span by which gyro and commands must differ before the field is tested."""
     factors: tuple[float, float, float] = (0.85, 1.0, 1.2)
+    """How far an angle may be off in scale and still be taken for the true one."""
     clearly_worse: float = 1.4
+    """Times the squared misfit of the other angle, from which an angle is rejected."""
     smallest_radius: float = 1.5e-6
+    """Tesla. A field on a smaller circle has not turned."""
     most_rows: int = 200
+    """Samples that are looked at, evenly over the span."""
 
 
 OBJECTION = ObjectionTuning()
@@ -145,37 +135,25 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ProofTuning:
-    """How a turn and its direction are recognised.
-
-    Attributes
-    ----------
-    rate_span : float
-        Seconds over which the gyro's rate is averaged.
-    kept : int
-        Samples kept to tell the compass's sense of rotation.
-    smallest_swing : float
-        Tesla. A field that moved less has not turned.
-    asked_every : float
-        Seconds between two looks at the field.
-    recently : float
-        Seconds in which a field that turns must have moved.
-    smallest_move : float
-        Tesla between the means of the two halves of the last `recently` seconds, if the
-        field turns.
-    smallest_arc : float
-        Radians of the field's circle below which its sense of rotation is unknown.
-    clearly_better : float
-        Share of the other sense's misfit below which one sense is accepted.
-    """
+    """How a turn and its direction are recognised."""
 
     rate_span: float = 0.5
+    """Seconds over which the gyro's rate is averaged."""
     kept: int = 2000
+    """Samples kept to tell the compass's sense of rotation."""
     smallest_swing: float = 4e-6
+    """Tesla. A field that moved less has not turned."""
     asked_every: float = 0.25
+    """Seconds between two looks at the field."""
     recently: float = 2.0
+    """Seconds in which a field that turns must have moved."""
     smallest_move: float = 1.5e-6
+    """Tesla between the means of the two halves of the last `recently` seconds, if the field
+    turns."""
     smallest_arc: float = math.radians(10.0)
+    """Radians of the field's circle below which its sense of rotation is unknown."""
     clearly_better: float = 0.5
+    """Share of the other sense's misfit below which one sense is accepted."""
 
 
 TUNING = ProofTuning()

@@ -20,36 +20,24 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class SelfTurnTuning:
-    """How long a robot that turns itself may be without what it needs.
-
-    Attributes
-    ----------
-    zeros : int
-        How often zero is sent at the end, for a single message may be lost.
-    silence : float
-        Seconds without a sensor after which a moving robot is stopped.
-    gyro_silence : float
-        Seconds without an angular velocity after which a robot that is controlled by the gyro is
-        stopped.
-    longest_look : float
-        Seconds between two looks at a moving robot; after a longer gap it could not be
-        stopped in time.
-    listeners_within : float
-        Seconds within which something must have subscribed to the commands.
-    stands_first : float
-        Seconds that it stands before it starts: they show the gyro's bias and the motors' field.
-    guarded_within : float
-        Seconds within which the guard must be ready; a small computer takes three to start
-        one.
-    """
+    """How long a robot that turns itself may be without what it needs."""
 
     zeros: int = 10
+    """How often zero is sent at the end, for a single message may be lost."""
     silence: float = 1.0
+    """Seconds without a sensor after which a moving robot is stopped."""
     gyro_silence: float = 0.5
+    """Seconds without an angular velocity after which a robot that is controlled by the gyro is
+    stopped."""
     longest_look: float = 0.5
+    """Seconds between two looks at a moving robot; after a longer gap it could not be stopped in
+    time."""
     listeners_within: float = 3.0
+    """Seconds within which something must have subscribed to the commands."""
     stands_first: float = 3.0
+    """Seconds that it stands before it starts: they show the gyro's bias and the motors' field."""
     guarded_within: float = 10.0
+    """Seconds within which the guard must be ready; a small computer takes three to start one."""
 
 
 TUNING = SelfTurnTuning()
@@ -68,21 +56,14 @@ GUARD_GONE = (
 
 @dataclass(frozen=True)
 class Order:
-    """How the robot is to turn itself.
-
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    longest : float
-        Seconds that it may take at most.
-    to_body : ndarray, shape (3, 3)
-        From raw field to nominal body axes.
-    """
+    """How the robot is to turn itself."""
 
     speed: float
+    """rad/s."""
     longest: float
+    """Seconds that it may take at most."""
     to_body: FloatArray
+    """From raw field to nominal body axes. Shape (3, 3)."""
 
 
 @dataclass(frozen=True)
@@ -96,41 +77,27 @@ class Topics:
 
 @dataclass(frozen=True)
 class Around:
-    """The state of sensors, base and guard at one look.
-
-    Parameters
-    ----------
-    imu_age, field_age : float
-        Seconds since the newest message of either sensor; infinite before the first.
-    listeners : int
-        How many subscribe to the commands.
-    is_allowed : bool
-        Whether the user still lets the robot turn itself.
-    is_guarded : bool
-        Whether the guard would stop the robot if this node failed.
-    """
+    """The state of sensors, base and guard at one look."""
 
     imu_age: float
     field_age: float
+    """Seconds since the newest message of either sensor; infinite before the first."""
     listeners: int
+    """How many subscribe to the commands."""
     is_allowed: bool
+    """Whether the user still lets the robot turn itself."""
     is_guarded: bool
+    """Whether the guard would stop the robot if this node failed."""
 
 
 @dataclass(frozen=True)
 class End:
-    """How a robot's own turn ended.
-
-    Parameters
-    ----------
-    reason : str
-        Empty if every heading was seen.
-    is_usable : bool
-        Whether what was seen is to be fitted.
-    """
+    """How a robot's own turn ended."""
 
     reason: str
+    """Empty if every heading was seen."""
     is_usable: bool
+    """Whether what was seen is to be fitted."""
 
 
 @dataclass(frozen=True)
@@ -174,13 +141,7 @@ Stage: TypeAlias = Waiting | Moving | Stopping | None
 
 
 class SelfTurn:
-    """Turns the robot from the first usable samples of a turn until its end.
-
-    Parameters
-    ----------
-    topics : Topics
-        Names for the messages.
-    """
+    """Turns the robot from the first usable samples of a turn until its end."""
 
     def __init__(self, topics: Topics = Topics()) -> None:
         self._topics = topics

@@ -35,11 +35,6 @@ class UpFilter:
     length, so that the model is linear and a scale error of the accelerometer is taken up by the
     length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of the sizes of a
     `MotionPrior`.
-
-    Parameters
-    ----------
-    tuning : FilterTuning
-        What is taken for granted.
     """
 
     def __init__(self, tuning: FilterTuning | None = None) -> None:

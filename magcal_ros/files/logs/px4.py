@@ -20,7 +20,7 @@ from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.logs.common import (
     FLU_FROM_FRD,

@@ -19,7 +19,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples import ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 

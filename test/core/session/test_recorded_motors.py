@@ -6,8 +6,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.motors import MotorField, MotorInput
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import FieldSample, SpeedSample
 from magcal_ros.core.session.recorded_motors import without_motors
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
