@@ -14,7 +14,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.nodes import Nodes, nodes_of
+from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import State
@@ -40,6 +40,8 @@ NO_SOLUTION = "the samples do not determine a calibration; turn the robot throug
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
 it is left out then."""
+WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 600)
+"""Of a drive, in which there is more of everything than in one turn, longer means are enough."""
 NEARLY = 0.95
 """Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
 
@@ -99,6 +101,8 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
         for name in _others(fits):
             _try(fits, name, nodes, priors, state, fits[ON_THE_SPOT])
     else:
+        fits.clear()
+        nodes, state, priors = _started(window, knowledge, WHILE_DRIVING)
         _fit_drives(fits, nodes, priors, state)
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
@@ -116,6 +120,8 @@ def promised_sigma(window: Window, knowledge: Knowledge) -> float:
     if (spot := _on_the_spot(fits, nodes, priors, state)) is not None:
         _try(fits, SMALL_CIRCLE, nodes, priors, state, spot, ROUGHLY)
     else:
+        fits.clear()
+        nodes, state, priors = _started(window, knowledge, WHILE_DRIVING)
         _try(fits, ON_WHEELS, nodes, priors, state, tolerances=ROUGHLY)
     if not fits:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
@@ -161,8 +167,10 @@ def gyro_is_usual(fit: Fit) -> bool:
     )
 
 
-def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
-    nodes = nodes_of(window, knowledge.mounting.to_body)
+def _started(
+    window: Window, knowledge: Knowledge, spacing: Spacing = Spacing()
+) -> tuple[Nodes, State, Priors]:
+    nodes = nodes_of(window, knowledge.mounting.to_body, spacing)
     priors = priors_of(knowledge, window.bias_sigma)
     return nodes, *start(nodes, with_dead_axes(priors, living_axes(window.angular_rate)))
 

@@ -78,10 +78,11 @@ class Model:
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
         begins = {n: priors.sizes[n]._replace(start=kind.begins) for n in CHANGES}
+        spread = {**priors.spread, **dict.fromkeys(("motors_moving", "motors_rate"), kind.motors)}
         return cls(
             nodes,
             axes,
-            replace(priors, scale=scale, sizes={**priors.sizes, **begins}),
+            replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **begins}),
             kind.velocity,
             travels,
         )

@@ -214,12 +214,16 @@ class KindOfMotion(NamedTuple):
     begins : float
         Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
         acceleration is taken for lean; if it is too large, lean is taken for acceleration.
+    motors : float
+        Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits;
+        what differs between its rest and its way is the place.
     """
 
     speed: float
     aside: float
     lever_arm: float
     begins: float
+    motors: float = 2.0
 
     @property
     def velocity(self) -> FloatArray:
@@ -238,8 +242,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
