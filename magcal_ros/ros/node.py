@@ -282,7 +282,7 @@ class Calibrator(Node):
             each.repeat_bias(now)
         name = diagnostic_name(self.get_fully_qualified_name())
         statuses = [
-            calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
+            calibration_diagnostic(name, self._first),
             field_diagnostic(
                 name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
@@ -301,11 +301,10 @@ class Calibrator(Node):
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
-        reference, first = self._reference.reference, self._first
-        turn = self._control, self._keeper, self._inputs, reference, first.watch
-        turns, motors = self._table.settings.rotation.enabled, self._pipeline.motors
-        drive = self._travel, self._keeping, self._magnetometers, motors.facts(first.compass)
-        status = status_json(*turn, turns, *drive, self._known)
+        turns_itself = self._table.settings.rotation.enabled
+        shown = self._travel, self._keeping, self._magnetometers, self._pipeline.motors
+        reference = self._reference.reference
+        status = status_json(self._first, reference, turns_itself, *shown, self._known)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))
