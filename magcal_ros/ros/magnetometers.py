@@ -34,10 +34,10 @@ class Magnetometers:
         """The further ones that were heard."""
         return self.heard[1:]
 
-    def meet(self, met: Magnetometer) -> None:
+    def add(self, magnetometer: Magnetometer) -> None:
         """Take note of one that sends."""
-        if met not in self.heard:
-            self.heard = sorted([*self.heard, met], key=lambda each: each.number)
+        if magnetometer not in self.heard:
+            self.heard = sorted([*self.heard, magnetometer], key=lambda each: each.number)
 
     def save(self, tell: Tell) -> None:
         """Save what is in force."""

@@ -161,7 +161,7 @@ class Calibrator(Node):
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
-            self._first.meet_sensors()
+            self._first.look_at_sensors()
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
@@ -181,14 +181,14 @@ class Calibrator(Node):
             self._keeping.on_field(at_rest, self._inputs.streams.newest_imu, self._travel)
             self._known.on_field(at_rest)
 
-    def sensors_met(self, magnetometer: Magnetometer) -> None:
+    def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Take note of sensors that send for the first time, or under another name."""
-        self._magnetometers.meet(magnetometer)
+        self._magnetometers.add(magnetometer)
         if magnetometer is self._first:
             imu, field = self._inputs.imu.frame, self._inputs.field.frame
-            self._keeping.meet(f"{field} {imu}")
-            self._known.meet(f"{field} {imu}")
-            self._frames.meet(imu, field)
+            self._keeping.note_sensors(f"{field} {imu}")
+            self._known.note_sensors(f"{field} {imu}")
+            self._frames.note_sensors(imu, field)
 
     def _start(self) -> Conclusion:
         opened = self._magnetometers.start(self._up.gyro_at_rest)

@@ -222,15 +222,15 @@ class Travel:
         }
 
     def diagnostics(self, name: str) -> list[DiagnosticStatus]:
-        """Say what the drive has told so far; nothing where no speed and no fix has come."""
+        """Say what the drive has shown so far; nothing where no speed and no fix has come."""
         if not self._travelling.is_heard:
             return []
         yaw, verdict = self.yaw, self.verdict
-        told = "the vehicle's front is not known yet" if yaw is None else yaw.words
+        front = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [diagnostic(name, "Drive", "; ".join([told, *wrong]), values, level)]
+        return [diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:

@@ -165,11 +165,11 @@ class RotationPlan:
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
         """Return the fault that has lasted for longer than patience has."""
         along = self.direction * seen.rate
-        told = 0.0 if self._brakes else abs(self.command)
+        commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
             Fault.TOO_FAST: abs(seen.rate) > TUNING.most_share * self._speed + TUNING.most_more,
-            Fault.WRONG_WAY: told > 0.0 and along < -TUNING.least_share * self._speed,
-            Fault.NOT_TURNING: told > 0.0 and along < TUNING.least_share * told,
+            Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
+            Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
         patience = Patience.of(seen.by_gyro, self._speed)
         for fault, shown in shows.items():

@@ -68,17 +68,17 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
 
 
 def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, span: float) -> str:
-    gyro_span, told_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
-    shown, told = math.degrees(gyro_span), math.degrees(told_span)
+    gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
+    shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
     misfit, radius = _best_fit(by_gyro, level)
     if gyro_span >= span and radius < OBJECTION.smallest_radius:
         return f"the gyro shows {shown:.0f}° of turn, but the field did not change"
-    if np.ptp(by_gyro - by_command) < OBJECTION.disagree * max(gyro_span, told_span):
+    if np.ptp(by_gyro - by_command) < OBJECTION.disagree * max(gyro_span, commanded_span):
         return ""
     other, radius = _best_fit(by_command, level)
     if radius > OBJECTION.smallest_radius and misfit > OBJECTION.clearly_worse * other:
         return (
-            f"the gyro shows {shown:.0f}°, but the field turned with the {told:.0f}° that were "
+            f"the gyro shows {shown:.0f}°, but the field turned with the {asked:.0f}° that were "
             "commanded"
         )
     return ""
@@ -234,9 +234,9 @@ class RotationProof:
         command : float
             rad/s that were commanded.
         """
-        shown, told = math.degrees(seen.rate), math.degrees(command)
+        shown, commanded = math.degrees(seen.rate), math.degrees(command)
         sensor = "gyro" if seen.by_gyro else "compass"
-        rates = f"the {sensor} shows {shown:+.0f}°/s where {told:+.0f}°/s were commanded"
+        rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.NOT_TURNING:
