@@ -61,8 +61,8 @@ class RepairedReadings:
         """Yield what the sensors said in the order in which it was recorded."""
         if self._known is None or self._known.motors is None:
             return self._repaired()
-        told = self._source.travel(), self._source.currents()
-        return without_motors(self._repaired(), self._known, *told)
+        inputs = self._source.travel(), self._source.currents()
+        return without_motors(self._repaired(), self._known, *inputs)
 
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()

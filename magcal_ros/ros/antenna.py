@@ -130,7 +130,7 @@ class Antenna:
             self._check.add_turn(dot(self._follower.mean_rate, up) * seconds)
 
     def on_field(self, sample: FieldSample) -> None:
-        """Take a field sample while the heading is told."""
+        """Take a field sample while the topic gives a heading."""
         assert self._heard is not None
         heading, follower = self._heard[1], self._follower
         since = sample.stamp - heading.stamp
@@ -147,9 +147,9 @@ class Antenna:
             from magcal_ros.core.session.antenna import HeadingLog
 
             self._log, self._view = HeadingLog(view.pose[0]), view
-        told = ExternalHeading(heading.yaw, heading.sigma, settings.heading_is_true)
+        external = ExternalHeading(heading.yaw, heading.sigma, settings.heading_is_true)
         seen = sample.stamp, sample.field, up.direction, follower.rate
-        if self._log.add(*seen, told, shift, follower.is_at_rest) and not self._is_fitting:
+        if self._log.add(*seen, external, shift, follower.is_at_rest) and not self._is_fitting:
             self._fit(settings, self._log)
 
     def _on_heading(self, data: bytes) -> None:
@@ -171,8 +171,8 @@ class Antenna:
             return
         x, y, z = view.pose[0].tolist()
         yaw = self._fused.yaw
-        told = sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z)
-        missed = None if yaw is None else yaw.take_heading(*told)
+        heading = sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z)
+        missed = None if yaw is None else yaw.take_heading(*heading)
         if yaw is not None and missed is not None:
             is_beyond = missed > yaw.tuning.told_gate
             self._missed = self._missed + 1 if is_beyond else 0

@@ -85,7 +85,7 @@ class Control:
         self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
         self._listeners: list[Callable[[ev.Conclusion], None]] = []
-        self._untold: ev.Conclusion | None = None
+        self._unreported: ev.Conclusion | None = None
 
     @property
     def state(self) -> TurnState:
@@ -100,7 +100,7 @@ class Control:
         """Let the next turn start afresh."""
         self._tell(self.turn.forget)
 
-    def sensors_met(self, field: str, imu: str) -> None:
+    def note_sensors(self, field: str, imu: str) -> None:
         """Note the frames of the sensors that are there; turns of others are not joined."""
         self._tell(self.turn.note_sensors, field, imu)
 
@@ -117,7 +117,7 @@ class Control:
         answer = self._tell(self.turn.open, brief, now())
         if was_idle and answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
-            self._untold = None
+            self._unreported = None
         return answer
 
     def add(self, sample: FieldSample) -> None:
@@ -137,9 +137,9 @@ class Control:
         The verdict on a turn that ended by itself, and that nobody waited for, is told once.
         """
         self._collect()
-        untold, self._untold = self._untold, None
-        if untold is not None:
-            return untold
+        unreported, self._unreported = self._unreported, None
+        if unreported is not None:
+            return unreported
         return self._tell(self.turn.finish, now())
 
     def cancel(self) -> ev.Conclusion:
@@ -222,8 +222,8 @@ class Control:
         )
 
     def _fit(self, asked: ev.FitTurn) -> None:
-        told = (asked.knowledge, asked.method, asked.accumulate)
-        turn = (asked.kept, asked.window, *told)
+        settings = (asked.knowledge, asked.method, asked.accumulate)
+        turn = (asked.kept, asked.window, *settings)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
             lambda found: self._tell(self.turn.note_fit, asked.turn, *found),
@@ -250,7 +250,7 @@ class Control:
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
-        self._untold = None if listeners else conclusion
+        self._unreported = None if listeners else conclusion
         # Whatever fails here, everyone who waits is told.
         with contextlib.ExitStack() as at_last:
             for listener in listeners:

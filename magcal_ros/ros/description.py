@@ -59,8 +59,8 @@ class Description:
         ]
         transforms = _transform_message()
         if transforms is not None:
-            told = transforms, "/tf_static", STATIC_TRANSFORMS
-            kinds.append((*told, lambda message: joints_from(message.transforms)))
+            static = transforms, "/tf_static", STATIC_TRANSFORMS
+            kinds.append((*static, lambda message: joints_from(message.transforms)))
         for kind, topic, quality, joints_in in kinds:
             take = partial(self._take, topic, kind, joints_in)
             self._node.create_subscription(kind, topic, take, quality, raw=True)

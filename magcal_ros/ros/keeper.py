@@ -157,8 +157,8 @@ class Keeper:
 
             try:
                 path = self._path(frame)
-                told = (path, calibration, origin, keep if with_backup else None)
-                promptly(lambda: write_calibration(*told), path, TO_WRITE)
+                content = (path, calibration, origin, keep if with_backup else None)
+                promptly(lambda: write_calibration(*content), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
@@ -228,9 +228,9 @@ class Keeper:
     def begin(self) -> None:
         """Load a file that was chosen by its name, before any message arrives."""
         if self._chosen():
-            self._begin_reading("", is_met=False)
+            self._begin_reading("", of_sensor=False)
 
-    def meet(self, frame: str) -> None:
+    def note_sensor(self, frame: str) -> None:
         """Load the calibration of the sensor whose field comes now, in the background.
 
         One that is loaded already is checked; a sensor that was there before is not read again.
@@ -280,9 +280,9 @@ class Keeper:
         if self.calibration is not None:
             self._wanted.clear()
         if self._wanted and not self._is_reading:
-            self._begin_reading(self._wanted.pop(), is_met=True)
+            self._begin_reading(self._wanted.pop(), of_sensor=True)
 
-    def _begin_reading(self, frame: str, is_met: bool) -> None:
+    def _begin_reading(self, frame: str, of_sensor: bool) -> None:
         self._is_reading = True
         chosen, resets = self._chosen(), self._resets
 
@@ -293,9 +293,9 @@ class Keeper:
         def note(loaded: Loaded | None) -> None:
             self._is_reading = False
             loaded = loaded if resets == self._resets else None
-            if is_met and frame in self._found:
+            if of_sensor and frame in self._found:
                 self._found[frame] = loaded
-            if not is_met or frame == self._frame:
+            if not of_sensor or frame == self._frame:
                 self._use_found(loaded)
             self._read_next()
 

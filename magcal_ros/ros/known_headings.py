@@ -24,7 +24,7 @@ from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
-    from magcal_ros.core.session.dockings import Docked
+    from magcal_ros.core.session.at_known_heading import HeadingResult
     from magcal_ros.core.smoother.standings import Standing
 
 TICK = 0.2
@@ -68,7 +68,7 @@ class KnownHeadings:
         self._since: TurnSince | None = None
         self._pairs: list[Pair] = []
         self._pairer = Pairer(self._streams)
-        self._told: ExternalHeading | None = None
+        self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
         self._is_collecting = False
@@ -94,7 +94,7 @@ class KnownHeadings:
         self._answer = ""
         self.antenna.forget()
 
-    def meet(self, sensors: str) -> None:
+    def note_sensors(self, sensors: str) -> None:
         """Take note of which sensors are heard: where others stood says nothing of these."""
         if self._sensors and sensors != self._sensors:
             self.forget()
@@ -109,10 +109,10 @@ class KnownHeadings:
             tell(Conclusion(False, "already collecting at a known heading: wait for its answer"))
             return
         settings = self._settled()
-        told = settings.known_heading
+        given = settings.known_heading
         if settings.north_is_missing:
             tell(Conclusion(False, NO_NORTH))
-        elif told is None and not self.antenna.is_fresh:
+        elif given is None and not self.antenna.is_fresh:
             words = f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
             tell(Conclusion(False, words))
         elif self._frames.view is None:
@@ -125,7 +125,7 @@ class KnownHeadings:
                 )
             )
         else:
-            self._tell, self._told = tell, told
+            self._tell, self._given = tell, given
             self._pairs, self.antenna.collected = [], []
             self._pairer = Pairer(self._streams)
             self._deadline = time.monotonic() + TUNING.patience
@@ -184,9 +184,9 @@ class KnownHeadings:
         # The timer ends itself: cancelled by another thread it may be on its way already.
         self._is_collecting = False
         settings = self._settled()
-        told = self._told or self._told_by_topic(settings)
+        given = self._given or self._given_by_topic(settings)
         view = self._frames.view
-        if told is None or view is None:
+        if given is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
             return
         follower, forward = self._follower, view.pose[0]
@@ -196,16 +196,19 @@ class KnownHeadings:
         in_force = self._magnetometer.keeper.calibration
         self._pairs = []
 
-        def work() -> Docked:
+        def work() -> HeadingResult:
             # What only a fit needs is loaded when one is made, beside the messages.
-            from magcal_ros.core.session.dockings import Stood, dock_stood
+            from magcal_ros.core.session.at_known_heading import (
+                CollectedSamples,
+                calibrate_standing,
+            )
 
-            stood = Stood(pairs, told, knowledge, forward, since, bias)
-            return self._worker.run(dock_stood, before, stood, in_force)
+            collected = CollectedSamples(pairs, given, knowledge, forward, since, bias)
+            return self._worker.run(calibrate_standing, before, collected, in_force)
 
-        self._fits.run(work, lambda docked: self._note(docked, epoch), self._lost)
+        self._fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
-    def _told_by_topic(self, settings: Settings) -> ExternalHeading | None:
+    def _given_by_topic(self, settings: Settings) -> ExternalHeading | None:
         """Return the mean of the topic's headings while the robot stood."""
         heard, self.antenna.collected = self.antenna.collected, None
         if not heard:
@@ -220,26 +223,26 @@ class KnownHeadings:
         words = "the node ends" if isinstance(error, Stopped) else in_words(error)
         self._conclude(Conclusion(False, f"nothing was found: {words}"))
 
-    def _note(self, docked: Docked, epoch: int) -> None:
+    def _note(self, result: HeadingResult, epoch: int) -> None:
         self._worker.stop()
         if epoch != self._epoch:
             words = "~/reset was called, or another sensor met, meanwhile: call again"
             self._conclude(Conclusion(False, words))
             return
-        calibration = docked.outcome.calibration
+        calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._since = docked.standings, TurnSince()
-        if not docked.applies or calibration is None:
+            self._standings, self._since = result.standings, TurnSince()
+        if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
-            self._conclude(Conclusion(docked.outcome.verdict.accepted, docked.words))
+            self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))
             return
         self._magnetometer.use(
             calibration,
-            lambda done: self._conclude(Conclusion(done.success, f"{docked.words} {done.message}")),
+            lambda done: self._conclude(Conclusion(done.success, f"{result.words} {done.message}")),
         )
 
     def _conclude(self, conclusion: Conclusion) -> None:
         tell, self._tell = self._tell, None
-        self._told, self._answer = None, conclusion.message
+        self._given, self._answer = None, conclusion.message
         if tell is not None:
             tell(conclusion)

@@ -36,7 +36,7 @@ from magcal_ros.ros.wire.incoming import Unreadable, read_field
 class Owner(Protocol):
     """What happens in the node when something happens to a magnetometer."""
 
-    def sensors_met(self, magnetometer: Magnetometer) -> None:
+    def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Take note of a sensor that sends for the first time, or under another name."""
 
     def sample_came(self, magnetometer: Magnetometer, sample: FieldSample) -> None:
@@ -102,12 +102,12 @@ class Magnetometer:
         """The full name of its topic."""
         return self.inputs.field.topic
 
-    def meet_sensors(self) -> None:
+    def look_at_sensors(self) -> None:
         """Take note of sensors that send for the first time, or under another name."""
         self._note_sensors()
-        self._owner.sensors_met(self)
+        self._owner.sensors_changed(self)
         if self.inputs.field.last_heard is not None:
-            self.keeper.meet(self.inputs.field.frame)
+            self.keeper.note_sensor(self.inputs.field.frame)
 
     def start(self, gyro: GyroAtRest | None) -> Conclusion:
         """Collect the turn that begins."""
@@ -202,7 +202,7 @@ class Magnetometer:
 
     def _note_sensors(self) -> None:
         frames = self.inputs.field.frame, self.inputs.imu.frame
-        self.control.sensors_met(*map(known_as, frames))
+        self.control.note_sensors(*map(known_as, frames))
 
     def _on_field(self, data: bytes) -> None:
         streams = self.inputs.streams
@@ -214,7 +214,7 @@ class Magnetometer:
         if self.inputs.field.heard(arrived.frame):
             if self._out is None:
                 self._out = FieldOutput(self._node, self._topic)
-            self.meet_sensors()
+            self.look_at_sensors()
         sample = arrived.sample
         if not streams.add_field(sample):
             return

@@ -15,7 +15,7 @@ from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.wire.outgoing import diagnostic, key_values
+from magcal_ros.ros.wire.outgoing import diagnostic
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""
@@ -34,10 +34,10 @@ class Magnetometers:
         """The further ones that were heard."""
         return self.heard[1:]
 
-    def meet(self, met: Magnetometer) -> None:
+    def add(self, magnetometer: Magnetometer) -> None:
         """Take note of one that sends."""
-        if met not in self.heard:
-            self.heard = sorted([*self.heard, met], key=lambda each: each.number)
+        if magnetometer not in self.heard:
+            self.heard = sorted([*self.heard, magnetometer], key=lambda each: each.number)
 
     def save(self, tell: Tell) -> None:
         """Save what is in force."""
@@ -119,22 +119,19 @@ class Magnetometers:
         """Say how each takes part in the heading; nothing while only the first is there."""
         if not self.further:
             return []
-        status = diagnostic(name, "Magnetometers")
         complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
         complaints += self.complaints()
-        status.message = "; ".join(complaints) or "all take part in the heading"
-        status.level = DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK
+        words = "all take part in the heading"
         if not self.are_calibrated:
-            status.message = "; ".join(complaints) or (
-                "only one of them is calibrated: ~/calibrate calibrates all in one turn"
-            )
+            words = "only one of them is calibrated: ~/calibrate calibrates all in one turn"
+        level = DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK
         values = {}
         for fact in self.facts():
             values[f"{fact['topic']} weight"] = f"{fact['weight']:.2f}"
             if fact["why"]:
                 values[f"{fact['topic']}"] = fact["why"]
-        status.values = key_values(values)
-        return [status]
+        words = "; ".join(complaints) or words
+        return [diagnostic(name, "Magnetometers", words, values, level)]
 
     @property
     def are_calibrated(self) -> bool:

@@ -41,7 +41,7 @@ class Commands:
         self.topic = node.resolve_topic_name("cmd_vel")
         self._subscription: Subscription | None = None
         self._kind = ""
-        self._speed, self._told = math.nan, -math.inf
+        self._speed, self._received = math.nan, -math.inf
 
     @property
     def is_heard(self) -> bool:
@@ -50,7 +50,7 @@ class Commands:
 
     def speed_near(self, stamp: float) -> float:
         """Return the commanded speed, m/s; NaN where nobody told one near a stamp, seconds."""
-        return self._speed if abs(stamp - self._told) < SILENT else math.nan
+        return self._speed if abs(stamp - self._received) < SILENT else math.nan
 
     def follow(self, is_wanted: bool) -> None:
         """Subscribe or leave, once a second."""
@@ -81,7 +81,7 @@ class Commands:
     def _on_command(self, message: Twist | TwistStamped) -> None:
         # A command holds from when it comes, on the clock of the sensors.
         twist = message.twist if isinstance(message, TwistStamped) else message
-        self._speed, self._told = float(twist.linear.x), self._up.newest_stamp
+        self._speed, self._received = float(twist.linear.x), self._up.newest_stamp
 
 
 class Motors:
@@ -93,12 +93,12 @@ class Motors:
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._travel = up, travel
         self._sense = MotionSense()
-        self._current, self._told = math.nan, -math.inf
+        self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
         self._kept: MotorField | None = None
         self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
-        self._is_told = False
+        self._has_input = False
         self.commands = Commands(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
@@ -107,7 +107,7 @@ class Motors:
     def running(self, stamp: float) -> Running:
         """Return what the motors do at the stamp of a field message, seconds."""
         rate = self._up.rate if self._up.is_propagated else None
-        current = self._current if abs(stamp - self._told) < SILENT else math.nan
+        current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travel.speed_near(stamp)
         if math.isnan(speed):
             speed = self.commands.speed_near(stamp)
@@ -123,7 +123,7 @@ class Motors:
             self._use(compass)
         if compass is None:
             return sample
-        if self._is_told and self._mode is not Mode.OFF and self._up.is_propagated:
+        if self._has_input and self._mode is not Mode.OFF and self._up.is_propagated:
             if self._learning is None:
                 self._learning = MotorLearning(compass.calibration_with_motors)
             running = self.running(sample.stamp)
@@ -141,8 +141,8 @@ class Motors:
             self._learning = None
         self._mode = mode
         # Asked once a second, as it holds for long, and not for each message.
-        told = self._current, self.commands.speed_near(self._up.newest_stamp)
-        self._is_told = self._travel.has_wheels or any(map(math.isfinite, told))
+        known = self._current, self.commands.speed_near(self._up.newest_stamp)
+        self._has_input = self._travel.has_wheels or any(map(math.isfinite, known))
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
         self._has_learnt = False
@@ -194,12 +194,12 @@ class Motors:
         speed = self.commands.topic if self.commands.is_heard else self._odom
         if which is MotorInput.SPEED:
             return speed
-        is_told = self._travel.has_wheels or self.commands.is_heard
-        return f"gyro and {speed}" if is_told else "gyro"
+        is_known = self._travel.has_wheels or self.commands.is_heard
+        return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:
         # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.
         stamp = seconds(message.header.stamp)
         newest = self._up.newest_stamp
-        self._told = stamp if abs(stamp - newest) < SILENT else newest
+        self._received = stamp if abs(stamp - newest) < SILENT else newest
         self._current = float(message.current)

@@ -161,7 +161,7 @@ class Calibrator(Node):
             streams.imu_drops[Drop.UNREADABLE] += 1
             return
         if self._inputs.imu.heard(frame):
-            self._first.meet_sensors()
+            self._first.look_at_sensors()
         if sample is None:
             streams.imu_drops[Drop.ABSENT] += 1
         elif streams.add_imu(sample):
@@ -181,14 +181,14 @@ class Calibrator(Node):
             self._keeping.on_field(at_rest, self._inputs.streams.newest_imu, self._travel)
             self._known.on_field(at_rest)
 
-    def sensors_met(self, magnetometer: Magnetometer) -> None:
+    def sensors_changed(self, magnetometer: Magnetometer) -> None:
         """Take note of sensors that send for the first time, or under another name."""
-        self._magnetometers.meet(magnetometer)
+        self._magnetometers.add(magnetometer)
         if magnetometer is self._first:
             imu, field = self._inputs.imu.frame, self._inputs.field.frame
-            self._keeping.meet(f"{field} {imu}")
-            self._known.meet(f"{field} {imu}")
-            self._frames.meet(imu, field)
+            self._keeping.note_sensors(f"{field} {imu}")
+            self._known.note_sensors(f"{field} {imu}")
+            self._frames.note_sensors(imu, field)
 
     def _start(self) -> Conclusion:
         opened = self._magnetometers.start(self._up.gyro_at_rest)
@@ -282,7 +282,7 @@ class Calibrator(Node):
             each.repeat_bias(now)
         name = diagnostic_name(self.get_fully_qualified_name())
         statuses = [
-            calibration_diagnostic(name, self._control, self._keeper, self._inputs.field.frame),
+            calibration_diagnostic(name, self._first),
             field_diagnostic(
                 name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
@@ -301,11 +301,10 @@ class Calibrator(Node):
         answer, state = self._control.turn.last_conclusion, self._magnetometers.state
         words = "" if answer is None else answer.message
         self._announcer.follow_turn(state is not TurnState.IDLE, answer, words)
-        reference, first = self._reference.reference, self._first
-        turn = self._control, self._keeper, self._inputs, reference, first.watch
-        turns, motors = self._table.settings.rotation.enabled, self._pipeline.motors
-        drive = self._travel, self._keeping, self._magnetometers, motors.facts(first.compass)
-        status = status_json(*turn, turns, *drive, self._known)
+        turns_itself = self._table.settings.rotation.enabled
+        shown = self._travel, self._keeping, self._magnetometers, self._pipeline.motors
+        reference = self._reference.reference
+        status = status_json(self._first, reference, turns_itself, *shown, self._known)
         if status != self._status:
             self._status = status
             self._status_out.publish(String(data=status))

@@ -33,7 +33,6 @@ from magcal_ros.ros.wire.outgoing import (
     azimuth_message,
     bias_message,
     diagnostic,
-    key_values,
 )
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -244,29 +243,26 @@ class FusedOutput:
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
         """Say whether the yaw is published, and whether the field is believed."""
-        status = diagnostic(name, "Fused")
-        status.message = self._silence()
-        if status.message:
-            if self._fused is not None:
-                status.level = DiagnosticStatus.WARN
-            return status
+        silence, level = self._silence(), DiagnosticStatus.OK
+        if silence:
+            level = level if self._fused is None else DiagnosticStatus.WARN
+            return diagnostic(name, "Fused", silence, level=level)
         assert self._fused is not None
         detector, heading = self._fused.detector, self._fused.heading()
         departure = f"{detector.departure:.1f} sigma"
         values = {"field": detector.trust.value, "field departure": departure}
-        status.message = "the compass corrects the gyro"
+        message = "the compass corrects the gyro"
         if detector.last is not None:
             values["last disturbance"] = detector.last.in_words
         if detector.trust is not Trust.GOOD:
-            status.level = DiagnosticStatus.WARN
-            status.message = f"the field is not the calibrated one and {detector.trust.value}"
+            level = DiagnosticStatus.WARN
+            message = f"the field is not the calibrated one and {detector.trust.value}"
             if detector.trust is Trust.IGNORED and detector.last is not None:
-                status.message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
+                message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
         if heading is not None:
             values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
             values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-        status.values = key_values(values)
-        return status
+        return diagnostic(name, "Fused", message, values, level)
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""

@@ -65,7 +65,7 @@ class SelfKeeping:
         """Take note of what is in force."""
         self._machine.put_in_force(calibration)
 
-    def meet(self, sensors: str) -> None:
+    def note_sensors(self, sensors: str) -> None:
         """Take note of the present sensors: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
@@ -160,10 +160,10 @@ class SelfKeeping:
         from magcal_ros.core.keeping.story import DriveStory
 
         machine = self._machine
-        told = tuple((made.clock, made) for made in machine.decisions)
+        decisions = tuple((made.clock, made) for made in machine.decisions)
         before = self._magnetometer.keeper.calibration
         story = DriveStory(
-            told, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
+            decisions, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
         )
         log, reports = machine.log(), self._reports
         self._jobs.run(

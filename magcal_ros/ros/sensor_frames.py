@@ -43,7 +43,7 @@ class SensorFrames:
         self._vehicle_yaw: VehicleYaw | None = None
         self._corrected = CorrectedPose(None)
 
-    def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
+    def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
         self._imu_frame, self._magnetometer_frame = (
             known_as(imu_frame),

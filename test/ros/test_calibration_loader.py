@@ -65,7 +65,7 @@ def met(ros_home, reads):
 
 def test_what_is_met_is_loaded_from_its_file_and_said(met):
     keeper, files, log = met
-    keeper.meet("left")
+    keeper.note_sensor("left")
     assert keeper.calibration is None
     files.go()
     assert keeper.origin.magnetometer_frame == "left"
@@ -76,7 +76,7 @@ def test_alternating_names_read_each_file_once(met, reads):
     keeper, files, _ = met
     for _ in range(20):
         for frame in ("right", "left", ""):
-            keeper.meet(frame)
+            keeper.note_sensor(frame)
         while files.waiting:
             files.go()
     assert reads == ["calibrator.left.yaml"]
@@ -86,8 +86,8 @@ def test_alternating_names_read_each_file_once(met, reads):
 def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
     keeper, files, _ = met
     for k in range(200):
-        keeper.meet(f"name_{k}")
-    keeper.meet("left")
+        keeper.note_sensor(f"name_{k}")
+    keeper.note_sensor("left")
     assert len(files.waiting) == 1
     while files.waiting:
         files.go()
@@ -97,37 +97,37 @@ def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
 
 def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
     keeper, files, _ = met
-    keeper.meet("left")
-    keeper.meet("right")
+    keeper.note_sensor("left")
+    keeper.note_sensor("right")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
-    keeper.meet("left")
+    keeper.note_sensor("left")
     assert keeper.calibration is not None
     assert reads == ["calibrator.left.yaml"]
 
 
 def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
     keeper, files, _ = met
-    keeper.meet("left")
+    keeper.note_sensor("left")
     files.go()
     keeper.forget()
     keeper.reset()
-    keeper.meet("right")
+    keeper.note_sensor("right")
     while files.waiting:
         files.go()
-    keeper.meet("left")
+    keeper.note_sensor("left")
     assert keeper.calibration is None
 
 
 def test_what_is_reset_while_it_is_read_is_not_used(met):
     keeper, files, _ = met
-    keeper.meet("left")
+    keeper.note_sensor("left")
     keeper.forget()
     files.go()
     assert keeper.calibration is None
-    keeper.meet("")
-    keeper.meet("left")
+    keeper.note_sensor("")
+    keeper.note_sensor("left")
     assert keeper.calibration is None
 
 
@@ -139,7 +139,7 @@ def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(
     files.go()
     keeper.forget()
     keeper.reset()
-    keeper.meet("left")
+    keeper.note_sensor("left")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
@@ -147,7 +147,7 @@ def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(
 
 def test_a_turn_that_is_faster_than_the_disk_wins(met):
     keeper, files, _ = met
-    keeper.meet("left")
+    keeper.note_sensor("left")
     loaded = keeper.read("", "left")
     keeper.use(loaded)
     before = keeper.calibration
@@ -168,7 +168,7 @@ def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
 def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
     keeper, files, log = met
     (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
-    keeper.meet("bad")
+    keeper.note_sensor("bad")
     files.go()
     assert "Running uncalibrated" in log[0]
     assert "bad.yaml" in keeper.trouble
@@ -181,7 +181,7 @@ def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_
     keeper.begin()
     files.go()
     assert keeper.calibration is not None
-    keeper.meet("right")
+    keeper.note_sensor("right")
     assert keeper.calibration is None
     assert "made for the magnetometer 'left'" in keeper.trouble
 

@@ -226,11 +226,11 @@ def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound |
     proper = np.array([axes for axes in every if not is_mirrored(axes)])
     found = align(stretch, proper, FIT.after_rest(window.bias_sigma))
     dip = knowledge.reference.inclination
-    pulls = np.array(
+    by_inclination = np.array(
         [[inclination_misfit(found, k, s, dip) for k in range(24)] for s in (1.0, -1.0)]
     )
     axes = np.concatenate([proper, -proper])
-    misfit = np.concatenate([found.misfit, found.misfit]) + pulls.ravel()
+    misfit = np.concatenate([found.misfit, found.misfit]) + by_inclination.ravel()
     misfit -= misfit.min()
     rms = np.concatenate([found.rms, found.rms])
     return _decide(axes, misfit, rms, found.tilt_spread > TUNING.lift, knowledge)

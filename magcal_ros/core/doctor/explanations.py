@@ -212,7 +212,7 @@ def _signed(
 ) -> Explanations:
     """Let the inclination weigh each field against its opposite, which turns alike."""
     count = len(field)
-    pulls = [
+    by_inclination = [
         inclination_misfit(found, k, sign, inclination)
         for sign in (1.0, -1.0)
         for k in range(count)
@@ -224,7 +224,7 @@ def _signed(
     return Explanations(
         gyro[twice],
         np.concatenate([field, -field]),
-        base[twice] + np.array(pulls),
+        base[twice] + np.array(by_inclination),
         base,
         found.rms[twice],
         parameters,

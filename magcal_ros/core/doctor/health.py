@@ -35,6 +35,10 @@ class HealthTuning:
     """Misfit of the usual acceleration."""
     fewest: int = 50
     """Samples below which nothing is said of a stream."""
+    field_noise: float = 3e-6
+    rate_noise: float = 0.3
+    """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
+    shakes a good gyro by a tenth."""
 
 
 TUNING = HealthTuning()
@@ -192,19 +196,6 @@ def _step(values: FloatArray, tuning: HealthTuning) -> float:
     return step if on_grid else 0.0
 
 
-@dataclass(frozen=True)
-class NoiseTuning:
-    """From which standard deviation per axis and sample noise is worth a look."""
-
-    field: float = 3e-6
-    """Tesla."""
-    rate: float = 0.3
-    """rad/s; an engine shakes a good gyro by a tenth."""
-
-
-NOISE = NoiseTuning()
-
-
 def white_noise(values: FloatArray) -> FloatArray:
     """Return the standard deviation of each column (n, d) about a smooth course.
 
@@ -231,11 +222,15 @@ def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
         "wires"
     )
     evidence = f"{field * 1e6:.2f} µT per sample"
-    found = [looked_at("field_noise", "field: noise", evidence, words * (field > NOISE.field))]
+    found = [
+        looked_at("field_noise", "field: noise", evidence, words * (field > TUNING.field_noise))
+    ]
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())
         words = "the gyro is noisy: look at its range, its low-pass filter and how it is mounted"
         evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
-        found.append(looked_at("imu_noise", "IMU: noise", evidence, words * (rate > NOISE.rate)))
+        found.append(
+            looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
+        )
     return found

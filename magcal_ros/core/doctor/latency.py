@@ -138,7 +138,7 @@ def _fitted(
     count = design.shape[2]
     prior = np.eye(count)
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
-    pull = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
+    slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
     for _ in range(TUNING.rounds):
         variance = _noise_around(left, part.time)
@@ -146,7 +146,7 @@ def _fitted(
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         rows = (design * weight[:, None, None]).reshape(-1, count)
         information = rows.T @ design.reshape(-1, count) + prior
-        step = np.linalg.solve(information, rows.T @ residual.ravel() - pull)
+        step = np.linalg.solve(information, rows.T @ residual.ravel() - slope)
         left = residual - design @ step
     covariance = np.linalg.inv(information)
     off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)

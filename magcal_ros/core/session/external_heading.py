@@ -15,7 +15,7 @@ _FUSION = FusionTuning()
 
 
 @dataclass(frozen=True)
-class DockingTuning:
+class KnownHeadingTuning:
     """How a robot stands at a known heading."""
 
     seconds: float = 3.0
@@ -36,7 +36,7 @@ class DockingTuning:
     """Standings that are kept."""
 
 
-TUNING = DockingTuning()
+TUNING = KnownHeadingTuning()
 
 
 @dataclass(frozen=True)

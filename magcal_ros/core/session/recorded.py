@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -42,16 +42,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""
 
 
-@dataclass(frozen=True)
-class RecordedTuning:
-    """How much of a recording is remembered."""
-
-    longest_drive: float = 7200.0
-    """Seconds of movement; of a longer drive the last ones."""
-
-
-TUNING = RecordedTuning()
-
+LONGEST_DRIVE = 7200.0
+"""Seconds of movement that are remembered; of a longer drive the last ones."""
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
@@ -86,7 +78,7 @@ class Gathering:
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
-        self._drive = DriveRecorder(TUNING.longest_drive)
+        self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
 
     @property
@@ -119,7 +111,7 @@ class Gathering:
 
     def drive(self) -> DriveLog:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""
-        return DriveRecorder(TUNING.longest_drive).log() if self.slow_field else self._drive.log()
+        return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()
 
     @property
     def slow_field(self) -> str:

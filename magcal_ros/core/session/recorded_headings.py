@@ -21,7 +21,7 @@ from magcal_ros.core.samples.streams import (
     Streams,
 )
 from magcal_ros.core.session.antenna import HeadingLog, fit_log
-from magcal_ros.core.session.dockings import Stood, dock_stood
+from magcal_ros.core.session.at_known_heading import CollectedSamples, calibrate_standing
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.core.smoother.standings import Standing
@@ -45,14 +45,14 @@ def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
 
 
 def fit_at_headings(
-    recordings: Sequence[tuple[Pair, ...]], told: Sequence[ExternalHeading], knowledge: Knowledge
+    recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
 ) -> tuple[Outcome, str]:
     """Calibrate from recordings of a robot that stands; returns the outcome, and its words."""
     standings: tuple[Standing, ...] = ()
     outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
-    for pairs, heading in zip(recordings, told, strict=True):
-        docked = dock_stood(standings, Stood(pairs, heading, knowledge, FORWARD))
-        standings, outcome, words = docked.standings, docked.outcome, docked.words
+    for pairs, heading in zip(recordings, given, strict=True):
+        result = calibrate_standing(standings, CollectedSamples(pairs, heading, knowledge, FORWARD))
+        standings, outcome, words = result.standings, result.outcome, result.words
         if outcome.calibration is None:
             break
     return outcome, words
@@ -87,9 +87,9 @@ def fit_heading_topic(
             above = up.at(reading.stamp, STREAMS.max_gap)
             if above is None or reading.stamp - newest.stamp > LOG.block or not up.is_propagated:
                 continue
-            told = ExternalHeading(newest.yaw, newest.sigma, is_true)
+            external = ExternalHeading(newest.yaw, newest.sigma, is_true)
             seen = reading.stamp, reading.field, above.direction, up.rate
-            log.add(*seen, told, shift, up.is_at_rest)
+            log.add(*seen, external, shift, up.is_at_rest)
         if against.fault:
             return Outcome.refused(Refusal(Reason.HEADING_CONTRADICTED, against.fault))
     if not log.standings:

@@ -28,6 +28,11 @@ class RotationTuning:
     is far too fast."""
     most_more: float = 0.1
     """rad/s on top of `most_share`."""
+    leeway: float = 1.5
+    """The two turns may take so many times as long as planned, and be commanded so many times as
+    far: wheels slip."""
+    farthest_beyond: float = math.radians(45.0)
+    """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
 
 
 TUNING = RotationTuning()
@@ -165,11 +170,11 @@ class RotationPlan:
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
         """Return the fault that has lasted for longer than patience has."""
         along = self.direction * seen.rate
-        told = 0.0 if self._brakes else abs(self.command)
+        commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
             Fault.TOO_FAST: abs(seen.rate) > TUNING.most_share * self._speed + TUNING.most_more,
-            Fault.WRONG_WAY: told > 0.0 and along < -TUNING.least_share * self._speed,
-            Fault.NOT_TURNING: told > 0.0 and along < TUNING.least_share * told,
+            Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
+            Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
         patience = Patience.of(seen.by_gyro, self._speed)
         for fault, shown in shows.items():
@@ -178,20 +183,6 @@ class RotationPlan:
             elif now - self._suspected.setdefault(fault, now) > getattr(patience, fault.value):
                 return fault
         return None
-
-
-@dataclass(frozen=True)
-class RotationLimitsTuning:
-    """Limits of a robot that turns itself."""
-
-    leeway: float = 1.5
-    """The two turns may take so many times as long as planned, and be commanded so many times as
-    far: wheels slip."""
-    farthest_beyond: float = math.radians(45.0)
-    """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
-
-
-ROTATION_LIMITS = RotationLimitsTuning()
 
 
 class RotationLimits:
@@ -216,7 +207,7 @@ class RotationLimits:
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.objection = ""
-        self._deadline = now + min(longest, ROTATION_LIMITS.leeway * planned_duration(speed))
+        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
         self._noted = now
         self._commanded = self._path = 0.0
 
@@ -233,17 +224,15 @@ class RotationLimits:
             return
         if (
             seen.by_gyro
-            and not -ROTATION_LIMITS.farthest_beyond
-            <= seen.turned
-            <= math.tau + ROTATION_LIMITS.farthest_beyond
+            and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
         ):
             self.objection = (
                 f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
         elif (
-            abs(self._commanded) > ROTATION_LIMITS.leeway * math.tau
-            or self._path > ROTATION_LIMITS.leeway * 2.0 * math.tau
+            abs(self._commanded) > TUNING.leeway * math.tau
+            or self._path > TUNING.leeway * 2.0 * math.tau
         ):
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"

@@ -255,8 +255,8 @@ class SelfTurn:
         self, stage: Moving, now: float, since: float, progress: Progress, around: Around
     ) -> Steering:
         plan, proof = stage.plan, stage.proof
-        seen, told = proof.seen(progress), plan.command
-        stage.limits.note(now, told, seen)
+        seen, commanded = proof.seen(progress), plan.command
+        stage.limits.note(now, commanded, seen)
         objection = self._objection(stage, now, since, around) or stage.limits.objection
         if objection:
             return self.break_off(objection)
@@ -265,7 +265,7 @@ class SelfTurn:
             return Steering(self.stop().rate, End(words, True))
         rate = plan.step(now, seen)
         if plan.fault is not None:
-            return self.break_off(proof.explain(plan.fault, seen, told))
+            return self.break_off(proof.explain(plan.fault, seen, commanded))
         if plan.phase is Phase.ENDED:
             words = "" if seen.is_complete else "the robot has turned once each way"
             return Steering(self.stop().rate, End(words, True))

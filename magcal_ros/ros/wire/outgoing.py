@@ -158,11 +158,13 @@ def azimuth_message(
     return message
 
 
-def diagnostic(name: str, part: str) -> DiagnosticStatus:
-    """Return an empty diagnostic of a part of the node."""
-    return DiagnosticStatus(name=f"{name}: {part}", level=DiagnosticStatus.OK)
-
-
-def key_values(values: Mapping[str, str]) -> list[KeyValue]:
-    """Return a diagnostic's values."""
-    return [KeyValue(key=key, value=value) for key, value in values.items()]
+def diagnostic(
+    name: str,
+    part: str,
+    message: str,
+    values: Mapping[str, str] | None = None,
+    level: bytes = DiagnosticStatus.OK,
+) -> DiagnosticStatus:
+    """Return the diagnostic of a part of the node."""
+    pairs = [KeyValue(key=key, value=value) for key, value in (values or {}).items()]
+    return DiagnosticStatus(name=f"{name}: {part}", level=level, message=message, values=pairs)

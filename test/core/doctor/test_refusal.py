@@ -9,7 +9,7 @@ from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.doctor.refusal import blamed_on_sensors, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
 
 
 @pytest.fixture(scope="module")
