@@ -6,7 +6,7 @@ complement, whose inverse is their covariance. The time is linear in the nodes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,8 +66,12 @@ class Solution:
         Of the shared unknowns that are free.
     follow : ndarray, shape (n, LOCAL, s)
         By how much the nodes' unknowns follow the shared ones, with the opposite sign.
-    log_determinant : float
-        Of the information matrix of all unknowns.
+    information : ndarray, shape (s, s)
+        Of the shared unknowns, with the nodes' unknowns integrated out.
+    gradient : ndarray, shape (s,)
+        What the step of the shared unknowns solves for: `information @ shared`.
+    log_determinant, of_nodes : float
+        Of the information matrix of all unknowns, and of that of the nodes' unknowns alone.
     diagonal, upper : ndarray, shape (n, LOCAL, LOCAL), (n - 1, LOCAL, LOCAL)
         The information matrix of the nodes' unknowns.
     """
@@ -76,13 +80,21 @@ class Solution:
     shared: FloatArray
     covariance: FloatArray
     follow: FloatArray
+    information: FloatArray
+    gradient: FloatArray
     log_determinant: float
+    of_nodes: float
     diagonal: FloatArray
     upper: FloatArray
 
     def node_covariance(self) -> tuple[FloatArray, FloatArray]:
         """Return the blocks of the inverse of the nodes' matrix: of a node, and with the next."""
         return _selected_inverse(self.diagonal, self.upper)
+
+    def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
+        """Return the step where more is known of the shared unknowns than this window tells."""
+        local = self.local + self.follow @ (self.shared - shared)
+        return replace(self, local=local, shared=shared, covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +169,21 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     solved = cho_solve_banded((factor, True), right.reshape(nodes * LOCAL, -1), check_finite=False)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
     schur = information - cross.T @ solved[:, 1:]
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-    values = np.maximum(values, 1e-12 * values[-1])
-    covariance = (vectors / values) @ vectors.T
-    step = covariance @ (gradient - cross.T @ solved[:, 0])
+    gradient -= cross.T @ solved[:, 0]
+    schur = 0.5 * (schur + schur.T)
+    covariance, by_shared = inverse_and_log_determinant(schur)
+    step = covariance @ gradient
     local = (solved[:, 0] - solved[:, 1:] @ step).reshape(nodes, LOCAL)
-    log_determinant = 2.0 * np.sum(np.log(factor[0])) + np.sum(np.log(values))
-    follow = solved[:, 1:].reshape(nodes, LOCAL, count)
-    return Solution(local, step, covariance, follow, float(log_determinant), diagonal, upper)
+    own = 2.0 * float(np.sum(np.log(factor[0])))
+    follow, both = solved[:, 1:].reshape(nodes, LOCAL, count), own + by_shared
+    return Solution(local, step, covariance, follow, schur, gradient, both, own, diagonal, upper)
+
+
+def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * values[-1])
+    return (vectors / values) @ vectors.T, float(np.sum(np.log(values)))
 
 
 def _banded(diagonal: FloatArray, upper: FloatArray) -> FloatArray:
