@@ -360,14 +360,13 @@ def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> 
     state, sizes, places = point.state, point.sizes, point.places
     cost = sum(part.cost for part in weighted.values())
     levels = (
-        *zip(_columns(VELOCITY), model.speed, strict=True),
+        (VELOCITY, model.speed),
         (STREET, sizes["street"]),
         (BODY_FIELD, _body_field_at_first(point)),
-        *zip(_columns(ACCELERATION), (sizes[name] for name in CHANGES), strict=True),
+        (ACCELERATION, np.array([sizes[name] for name in CHANGES])),
     )
     for which, level in levels:
-        first = state.local[0, which]
-        cost += float(first @ first) / level**2 + 2.0 * len(first) * math.log(level)
+        cost += float(np.sum((state.local[0, which] / level) ** 2 + 2.0 * np.log(level)))
     creep = state.local[point.course.still, VELOCITY] / model.priors.lengths.creep
     cost += float(np.sum(creep**2))
     centres = state.centres / sizes["street"]
@@ -376,10 +375,6 @@ def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> 
     for name, belief in model.priors.sizes.items():
         cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
     return cost
-
-
-def _columns(which: slice) -> tuple[slice, slice]:
-    return slice(which.start, which.start + 1), slice(which.start + 1, which.stop)
 
 
 def _body_field_at_first(point: Point) -> float:

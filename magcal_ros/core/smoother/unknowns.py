@@ -357,11 +357,9 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do.
-    for name in ("height", "axis", "upright", "gradient"):
+    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
+    for name in ("height", "axis", "upright", "gradient", "turned", "place"):
         scale[AT[name]] = 0.0
-    # Several turns tell of what sets them apart.
-    scale[TURNED] = scale[AT["place"]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     sizes = dict(SIZES)
     if knowledge.systematics.are_none:
@@ -371,12 +369,12 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "latency",
             "motors_moving",
             "motors_rate",
+            "drift",
+            "force_moving",
+            "force_offset",
+            "axes",
+            "shielding",
         ):
-            scale[AT[name]] = 0.0
-        for name in ("drift", "force_moving", "force_offset"):
-            scale[AT[name]] = 0.0
-        scale[YAW] = 0.0
-        for name in ("axes", "shielding"):
             scale[AT[name]] = 0.0
         scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON
         for name in ("street", "body_field", "motors_noise"):
