@@ -201,7 +201,7 @@ def calibrate_turns(
     -------
     Outcome
         Never raises for bad data. A turn that does not belong to the others is left out, with
-        the reason, and the rest stands. One turn alone gives what `calibrate_by` gives.
+        the reason, and the rest stands. One turn alone gives what `calibrate` makes of a turn.
 
     Raises
     ------
@@ -222,17 +222,16 @@ def calibrate_turns(
     if joined.estimate is not None:
         outcome = judged(joined.estimate, knowledge, joined.members[-1].window)
         return replace(outcome, several=joined.several)
-    alone = joined.members or joined.turns
-    if len(alone) > 1:
-        words = "; ".join(f"{turn.name}: {turn.unfit}" for turn in alone)
-        reason = alone[-1].reason or Reason.NO_SOLUTION
-        refusal = Refusal(reason, f"none of the turns can be used: {words}")
-        return Outcome.refused(refusal, alone[-1].window)
-    turn, several = alone[0], joined.several
-    if turn.estimate is None:
-        return Outcome(turn.verdict, reason=turn.reason, several=several, window=turn.window)
-    calibration = Calibration.from_estimate(turn.estimate, turn.verdict.evidence(turn.estimate))
-    return Outcome(turn.verdict, calibration, turn.estimate, None, several, turn.window)
+    turn = (joined.members or joined.turns)[-1]
+    if turn.unfit and len(joined.turns) > 1:
+        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in joined.turns)
+        words = f"none of the turns can be used: {each}"
+        return Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
+    if turn.estimate is not None and _best_method(turn.window, knowledge, method) == SMOOTHER:
+        outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
+    else:
+        outcome = calibrate(turn.window, knowledge)
+    return replace(outcome, several=joined.several)
 
 
 def pooled(windows: Sequence[Window]) -> Window:
@@ -285,9 +284,7 @@ def take_turn(
     several = outcome.several
     if several is None or not several.fates[-1].joined:
         return _refused(outcome, kept), kept
-    if not outcome.verdict.accepted:
-        return outcome, kept
-    return outcome, kept.joined(window, several)
+    return outcome, kept.joined(window, several) if outcome.verdict.accepted else kept
 
 
 def _refused(outcome: Outcome, kept: Kept) -> Outcome:

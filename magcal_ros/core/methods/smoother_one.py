@@ -36,6 +36,7 @@ from magcal_ros.core.smoother.unknowns import (
     ON_THE_SPOT,
     ROLL_PITCH,
     SHIELDING,
+    TURNED,
     VELOCITY,
     YAW,
 )
@@ -77,24 +78,44 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Refusal
         If the samples cannot carry a calibration.
     """
+    found = smoothed(window, knowledge)
+    estimate = estimate_of(found, window, knowledge)
+    check(found, estimate, window, knowledge)
+    return estimate
+
+
+def smoothed(window: Window, knowledge: Knowledge) -> Smoothed:
+    """Return what the smoother makes of a window, before it is asked whether it can carry it.
+
+    Raises
+    ------
+    Refusal
+        If there is nothing to be found in the samples.
+    """
     refuse_empty(window, FEWEST_SAMPLES)
     _check_unit(window)
-    living = living_axes(window.angular_rate)
-    if living[2]:
-        found = smooth(window, knowledge)
-        stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
-        slow = None if stays else too_slow(window, knowledge)
-        if slow is not None:
-            raise slow
-        estimate = _estimate(found, window, knowledge)
-        if found.mode in DRIVES:
-            _check_drive(found, estimate, all(living))
-        return estimate
+    if living_axes(window.angular_rate)[2]:
+        return smooth(window, knowledge)
     check_window(window, knowledge)
-    found = smooth_by_field(window, knowledge)
-    estimate = _estimate(found, window, knowledge)
-    _check(found, estimate, knowledge)
-    return estimate
+    return smooth_by_field(window, knowledge)
+
+
+def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowledge) -> None:
+    """Refuse a window that can carry no calibration.
+
+    Raises
+    ------
+    Refusal
+    """
+    if found.nodes.tied_to is not None:
+        _check_turn_without_gyro(found, estimate, knowledge)
+        return
+    stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
+    slow = None if stays else too_slow(window, knowledge)
+    if slow is not None:
+        raise slow
+    if found.mode in DRIVES:
+        _check_drive(found, estimate, all(living_axes(window.angular_rate)))
 
 
 def _check_unit(window: Window) -> None:
@@ -124,7 +145,7 @@ def _check_drive(found: Smoothed, estimate: Estimate, lives: bool) -> None:
         )
 
 
-def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
+def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     """Refuse a turn without a gyro that explains its samples only in appearance."""
     sizes, state = found.fit.point.sizes, found.fit.state
     deviation = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
@@ -139,7 +160,8 @@ def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     check_rival(rival_gap(found), knowledge, estimate.arc)
 
 
-def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+    """Return the estimate of a window in the form that every method returns."""
     best, nodes = found.fit, found.nodes
     shared, posterior = best.state.shared, found.posterior
     part = best.weighted["field"]
@@ -159,7 +181,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         method=METHOD,
         correction=posterior.correction,
         covariance=posterior.covariance,
-        installation=Installation(float(roll), float(pitch), float(shared[YAW])),
+        installation=Installation(float(roll), float(pitch), float(shared[YAW] + shared[TURNED])),
         axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
         arc=_arc(best.state.attitude),
         strength=posterior.strength,

@@ -131,22 +131,22 @@ def fit(
         point = Point.begin(model, start)
     else:
         point = like.point if goes_on else like.point.moved_to(model)
-    sizes, before = _Sizes(), math.inf
+    sizes, before = SizeSteps(), math.inf
     first = max(tolerances.places_at) + 1 if goes_on else 0
     fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
     for rounds in range(first, tolerances.rounds + 1):
         if model.travels and rounds in tolerances.places_at:
-            point = _with_places(model, point)
+            point = with_places(model, point)
         weighted, solution = solve_at(model, point)
         found = evidence(model, point, weighted, solution)
-        share, moved = _share(solution, tolerances), _moved(model, solution)
+        share, moved = share_of(solution, tolerances), moved_by(model, solution)
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
         converged = converged and abs(found - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
         before = found
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
-        point = _stepped(model, point, solution, share)
+        point = stepped(model, point, solution, share)
         if rounds >= tolerances.held:
             point = replace(point, groups=effect_factors(model, point, solution))
         if rounds >= tolerances.gaussian:
@@ -155,20 +155,20 @@ def fit(
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged)
 
 
-def _share(solution: Solution, tolerances: Tolerances) -> float:
+def share_of(solution: Solution, tolerances: Tolerances) -> float:
     """Return how much of a step is taken."""
     largest = float(np.abs(solution.local[:, ATTITUDE]).max())
     return min(1.0, tolerances.largest_turn / max(largest, 1e-9))
 
 
-def _moved(model: Model, solution: Solution) -> float:
+def moved_by(model: Model, solution: Solution) -> float:
     """Return the largest step of the answer, in its own sigmas."""
     answer = np.flatnonzero(model.free < AT["axes"].stop)
     sigma = np.sqrt(np.diag(solution.covariance)[answer])
     return float((np.abs(solution.shared[answer]) / sigma).max())
 
 
-def _stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
+def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
     """Return the point after a step."""
     shared = np.zeros(SHARED + 3 * len(point.places))
     free = len(model.free)
@@ -178,7 +178,7 @@ def _stepped(model: Model, point: Point, solution: Solution, share: float) -> Po
     return replace(point, state=state, course=course_at(model, state))
 
 
-def _with_places(model: Model, point: Point) -> Point:
+def with_places(model: Model, point: Point) -> Point:
     """Return the same point with places along the way as it is reckoned now."""
     places = Places.along(point.course, point.state, model.priors.lengths.street)
     state = places.retold(point.state, point.places.disturbance(point.state))
@@ -186,7 +186,7 @@ def _with_places(model: Model, point: Point) -> Point:
 
 
 @dataclass(frozen=True)
-class _Sizes:
+class SizeSteps:
     """How the sizes of the noises have changed."""
 
     pace: dict[str, float] | None = None
@@ -199,7 +199,7 @@ class _Sizes:
         weighted: dict[str, Weighted],
         solution: Solution,
         counted: bool,
-    ) -> tuple[_Sizes, Point]:
+    ) -> tuple[SizeSteps, Point]:
         """Return the change and the point after it; where steps alternate, they get shorter."""
         if not counted:
             return self, point
@@ -212,7 +212,7 @@ class _Sizes:
             pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
-        return _Sizes(pace, steps), replace(point, sizes=sizes, doubt=doubt)
+        return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)
 
 
 def _covariance(
@@ -224,7 +224,16 @@ def _covariance(
     counts by its mean square. What motors add may be a step or go with the rate: an even turn does
     not tell, so that each may be as large as both together.
     """
-    beliefs, (_, shown, _) = model.priors.sizes, noise_sizes(model, point, weighted, solution)
+    _, shown, _ = noise_sizes(model, point, weighted, solution)
+    _, solution = solve_at(model, widened(model, point, solution, shown))
+    out, free = np.zeros((SHARED, SHARED)), model.free
+    out[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
+    return out
+
+
+def widened(model: Model, point: Point, solution: Solution, shown: dict[str, float]) -> Point:
+    """Return the point with the sizes' mean squares, at which the covariance is that of all."""
+    beliefs = model.priors.sizes
     wide = {
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
@@ -232,10 +241,7 @@ def _covariance(
     expected = effect_factors(model, point, solution, frozenset({"axes"}))
     groups = {**point.groups, "axes": max(expected["axes"], point.groups["axes"])}
     groups |= _as_large_as_both(point)
-    _, widened = solve_at(model, replace(point, sizes=wide, groups=groups))
-    out, free = np.zeros((SHARED, SHARED)), model.free
-    out[np.ix_(free, free)] = widened.covariance[: len(free), : len(free)]
-    return out
+    return replace(point, sizes=wide, groups=groups)
 
 
 def _as_large_as_both(point: Point) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Normal equations of the smoother: the nodes are eliminated by a banded Cholesky factorisation.
+"""Normal equations of the smoother: the nodes are eliminated block by block.
 
 The nodes form a block tridiagonal system. What is left for the shared unknowns is the Schur
 complement, whose inverse is their covariance. The time is linear in the nodes.
@@ -6,7 +6,7 @@ complement, whose inverse is their covariance. The time is linear in the nodes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,6 +66,10 @@ class Solution:
         Of the shared unknowns that are free.
     follow : ndarray, shape (n, LOCAL, s)
         By how much the nodes' unknowns follow the shared ones, with the opposite sign.
+    information : ndarray, shape (s, s)
+        Of the shared unknowns, with the nodes' unknowns integrated out.
+    gradient : ndarray, shape (s,)
+        What the step of the shared unknowns solves for: `information @ shared`.
     log_determinant : float
         Of the information matrix of all unknowns.
     chain : Chain
@@ -76,8 +80,15 @@ class Solution:
     shared: FloatArray
     covariance: FloatArray
     follow: FloatArray
+    information: FloatArray
+    gradient: FloatArray
     log_determinant: float
     chain: Chain
+
+    def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
+        """Return the step where more is known of the shared unknowns than this window tells."""
+        local = self.local + self.follow @ (self.shared - shared)
+        return replace(self, local=local, shared=shared, covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,14 +158,21 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
     schur = information - cross.T @ solved[:, 1:]
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-    values = np.maximum(values, 1e-12 * values[-1])
-    covariance = (vectors / values) @ vectors.T
-    step = covariance @ (gradient - cross.T @ solved[:, 0])
+    gradient -= cross.T @ solved[:, 0]
+    schur = 0.5 * (schur + schur.T)
+    covariance, by_shared = inverse_and_log_determinant(schur)
+    step = covariance @ gradient
     local = (solved[:, 0] - solved[:, 1:] @ step).reshape(nodes, LOCAL)
-    log_determinant = chain.log_determinant + float(np.sum(np.log(values)))
     follow = solved[:, 1:].reshape(nodes, LOCAL, count)
-    return Solution(local, step, covariance, follow, log_determinant, chain)
+    both = chain.log_determinant + by_shared
+    return Solution(local, step, covariance, follow, schur, gradient, both, chain)
+
+
+def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * values[-1])
+    return (vectors / values) @ vectors.T, float(np.sum(np.log(values)))
 
 
 def _alike(weighted: list[Weighted]) -> list[list[Weighted]]:

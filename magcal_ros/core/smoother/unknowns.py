@@ -106,6 +106,9 @@ UNKNOWNS: dict[str, Unknown] = {
         "gain of the level field less one",
         "the bodies of cars leave a third to all of it; no heading depends on it",
     ),
+    "turned": Unknown(
+        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; only several tilts tell"
+    ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
     "gyro_matrix": Unknown(
@@ -154,6 +157,14 @@ UNKNOWNS: dict[str, Unknown] = {
         "µT",
         "local disturbance on the turn's own small circle, by east and north of the body's x axis",
         "a sensor 0 to .25 m beside the axis; .1 to 20 µT/m",
+    ),
+    "place": Unknown(
+        (0.05,) * 3,
+        1.0,
+        30.0,
+        "µT",
+        "the field where a turn was made less that of the other turns, world axes",
+        "a few metres apart in the open: .02 to .3",
     ),
 }
 
@@ -296,6 +307,7 @@ ROLL_PITCH, YAW = AT["installation"], AT["axes"].stop - 1
 SYMMETRIC = (slice(AT["axes"].start, AT["axes"].stop - 1), AT["soft_iron"])
 """Where the two parts of the symmetric distortion stand."""
 SHIELDING = AT["shielding"].start
+TURNED = AT["turned"].start
 EARTH = AT["earth"]
 
 
@@ -349,8 +361,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do.
-    for name in ("height", "axis", "upright", "gradient"):
+    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
+    for name in ("height", "axis", "upright", "gradient", "turned", "place"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     sizes = dict(SIZES)
@@ -361,12 +373,12 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "latency",
             "motors_moving",
             "motors_rate",
+            "drift",
+            "force_moving",
+            "force_offset",
+            "axes",
+            "shielding",
         ):
-            scale[AT[name]] = 0.0
-        for name in ("drift", "force_moving", "force_offset"):
-            scale[AT[name]] = 0.0
-        scale[YAW] = 0.0
-        for name in ("axes", "shielding"):
             scale[AT[name]] = 0.0
         scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON
         for name in ("street", "body_field", "motors_noise"):
