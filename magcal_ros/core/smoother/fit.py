@@ -132,7 +132,8 @@ def fit(
     else:
         point = like.point if goes_on else like.point.moved_to(model)
     sizes, before = SizeSteps(), math.inf
-    first = max(tolerances.places_at) + 1 if goes_on else 0
+    first = 0 if like is None else tolerances.gaussian
+    first = max(tolerances.places_at) + 1 if goes_on else first
     fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
     for rounds in range(first, tolerances.rounds + 1):
         if model.travels and rounds in tolerances.places_at:

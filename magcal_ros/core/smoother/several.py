@@ -130,7 +130,9 @@ class _Step:
             solution.given(step[row], covariance[np.ix_(row, row)])
             for solution, row in zip(alone, layout.rows, strict=True)
         ]
-        determinant += sum(each.chain.log_determinant for each in alone) - 2.0 * float(np.sum(np.log(size)))
+        determinant += sum(each.chain.log_determinant for each in alone) - 2.0 * float(
+            np.sum(np.log(size))
+        )
         return cls(weighted, solutions, layout, prior, determinant)
 
     @property

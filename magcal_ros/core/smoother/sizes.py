@@ -149,19 +149,21 @@ def effect_factors(
     free, found = model.free, dict(point.groups)
     # By the samples and the fixed priors alone, each unknown over its usual sigma.
     scale, count = model.priors.scale[free], len(free)
-    information = np.linalg.inv(solution.covariance[:count, :count] / np.outer(scale, scale))
+    covariance = solution.covariance[:count, :count] / np.outer(scale, scale)
     off = (point.state.shared - model.priors.mean)[free] / scale
-    by_samples = information @ off
+    by_samples = np.linalg.solve(covariance, off)
     for name, spread in model.priors.spread.items():
         at = AT[name]
         rows = np.flatnonzero((free >= at.start) & (free < at.stop))
         if spread == 0.0 or not len(rows):
             continue
-        covariance = np.linalg.inv(information)
-        own = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        alone, column = np.eye(len(rows)), covariance[:, rows]
+        own = np.linalg.inv(column[rows])
         mean = covariance[rows] @ by_samples
         factor = _factor(name, spread, own, mean, found[name], is_expected=name in expected)
-        information[rows, rows] += factor**-2.0 - found[name] ** -2.0
+        if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
+            # By the matrix inversion lemma.
+            covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
         found[name] = factor
     return found
 
