@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -59,7 +60,11 @@ WEAKENED = 0.1
 """Share of the level field that no gain of a sensor takes away."""
 
 
-def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
+def fit(
+    window: Window,
+    knowledge: Knowledge = Knowledge(),
+    told: Callable[[float], object] | None = None,
+) -> Estimate:
     """Find the twelve numbers of a window by the smoother.
 
     Parameters
@@ -67,6 +72,8 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     window : Window
         Paired samples. Without a gyro they are of a turn.
     knowledge : Knowledge
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1; without a gyro there is little.
 
     Returns
     -------
@@ -81,10 +88,10 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     _check_unit(window)
     living = living_axes(window.angular_rate)
     if living[2]:
-        found = smooth(window, knowledge)
+        slow = too_slow(window, knowledge)
+        found = smooth(window, knowledge, slow, told)
         stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
-        slow = None if stays else too_slow(window, knowledge)
-        if slow is not None:
+        if slow is not None and not stays:
             raise slow
         estimate = _estimate(found, window, knowledge)
         if found.mode in DRIVES:
