@@ -35,8 +35,7 @@ class SessionTuning:
         Pairs. A full buffer is thinned to equal angles, or to equal times without known angles. So
         its size is bounded, however long the robot waits or turns.
     enough_for_progress : int
-        Rows beyond which progress looks at every second, third ... row: it is asked ten
-        times a second, between the messages.
+        Rows beyond which progress, asked ten times a second, looks at every second, third ... row.
     most_turns : float
         Full turns after which more of the same hardly makes the answer more certain.
     near : float
@@ -45,8 +44,7 @@ class SessionTuning:
     whole : float
         Radians turned at a look from which more only repeats what was seen.
     once_more : float
-        Full turns at which it ends unless a look at a whole turn is farther than `near`: while
-        that look is awaited, or another after it.
+        Full turns at which it ends, unless a look at a whole turn was farther than `near`.
     look_back : float
         Times that a robot must have turned as far as at an earlier look, before the two tell
         whether turning on makes the answer more certain.
@@ -54,8 +52,7 @@ class SessionTuning:
         Share of what noise alone would fall by from one look to the other. Where sigma falls by
         less, nearly all of it is errors that last, and another round takes nothing off them.
     stands_still : float
-        Seconds without turning, after a complete turn, from which the robot is taken to be
-        done.
+        Seconds without turning, after a complete turn, from which the robot counts as done.
     slowest_turn : float
         rad/s. Slower than this the robot stands.
     no_turn : float
@@ -123,15 +120,7 @@ class Stage(str, Enum):
 
 @dataclass(frozen=True)
 class Glance:
-    """The result of a fit of the samples so far.
-
-    Parameters
-    ----------
-    turned : float
-        Radians that the robot had turned in these samples, either way.
-    sigma : float
-        Of the heading, radians; infinite where the fit failed.
-    """
+    """Radians that the robot turned either way in samples that were fitted, and heading sigma."""
 
     turned: float
     sigma: float
@@ -252,12 +241,8 @@ class Session:
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
-        self._buffer[self._size] = (
-            pair.field.stamp,
-            *pair.field.field,
-            *pair.imu.force,
-            *pair.imu.rate,
-        )
+        row = (pair.field.stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
+        self._buffer[self._size] = row
         self._size += 1
         self._last_pair = now
 
