@@ -6,6 +6,7 @@ import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -93,6 +94,7 @@ def calibrate(
     window: Window,
     knowledge: Knowledge,
     method: str = METHODS[0],
+    told: Callable[[float], object] | None = None,
 ) -> Outcome:
     """Fit a window as a turn, or as the drive that it was, and judge the result.
 
@@ -105,13 +107,15 @@ def calibrate(
     method : str
         One of `METHODS`. By the first the smoother answers, with a gyro or without, whether the
         robot turned on the spot or drove.
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, _best_method(window, knowledge, method))
+    return calibrate_by(window, knowledge, _best_method(window, knowledge, method), told)
 
 
 def _best_method(window: Window, knowledge: Knowledge, method: str) -> str:
@@ -131,22 +135,33 @@ def _has_gyro(window: Window) -> bool:
     return living_axes(window.angular_rate)[2]
 
 
-def calibrate_by(window: Window, knowledge: Knowledge, method: str) -> Outcome:
+def calibrate_by(
+    window: Window,
+    knowledge: Knowledge,
+    method: str,
+    told: Callable[[float], object] | None = None,
+) -> Outcome:
     """Fit a window by one method alone, and judge the result; otherwise as `calibrate`."""
-    try:
-        estimate = find_method(method)(window, knowledge)
-    except Refusal as refusal:
-        from magcal_ros.core.doctor.refusal import blamed_on_axes
+    from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_reading
 
+    wrong = wrong_reading(window, knowledge)
+    if wrong is not None:
+        return Outcome.refused(wrong, window)
+    fit = find_method(method)
+    if told is not None and method == SMOOTHER:
+        fit = partial(cast("Callable[..., Estimate]", fit), told=told)
+    try:
+        estimate = fit(window, knowledge)
+    except Refusal as refusal:
         return Outcome.refused(blamed_on_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that axes, range or stamps are wrong."""
-    from magcal_ros.core.doctor.refusal import saturated_field, wrong_axes, wrong_stamps
+    """Judge an estimate unless the samples say that axes or stamps are wrong."""
+    from magcal_ros.core.doctor.refusal import wrong_axes, wrong_stamps
 
-    wrong = saturated_field(window) or wrong_axes(window, knowledge)
+    wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)
@@ -164,12 +179,16 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and judge the result; its samples are the rows of the log."""
+    from magcal_ros.core.doctor.refusal import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
         words = "nothing was driven: no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
     window = log.window
+    wrong = wrong_reading(window, knowledge)
+    if wrong is not None:
+        return Outcome.refused(wrong, window)
     try:
         estimate = fit_log(log, knowledge)
     except Refusal as refusal:

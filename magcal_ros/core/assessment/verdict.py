@@ -271,7 +271,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
         hint = likely_field_unit(strength)
-        words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
+        words += f" is not the Earth's ({low:.0f} to {high:.0f} µT){': ' + hint if hint else ''}"
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
 
 

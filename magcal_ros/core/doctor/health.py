@@ -115,7 +115,7 @@ def field_findings(field: FloatArray, tuning: HealthTuning = TUNING) -> list[Fin
     full = [axis for axis in range(3) if saturated(field, axis, tuning).any()]
     largest = float(np.abs(field).max()) * 1e6
     words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
-    evidence = f"at most {largest:.3g} µT"
+    evidence = f"at most {largest:.3g} µT on an axis"
     if full:
         found.append(wrong("saturation", "field: range", evidence, words))
     else:

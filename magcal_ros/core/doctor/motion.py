@@ -21,6 +21,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
+from magcal_ros.core.samples.streams import slow_words
 from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
 from magcal_ros.core.samples.window import SensorLog
 
@@ -28,6 +29,7 @@ FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive ov
 """The movement that shows everything."""
 
 FULL_TURN = "stand still, then turn a full circle"
+FASTER = "it needs faster samples of the IMU"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
 LEANS = "lift the nose by 20° within a second or two"
@@ -167,14 +169,15 @@ def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
 
 def _nothing_shown(log: SensorLog, rest: Rest | None, answers: UserAnswers) -> MotionFound:
     """Return that the sensors were not compared; a rest still shows the gyro's bias."""
-    bias = not_shown("gyro_bias", "gyro: bias", FULL_GUIDE)
+    why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
+    bias = not_shown("gyro_bias", "gyro: bias", why)
     if rest is not None:
         bias = _bias(rest.rate, TUNING.at_rest, 1.0)
     findings = (
-        not_shown("axes", "axes", FULL_GUIDE),
+        not_shown("axes", "axes", why),
         bias,
-        not_shown("rate_scale", "gyro: scale", FULL_GUIDE),
-        not_shown("latency", "field: latency", FULL_GUIDE),
+        not_shown("rate_scale", "gyro: scale", why),
+        not_shown("latency", "field: latency", why),
     )
     return MotionFound((*findings, *upright(log, None, None, answers).findings))
 

@@ -46,6 +46,11 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     )
 
 
+def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
+    return saturated_field(window) or wrong_gyro(window, knowledge)
+
+
 def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -60,7 +61,11 @@ WEAKENED = 0.1
 """Share of the level field that no gain of a sensor takes away."""
 
 
-def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
+def fit(
+    window: Window,
+    knowledge: Knowledge = Knowledge(),
+    told: Callable[[float], object] | None = None,
+) -> Estimate:
     """Find the twelve numbers of a window by the smoother.
 
     Parameters
@@ -68,6 +73,8 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     window : Window
         Paired samples. Without a gyro they are of a turn.
     knowledge : Knowledge
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1; without a gyro there is little.
 
     Returns
     -------
@@ -78,13 +85,15 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Refusal
         If the samples cannot carry a calibration.
     """
-    found = smoothed(window, knowledge)
+    found = smoothed(window, knowledge, told)
     estimate = estimate_of(found, window, knowledge)
     check(found, estimate, window, knowledge)
     return estimate
 
 
-def smoothed(window: Window, knowledge: Knowledge) -> Smoothed:
+def smoothed(
+    window: Window, knowledge: Knowledge, told: Callable[[float], object] | None = None
+) -> Smoothed:
     """Return what the smoother makes of a window, before it is asked whether it can carry it.
 
     Raises
@@ -95,7 +104,7 @@ def smoothed(window: Window, knowledge: Knowledge) -> Smoothed:
     refuse_empty(window, FEWEST_SAMPLES)
     _check_unit(window)
     if living_axes(window.angular_rate)[2]:
-        return smooth(window, knowledge)
+        return smooth(window, knowledge, too_slow(window, knowledge), told)
     check_window(window, knowledge)
     return smooth_by_field(window, knowledge)
 

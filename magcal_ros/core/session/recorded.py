@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -173,8 +173,18 @@ def _arc(session: Session) -> float:
     return session.progress(0.0).coverage.arc
 
 
-def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
+def fit_gathered(
+    gathering: Gathering,
+    knowledge: Knowledge,
+    method: str = METHODS[0],
+    told: Callable[[float], object] | None = None,
+) -> Outcome:
     """Calibrate from what was gathered.
+
+    Parameters
+    ----------
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
     Returns
     -------
@@ -186,7 +196,7 @@ def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHO
         return calibrate_drive(log, knowledge)
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
-        outcome = calibrate(window, knowledge, method)
+        outcome = calibrate(window, knowledge, method, told)
         verdict, slow = outcome.verdict, gathering.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")

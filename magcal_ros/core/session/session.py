@@ -42,6 +42,8 @@ class SessionTuning:
     surroundings are at fault, and a second round is useful."""
     whole: float = math.radians(335.0)
     """Radians turned at a look from which more only repeats what was seen."""
+    once_more: float = 1.2
+    """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
     look_back: float = 1.125
     """Times that a robot must have turned as far as at an earlier look, before the two tell whether
     turning on makes the answer more certain."""
@@ -178,6 +180,7 @@ class Session:
         self._size = 0
         self._turned = 0.0
         self._glances: list[Glance] = []
+        self._looked_at: float | None = None
         self._last_turning = now
         self.was_set_back = False
 
@@ -207,18 +210,26 @@ class Session:
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
-        self._buffer[self._size] = (
-            pair.field.stamp,
-            *pair.field.field,
-            *pair.imu.force,
-            *pair.imu.rate,
-        )
+        row = (pair.field.stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
+        self._buffer[self._size] = row
         self._size += 1
         self._last_pair = now
 
+    def look(self) -> Window:
+        """Return `window`; the heading sigma that its fit predicts comes to `note_sigma`."""
+        self._looked_at = self._turned
+        return self.window()
+
     def note_sigma(self, sigma: float) -> None:
-        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
-        self._glances.append(Glance(self._turned, sigma))
+        """Take the heading sigma (radians) that a fit of the last look predicts, or of now."""
+        turned = self._turned if self._looked_at is None else self._looked_at
+        self._glances.append(Glance(turned, sigma))
+        self._looked_at = None
+
+    @property
+    def was_seen_whole(self) -> bool:
+        """Whether a fit has looked at a whole turn."""
+        return bool(self._glances) and self._glances[-1].turned >= TUNING.whole
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
@@ -285,11 +296,13 @@ class Session:
 
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether the turn can end: certain enough, or no longer getting more certain."""
-        target = self.limits.target_sigma
+        target, turns = self.limits.target_sigma, abs(coverage.turned) / math.tau
+        is_near = self._is_within(TUNING.near * target)
         return (
             self._is_within(target)
-            or (self._is_within(TUNING.near * target) and not _is_worth_while(self._glances))
-            or abs(coverage.turned) >= TUNING.most_turns * math.tau
+            or (is_near and not _is_worth_while(self._glances))
+            or ((is_near or not self.was_seen_whole) and turns >= TUNING.once_more)
+            or turns >= TUNING.most_turns
             or now - self._last_turning > TUNING.stands_still
         )
 

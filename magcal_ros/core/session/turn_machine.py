@@ -171,13 +171,14 @@ class TurnMachine:
             self._begin_fit(stand, why, now)
 
     def _look_ahead(self, stand: Collecting, progress: Progress, now: float) -> None:
-        """Ask at intervals how certain a fit would be already."""
+        """Ask at intervals how certain a fit would be already, and once the circle is complete."""
+        waits = progress.coverage.is_complete and not stand.session.was_seen_whole
         if (
             stand.previewed_since is None
             and progress.coverage.arc > TUNING.preview_arc
-            and now > stand.next_preview
+            and (now > stand.next_preview or waits)
         ):
-            window = self.last_window = stand.session.window()
+            window = self.last_window = stand.session.look()
             self._stand = replace(stand, previewed_since=now)
             brief = stand.brief
             self._do(ev.Preview(self._number, window, brief.knowledge, brief.method))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,6 +107,7 @@ def fit(
     kind: KindOfMotion,
     tolerances: Tolerances = Tolerances(),
     like: Fit | None = None,
+    told: Callable[[int], object] | None = None,
 ) -> Fit:
     """Fit a window by Gauss-Newton steps; the sizes of noises and effects follow.
 
@@ -119,6 +121,8 @@ def fit(
     tolerances : Tolerances
     like : Fit, optional
         Where to begin: an optimum of another kind of motion, or a fit of this one that goes on.
+    told : callable, optional
+        Takes the number of each round.
 
     Raises
     ------
@@ -136,6 +140,8 @@ def fit(
     first = max(tolerances.places_at) + 1 if goes_on else first
     fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
     for rounds in range(first, tolerances.rounds + 1):
+        if told is not None:
+            told(rounds)
         if model.travels and rounds in tolerances.places_at:
             point = with_places(model, point)
         weighted, solution = solve_at(model, point)

@@ -158,7 +158,7 @@ def effect_factors(
         if spread == 0.0 or not len(rows):
             continue
         alone, column = np.eye(len(rows)), covariance[:, rows]
-        own = np.linalg.inv(column[rows])
+        own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
         factor = _factor(name, spread, own, mean, found[name], is_expected=name in expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:

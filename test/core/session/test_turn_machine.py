@@ -318,3 +318,15 @@ def test_an_answer_to_what_nobody_asked_is_passed_over():
     scene.tell("note_fit", 1, GOOD, scene.turn._kept)
     assert scene.turn.state is TurnState.COLLECTING
     assert not asked_for(scene, PutInForce)
+
+
+@pytest.mark.parametrize("rate", [0.3, 1.0])
+@pytest.mark.parametrize("takes", [0.4, 4.0])
+def test_a_slow_look_turns_the_robot_no_more_than_a_quarter_turn_further(rate, takes):
+    """Before, 1.6 to 2 turns where a busy machine took 4 s for a look."""
+    scene = Scene(sigma=math.radians(0.6))
+    scene.preview_takes = takes
+    scene.open()
+    scene.live(60.0, rate, stop=lambda: scene.turn.state is not TurnState.COLLECTING)
+    assert scene.turn.state is not TurnState.COLLECTING
+    assert 0.9 < scene.turn.progress.coverage.turned / math.tau < 1.25
