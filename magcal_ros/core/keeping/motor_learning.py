@@ -189,6 +189,11 @@ class MotorLearning:
         seen = _SeenGains(_positive(np.asarray(now - prior)), pull, prior, prior_mean, known)
         return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
 
+    @property
+    def delay(self) -> tuple[float, float]:
+        """Seconds by which the current is told late, and their standard deviation."""
+        return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
+
     def _is_used(self, which: MotorInput) -> bool:
         return which in self.heard or INPUTS.index(which) in self._known
 
