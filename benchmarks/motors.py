@@ -218,6 +218,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--shape", choices=SHAPES, action="append", help="only these shapes")
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
+    parser.add_argument("--way", choices=WAYS, action="append", help="only these ways")
     parser.add_argument("--seconds", type=float, default=300.0, help="of each drive")
     parser.add_argument("--turn", choices=TURNS, default="stops", help="how it calibrates")
     options = parser.parse_args()
@@ -225,7 +226,7 @@ def main() -> None:
     print(f"{'':32}" + "   RMS°  NEES silent%" * 3)
     for shape in options.shape or SHAPES:
         for size in options.size or SIZES:
-            tallies, refused = {way: Tally() for way in WAYS}, 0
+            tallies, refused = {way: Tally() for way in options.way or WAYS}, 0
             for seed in range(options.first, options.first + options.runs):
                 robotic = robot_of(shape, size, seed, options.seconds, TURNS[options.turn])
                 calibration = calibrated(robotic)

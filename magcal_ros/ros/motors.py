@@ -170,10 +170,12 @@ class Motors:
         if motors is None:
             return None
         now = self._sense.newest
+        delay = None if self._learning is None else [round(s, 2) for s in self._learning.delay]
         return {
             "moves": None if now.moving == 0.5 else now.moving > 0.5,
             "learns": self._learning is not None,
             "ripple_ut": round(motors.ripple * 1e6, 2),
+            "current_delay_s": delay if MotorInput.CURRENT in motors.inputs else None,
             "inputs": {
                 each.value: {
                     "from": self._source(each),

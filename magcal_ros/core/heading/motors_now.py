@@ -271,6 +271,9 @@ class MotorsNow:
             self.place.change(self._mean[PLACE], turned, faster, way, seconds)
             + self._iron * math.sqrt(float(turned @ turned)) * EYE
         )
+        # So large that in the latency it changes by as much as the inputs do.
+        late = 0.5 * self.input.body_length / self.input.latency * self._latency**2
+        level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
         covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
         covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
         self._covariance = covariance

@@ -84,6 +84,9 @@ class MotionSense:
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
         side = max(-1.0, min(1.0, turn_rate / self.tuning.turning))
+        if is_edge and moves is False:
+            # Motors of a turn that has just ended may still run to its side.
+            side = self.newest.side
         beyond = self._beyond_rest(moves, seconds, current)
         self.newest = Running(share, turn_rate, driven, beyond, side)
         return self.newest
