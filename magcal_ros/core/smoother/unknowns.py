@@ -34,52 +34,35 @@ class Unknown(NamedTuple):
     The prior is Gaussian about zero. Its sigma is uncertain itself: the whole group is larger or
     smaller by one factor with a truncated log-normal prior, which is estimated with the unknowns.
     An effect that the samples do not show stays near zero, and one that they show is not held back.
-
-    Parameters
-    ----------
-    sigma : tuple of float
-        Median of the sigma of each number.
-    spread : float
-        Standard deviation of the natural logarithm of the factor; zero for a fixed sigma.
-    most : float
-        Largest factor.
-    unit, meaning, source : str
     """
 
     sigma: tuple[float, ...]
+    """Median of the sigma of each number."""
     spread: float
+    """Standard deviation of the natural logarithm of the factor; zero for a fixed sigma."""
     most: float
+    """Largest factor."""
     unit: str
     meaning: str
     source: str
 
 
 class Size(NamedTuple):
-    """The standard deviation of one kind of noise: estimated, with a log-normal prior.
-
-    Parameters
-    ----------
-    usual : float
-        Median.
-    spread : float
-        Standard deviation of its natural logarithm.
-    freedom : float
-        Degrees of freedom of the Student distribution of the noise itself.
-    unit, meaning, source : str
-    start : float
-        Where the iterations begin, if not at the median.
-    most : float
-        Largest value: no sensor or robot exceeds it.
-    """
+    """The standard deviation of one kind of noise: estimated, with a log-normal prior."""
 
     usual: float
+    """Median."""
     spread: float
+    """Standard deviation of its natural logarithm."""
     freedom: float
+    """Degrees of freedom of the Student distribution of the noise itself."""
     unit: str
     meaning: str
     source: str
     start: float = math.nan
+    """Where the iterations begin, if not at the median."""
     most: float = math.inf
+    """Largest value: no sensor or robot exceeds it."""
 
 
 UNKNOWNS: dict[str, Unknown] = {
@@ -212,29 +195,20 @@ RARE_IRON = 0.0005, 2.0
 
 
 class KindOfMotion(NamedTuple):
-    """A kind of motion.
-
-    Parameters
-    ----------
-    speed : float
-        Usual velocity ahead, m/s.
-    aside : float
-        Usual velocity sideways over that ahead: wheels roll ahead.
-    lever_arm : float
-        Usual distance of the accelerometer from the pivot, metres per axis.
-    begins : float
-        Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
-        acceleration is taken for lean; if it is too large, lean is taken for acceleration.
-    motors : float
-        Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits;
-        what differs between its rest and its way is the place.
-    """
+    """A kind of motion."""
 
     speed: float
+    """Usual velocity ahead, m/s."""
     aside: float
+    """Usual velocity sideways over that ahead: wheels roll ahead."""
     lever_arm: float
+    """Usual distance of the accelerometer from the pivot, metres per axis."""
     begins: float
+    """Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
+    acceleration is taken for lean; if it is too large, lean is taken for acceleration."""
     motors: float = 2.0
+    """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
+    differs between its rest and its way is the place."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -264,33 +238,22 @@ and few turn exactly on a spot."""
 
 @dataclass(frozen=True)
 class Lengths:
-    """How far and how long what is correlated stays so.
-
-    Parameters
-    ----------
-    street : float
-        Metres over which the local disturbance is alike (e to the minus one).
-    body_field : float
-        Seconds over which the body's coloured noise is alike.
-    acceleration : float
-        Seconds over which the change of velocity is alike.
-    beside : float
-        Metres of the magnetometer from the pivot: the way it goes while the robot turns.
-    creep : float
-        m/s that a robot at rest may still move.
-    moving : float
-        rad/s of turn rate from which a robot on the spot counts as moving.
-    sway : float
-        Seconds over which the lean of a robot that sways is alike.
-    """
+    """How far and how long what is correlated stays so."""
 
     street: float = 30.0
+    """Metres over which the local disturbance is alike (e to the minus one)."""
     body_field: float = 4.0
+    """Seconds over which the body's coloured noise is alike."""
     acceleration: float = 3.0
+    """Seconds over which the change of velocity is alike."""
     beside: float = 0.15
+    """Metres of the magnetometer from the pivot: the way it goes while the robot turns."""
     creep: float = 0.01
+    """m/s that a robot at rest may still move."""
     moving: float = 0.03
+    """rad/s of turn rate from which a robot on the spot counts as moving."""
     sway: float = 1.0
+    """Seconds over which the lean of a robot that sways is alike."""
 
 
 def _slices() -> tuple[dict[str, slice], int]:
@@ -313,27 +276,18 @@ EARTH = AT["earth"]
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is believed of the unknowns before the samples.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (SHARED,)
-    scale : ndarray, shape (SHARED,)
-        Sigma of each number; zero for one that is known.
-    earth : ndarray, shape (2, 2)
-        Covariance of level and downward field, µT².
-    spread : mapping of str to float
-        Of the groups' factors (`Unknown`).
-    sizes : mapping of str to Size
-    lengths : Lengths
-    """
+    """What is believed of the unknowns before the samples."""
 
     mean: FloatArray
+    """Shape (SHARED,)."""
     scale: FloatArray
+    """Sigma of each number; zero for one that is known. Shape (SHARED,)."""
     earth: FloatArray
+    """Covariance of level and downward field, µT². Shape (2, 2)."""
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
+    """Of the groups' factors (`Unknown`)."""
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = Lengths()
 
