@@ -36,8 +36,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.recording import Recording, read_csv_folder

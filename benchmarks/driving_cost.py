@@ -27,8 +27,7 @@ from simulated.drive import Drive, random_vehicle, simulated_drive
 from simulated.legs import city
 from simulated.travel import travel
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
 from magcal_ros.ros.sensor_source import SensorSource, set_time
 
 WARM_UP = 30.0

@@ -6,8 +6,8 @@ on the level, what is promised, and NEES; then what becomes of headings that are
 
 With `--outages N`: N drives through a city (those of `driving.py`) with two antennas for four
 minutes, which calibrate the compass; then they are silent. Printed are the errors of the fused yaw
-after 60, 300 and 600 s, what it says of them, and those of the gyro alone, which goes on with the
-bias that the antennas had shown.
+after 60, 300 and 600 s, what it says of them, and those of the gyro alone: with the bias that the
+antennas had shown, and with that of rests.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from magcal_ros.core.geometry.attitude import (
     yaw_from_up_and_field,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
@@ -181,8 +182,10 @@ class Follower:
         self._compass: Compass | None = None
         self._gyro: FusedYaw | None = None
         self.calibration: Calibration | None = None
-        self.found: list[tuple[float, float, float, float]] = []
-        """Seconds of silence, error of the fused yaw, its sigma, error of the gyro; radians."""
+        self._turned = 0.0
+        self.found: list[tuple[float, float, float, float, float]] = []
+        """Seconds of silence; radians: error of the fused yaw, its sigma, errors of the gyro with
+        the bias that headings showed and with that of rests."""
 
     def run(self) -> None:
         """Go through the drive."""
@@ -195,14 +198,15 @@ class Follower:
                 k += 1
                 self._on_imu(sample)
                 if since > HEARD and self._gyro is None:
-                    self._gyro = copy.deepcopy(self._fused)
+                    self._gyro, self._turned = copy.deepcopy(self._fused), truth[k]
                 if waiting and since >= HEARD + waiting[0] and self._fused and self._gyro:
                     yaws = self._fused.heading(), self._gyro.heading()
                     if yaws[0] is None or yaws[1] is None:
                         continue
                     errors = [wrapped(each.yaw - truth[k]) for each in yaws if each]
                     sigma = math.sqrt(yaws[0].yaw_variance)
-                    self.found.append((waiting.pop(0), errors[0], sigma, errors[1]))
+                    by_rests = self._turned - truth[k]
+                    self.found.append((waiting.pop(0), errors[0], sigma, errors[1], by_rests))
             elif isinstance(sample, FieldSample):
                 self._on_field(sample, since, k)
                 if since < HEARD and sample.stamp >= next_:
@@ -218,8 +222,10 @@ class Follower:
     def _on_imu(self, sample: ImuSample) -> None:
         self._up.add(sample)
         follower = self._up
+        up = follower.at(sample.stamp, 0.0)
+        if up is not None:
+            self._turned += dot(follower.mean_rate, up.direction) * self._drive.truth.period
         for fused in (self._fused, self._gyro):
-            up = follower.at(sample.stamp, 0.0)
             if fused is not None and up is not None:
                 told = follower.mean_rate, follower.gyro_bias, follower.is_at_rest
                 fused.propagate(sample.stamp, up, *told)
@@ -256,12 +262,16 @@ class Follower:
             self._fused.take_heading(stamp, yaw, told.sigma**2, (x, y, z))
 
 
-def outages(drives: int) -> None:
+def outages(drives: int, first: int) -> None:
     """Print how the fused yaw goes on when two antennas fall silent."""
-    print("| silent, s | fused, RMS° (worst) | said° | NEES | gyro alone, RMS° | fused is better |")
-    print("|---|---|---|---|---|---|")
+    print(
+        "| silent, s | fused, RMS° (worst) | said° | NEES | gyro alone, RMS° | fused is better",
+        end="",
+    )
+    print(" | gyro with the bias of rests | fused is better |")
+    print("|---|---|---|---|---|---|---|---|")
     found, sigmas = [], []
-    for seed in range(drives):
+    for seed in range(first, first + drives):
         rng = np.random.default_rng(seed)
         robot = Robot(
             yaw=rng.normal(0.0, 2.0) * DEGREE,
@@ -285,15 +295,22 @@ def outages(drives: int) -> None:
             sigmas.append(predicted_heading_sigma(follower.calibration))
     for silent in SILENT:
         rows = np.array([row[1:] for row in found if row[0] == silent])
-        fused, said, gyro = rows.T
-        rms, alone = (math.sqrt(np.mean(each**2)) / DEGREE for each in (fused, gyro))
-        better = int(np.sum(np.abs(fused) < np.abs(gyro)))
+        fused, said, *gyros = rows.T
+        worst = np.abs(fused).max() / DEGREE
         print(
-            f"| {silent:g} | {rms:.2f} ({np.abs(fused).max() / DEGREE:.1f}) | "
-            f"{np.median(said) / DEGREE:.2f} | {np.mean((fused / said) ** 2):.2f} | {alone:.2f} | "
-            f"{better} of {len(rows)} |"
+            f"| {silent:g} | {rms_degrees(fused):.2f} ({worst:.1f}) | "
+            f"{np.median(said) / DEGREE:.2f} | {np.mean((fused / said) ** 2):.2f} |",
+            *(
+                f"{rms_degrees(gyro):.2f} | {np.sum(np.abs(fused) < np.abs(gyro))} of {len(rows)} |"
+                for gyro in gyros
+            ),
         )
     print(f"the compass is calibrated to ±{np.median(sigmas) / DEGREE:.1f}° (median)")
+
+
+def rms_degrees(errors: FloatArray) -> float:
+    """Return the root mean square of radians in degrees."""
+    return math.sqrt(np.mean(errors**2)) / DEGREE
 
 
 def main() -> None:
@@ -301,9 +318,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=150, help="in each row (default 150)")
     parser.add_argument("--outages", type=int, default=0, help="drives with antennas; alone")
+    parser.add_argument("--first", type=int, default=0, help="first seed of those drives")
     options = parser.parse_args()
     if options.outages:
-        outages(options.outages)
+        outages(options.outages, options.first)
         return
     robots = options.robots
     print("| headings | told to | RMS° | said° | NEES | refused |\n|---|---|---|---|---|---|")

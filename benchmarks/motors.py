@@ -37,8 +37,7 @@ from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.running import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.core.up import UpFollower
@@ -219,6 +218,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--shape", choices=SHAPES, action="append", help="only these shapes")
     parser.add_argument("--size", type=float, action="append", help="only these sizes, µT")
+    parser.add_argument("--way", choices=WAYS, action="append", help="only these ways")
     parser.add_argument("--seconds", type=float, default=300.0, help="of each drive")
     parser.add_argument("--turn", choices=TURNS, default="stops", help="how it calibrates")
     options = parser.parse_args()
@@ -226,7 +226,7 @@ def main() -> None:
     print(f"{'':32}" + "   RMS°  NEES silent%" * 3)
     for shape in options.shape or SHAPES:
         for size in options.size or SIZES:
-            tallies, refused = {way: Tally() for way in WAYS}, 0
+            tallies, refused = {way: Tally() for way in options.way or WAYS}, 0
             for seed in range(options.first, options.first + options.runs):
                 robotic = robot_of(shape, size, seed, options.seconds, TURNS[options.turn])
                 calibration = calibrated(robotic)

@@ -47,7 +47,7 @@ from turn_kinds import KINDS
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation.simulator import DEGREE
@@ -77,7 +77,7 @@ class Row:
             return
         self.warned += grade is Grade.WARN
         error = heading_error(scene, outcome.estimate.correction)
-        self.answers[number] = error, predicted_heading_sigma(outcome.estimate, 0.0)
+        self.answers[number] = error, calibration_sigma(outcome.estimate, 0.0)
 
     def text(self, name: str) -> str:
         text = f"{name:28s}{'gyro' if self.gyro else '-':>5s}{self.refused:8d}{self.warned:8d}"

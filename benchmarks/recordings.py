@@ -83,9 +83,15 @@ class Line:
         """
         if not self.answered or self.ours is None:
             return False
+        return self.beyond_floor * self.sigma > max(SIGMAS * self.sigma, FLOOR)
+
+    @property
+    def beyond_floor(self) -> float:
+        """Our error beyond that of the gyro alone, over sigma; NaN where nothing was answered."""
+        if self.ours is None:
+            return math.nan
         own = self.floor.rms if self.floor else 0.0
-        excess = math.sqrt(max(self.ours.rms**2 - own**2, 0.0))
-        return excess > max(SIGMAS * self.sigma, FLOOR)
+        return math.sqrt(max(self.ours.rms**2 - own**2, 0.0)) / self.sigma
 
 
 def main() -> None:
@@ -223,11 +229,14 @@ def summary(lines: list[Line]) -> str:
         told = mean_of([line.to_best(line.told) for line in answered])
         to_truth = mean_of([line.to_truth for line in answered])
         wrong = sum(line.is_wrong for line in answered)
+        beyond = [line.beyond_floor for line in answered if line.name.startswith("car")]
+        square, most = mean_of([value**2 for value in beyond]), max(beyond, default=math.nan)
         text.append(
             f"{window}: {len(answered)} of {len(rows)} with a truth answered ({clean} without a"
             f" warning), {good} of them within {AS_GOOD} of the best peer, mean ratio"
             f" {to_best:.2f} ({told:.2f} if the samples' true yaw were given; to what the whole"
-            f" truth tells {to_truth:.2f}), wrong {wrong}"
+            f" truth tells {to_truth:.2f}), error of cars beyond the gyro's {most:.1f} sigma at"
+            f" most, its square {square:.2f} on the mean, wrong {wrong}"
         )
     return "\n".join(text)
 

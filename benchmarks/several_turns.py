@@ -150,6 +150,8 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=100)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--only", help="turns whose name contains this")
     parser.add_argument("--soft-iron", type=float, default=0.0, help="sigma of its elements")
     parser.add_argument("--gyro", action="store_true")
     options = parser.parse_args()
@@ -158,8 +160,9 @@ def main() -> None:
         "| worst run ° | NEES of the yaw | CPU s |\n|---|---|---|---|---|---|---|---|"
     )
     for name, slopes in SETS:
-        runs = [run(slopes, options, seed) for seed in range(options.runs)]
-        print(row(name, runs), flush=True)
+        if options.only is None or options.only in name:
+            seeds = range(options.first, options.first + options.runs)
+            print(row(name, [run(slopes, options, seed) for seed in seeds]), flush=True)
 
 
 if __name__ == "__main__":

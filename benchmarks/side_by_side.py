@@ -39,8 +39,8 @@ from realistic_robots import (
     with_motors,
 )
 
-from magcal_ros.core.calibrate import calibrate, calibrate_by
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibrate import calibrate
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -203,7 +203,7 @@ class Tally:
         window = collected(scene.window) if scene.has_course else scene.window
         began = time.process_time()
         # By default the smoother answers turns without a gyro.
-        fit = calibrate_by if window.angular_rate is None else calibrate
+        fit = calibrate
         outcome = fit(window, knowledge, method)
         self.seconds += time.process_time() - began
         if outcome.estimate is None or (method == METHODS[0] and not outcome.verdict.accepted):
@@ -214,7 +214,7 @@ class Tally:
             errors = heading_errors(outcome.estimate.correction, scene.robot)
             error = math.sqrt(float(np.mean(np.delete(errors, LEVEL_TILT, axis=1) ** 2)))
         self.errors.append(math.degrees(error))
-        self.sigmas.append(math.degrees(predicted_heading_sigma(outcome.estimate, self.tilt)))
+        self.sigmas.append(math.degrees(calibration_sigma(outcome.estimate, self.tilt)))
 
     def text(self) -> str:
         count = len(self.errors) + self.refused

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import Outcome, calibrate
-from magcal_ros.core.calibration import Estimate, predicted_heading_sigma
+from magcal_ros.core.calibration import Estimate, calibration_sigma
 from magcal_ros.core.geometry import FloatArray, rotation_about
 from magcal_ros.core.geometry import yaw_from_up_and_field as yaw_of
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, Systematics
@@ -352,4 +352,4 @@ def heading_error(case: Case, estimate: Estimate) -> tuple[float, float]:
     gap = yaw_of(up, estimate.correction.apply(raw)) - yaw_of(up, truth)
     gap = (gap + math.pi) % math.tau - math.pi
     error = math.sqrt(float(np.mean(gap**2)))
-    return error, predicted_heading_sigma(estimate, 0.0)
+    return error, calibration_sigma(estimate, 0.0)

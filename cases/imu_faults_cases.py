@@ -12,7 +12,7 @@ from axes_cases import cheap_robot
 
 from magcal_ros.core.geometry import FloatArray, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.simulation import DEGREE, UP_ENU, smooth_wobble
 
 FINE = 200.0

@@ -392,14 +392,19 @@ COURSES: dict[str, tuple[Course, Spoil]] = {
 """Effects that show where a robot rests, or turns at another speed."""
 
 
-def heading_error(scene: Scene, correction: Correction) -> float:
-    """Return the RMS heading error on the level with the sensors as they are, radians."""
+def heading_errors(scene: Scene, correction: Correction) -> FloatArray:
+    """Return the heading errors on the level with the sensors as they are, radians."""
     poses = trial_attitudes()[:, LEVEL_TILT]
     robot, up, truth = scene.robot, poses[:, :, 2], poses @ scene.robot.field_enu
     raw = (robot.raw_field(truth) - robot.hard_iron) @ scene.distortion.T + robot.hard_iron
     seen = STANDARD_GRAVITY * up + scene.force
     gap = yaw_from_up_and_field(seen, correction.apply(raw)) - yaw_from_up_and_field(up, truth)
-    return math.sqrt(float(np.mean(wrap_angle(gap) ** 2)))
+    return wrap_angle(gap)
+
+
+def heading_error(scene: Scene, correction: Correction) -> float:
+    """Return the RMS of `heading_errors`, radians."""
+    return math.sqrt(float(np.mean(heading_errors(scene, correction) ** 2)))
 
 
 def by_effect(name: str) -> Scenes:

@@ -29,7 +29,7 @@ from magcal_ros.core.geometry.conics import ConicFit
 from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples import STREAMS, ImuSample, Pair, Pairer, Streams, Window
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.stamps import spread_bursts
 from magcal_ros.core.session.session import Limits, Session, Stage
 from magcal_ros.core.smoothing.log import log_of

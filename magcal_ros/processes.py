@@ -105,3 +105,37 @@ def leave_out_current_folder() -> None:
         del sys.path[0]
     if os.environ.get("PYTHONPATH"):
         sys.path[:] = [entry for entry in sys.path if entry in given or entry not in relative]
+
+
+def bound_memory(megabytes: float) -> None:
+    """Let this process take so much more memory (RLIMIT_DATA) than it has now.
+
+    The middleware makes room for as many values as a request claims to hold, before rclpy or the
+    node sees it. Where the room is refused, the request ends as an error of one callback. Only
+    Linux counts what a process takes in this way; elsewhere nothing is bound.
+    """
+    if sys.platform == "linux":
+        _limit_memory(_data_bytes() + int(megabytes * 1e6))
+
+
+def unbound_memory() -> None:
+    """Take the bound away again, in a process that was started by a bounded one."""
+    if sys.platform == "linux":
+        _limit_memory(None)
+
+
+def _limit_memory(soft: int | None) -> None:
+    import resource
+
+    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
+    if soft is None or (hard != resource.RLIM_INFINITY and soft > hard):
+        soft = hard
+    resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _data_bytes() -> int:
+    """Return the data memory of this process, as proc(5) counts it in `statm`."""
+    import resource
+
+    with open("/proc/self/statm", encoding="ascii") as statm:
+        return int(statm.read().split()[5]) * resource.getpagesize()

@@ -15,8 +15,13 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray, frozen_array, interpolated
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    SpeedSample,
+    VelocitySample,
+)
 from magcal_ros.core.simulation.simulator import UP_ENU, Robot
 from simulated.reckoning import Receiver, Wheels
 from simulated.travel import Travel

@@ -42,13 +42,6 @@ def node_name(text: str) -> str:
 def find_calibrator(node: Any, wanted: str | None) -> str:
     """Return the full name of the calibrator that is meant.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Looks around.
-    wanted : str or None
-        Full name; None for the only one there is.
-
     Raises
     ------
     Misuse

@@ -30,8 +30,8 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.plain import plain, plain_lines

@@ -23,8 +23,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import pose_in_words
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.window import SensorLog
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -56,27 +56,18 @@ CROWD = (
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What the guided half minute brought.
-
-    Parameters
-    ----------
-    log : SensorLog
-        All samples.
-    knowledge : Knowledge
-        What the user gave, and how the robot's description says the magnetometer sits.
-    answers : UserAnswers
-        What the person was seen to do.
-    more : tuple of Finding
-        What the graph shows beside the samples.
-    described : str
-        The described pose in words; empty where none was used.
-    """
+    """What the guided half minute brought."""
 
     log: SensorLog
+    """All samples."""
     knowledge: Knowledge
+    """What the user gave, and how the robot's description says the magnetometer sits."""
     answers: UserAnswers
+    """What the person was seen to do."""
     more: tuple[Finding, ...]
+    """What the graph shows beside the samples."""
     described: str
+    """The described pose in words; empty where none was used."""
 
     def page_with(self, page: Page) -> Page:
         """Return the page with what the graph shows, and the description against the measured."""

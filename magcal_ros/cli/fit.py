@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -100,8 +101,9 @@ def run(options: argparse.Namespace) -> int:
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
     heard = tuple(heard_at_headings(options, path) for path in options.recordings)
     count = sum(sum(each.gathering.heard) for each in everything)
-    with at_work(lambda: f"fitting {count} messages", sys.stderr):
-        fitted = _fit(everything, options, heard)
+    shares = [0.0]
+    with at_work(lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr):
+        fitted = _fit(everything, options, heard, shares.append)
     knowledge = fitted.knowledge
     if options.compare:
         print(plain_lines(compare_methods(fitted.outcome.window, knowledge)))
@@ -131,6 +133,7 @@ def _fit(
     everything: tuple[Gathered, ...],
     options: argparse.Namespace,
     heard: tuple[HeardAtHeadings | None, ...],
+    told: Callable[[float], object],
 ) -> Fitted:
     frames = sorted({each.field_frame for each in everything if each.field_frame})
     if len(frames) > 1:
@@ -147,7 +150,7 @@ def _fit(
         return Fitted(everything[-1], knowledge, at_headings, progress, everything)
     if len(everything) == 1:
         gathering = everything[0].gathering
-        outcome = fit_gathered(gathering, knowledge, options.method)
+        outcome = fit_gathered(gathering, knowledge, options.method, told)
         return Fitted(everything[0], knowledge, outcome, gathering.progress(), everything)
     names = names_of([str(path) for path in options.recordings])
     gatherings = [each.gathering for each in everything]

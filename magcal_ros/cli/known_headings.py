@@ -13,8 +13,7 @@ from magcal_ros.cli.recorded import opened
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.samples.travel_samples import HeadingSample
+from magcal_ros.core.samples.streams import HeadingSample, Pair
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.core.session.recorded_headings import (

@@ -34,32 +34,22 @@ LINE_EVERY = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """A recording that was read.
-
-    Parameters
-    ----------
-    gathering : Gathering
-        Everything it held.
-    imu_topic, field_topic : str
-        As recorded, fit to be shown.
-    imu_frame, field_frame : str
-        `frame_id` of the two sensors; empty if there is none.
-    reference : Reference
-        The reference field at its place and date.
-    mended : list of str
-        What was mended in it, in words.
-    notes : tuple of str
-        What the recording's own kind says of it.
-    """
+    """A recording that was read."""
 
     gathering: Gathering
+    """Everything it held."""
     imu_topic: str
     field_topic: str
+    """As recorded, fit to be shown."""
     imu_frame: str
     field_frame: str
+    """`frame_id` of the two sensors; empty if there is none."""
     reference: Reference
+    """The reference field at its place and date."""
     mended: list[str]
+    """What was mended in it, in words."""
     notes: tuple[str, ...] = ()
+    """What the recording's own kind says of it."""
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""

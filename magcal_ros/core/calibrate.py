@@ -6,6 +6,7 @@ import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -95,6 +96,7 @@ def calibrate(
     window: Window,
     knowledge: Knowledge,
     method: str = METHODS[0],
+    told: Callable[[float], object] | None = None,
 ) -> Outcome:
     """Fit a window by a method, and judge the result.
 
@@ -107,26 +109,34 @@ def calibrate(
     method : str
         One of `METHODS`. By the first, as by `smoother_one`, the smoother answers, with a gyro or
         without, whether the robot turned on the spot or drove.
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
     Returns
     -------
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    try:
-        estimate = find_method(method)(window, knowledge)
-    except Refusal as refusal:
-        from magcal_ros.core.doctor.refusal import blamed_on_axes
+    from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_reading
 
+    wrong = wrong_reading(window, knowledge)
+    if wrong is not None:
+        return Outcome.refused(wrong, window)
+    fit = find_method(method)
+    if told is not None and ALSO_CALLED.get(method, method) == SMOOTHER:
+        fit = partial(cast("Callable[..., Estimate]", fit), told=told)
+    try:
+        estimate = fit(window, knowledge)
+    except Refusal as refusal:
         return Outcome.refused(blamed_on_axes(refusal, window, knowledge), window)
     return _judged_by_axes_too(estimate, knowledge, window)
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that axes, range or stamps are wrong."""
-    from magcal_ros.core.doctor.refusal import saturated_field, wrong_axes, wrong_stamps
+    """Judge an estimate unless the samples say that axes or stamps are wrong."""
+    from magcal_ros.core.doctor.refusal import wrong_axes, wrong_stamps
 
-    wrong = saturated_field(window) or wrong_axes(window, knowledge)
+    wrong = wrong_axes(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)
@@ -144,12 +154,16 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and judge the result; its samples are the rows of the log."""
+    from magcal_ros.core.doctor.refusal import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):
         words = "nothing was driven: no samples with a gyro in which the robot moved"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
     window = log.window
+    wrong = wrong_reading(window, knowledge)
+    if wrong is not None:
+        return Outcome.refused(wrong, window)
     try:
         estimate = fit_log(log, knowledge)
     except Refusal as refusal:
@@ -202,17 +216,16 @@ def calibrate_turns(
     if joined.estimate is not None:
         outcome = judged(joined.estimate, knowledge, joined.members[-1].window)
         return replace(outcome, several=joined.several)
-    alone = joined.members or joined.turns
-    if len(alone) > 1:
-        words = "; ".join(f"{turn.name}: {turn.unfit}" for turn in alone)
-        reason = alone[-1].reason or Reason.NO_SOLUTION
-        refusal = Refusal(reason, f"none of the turns can be used: {words}")
-        return Outcome.refused(refusal, alone[-1].window)
-    turn, several = alone[0], joined.several
-    if turn.estimate is None:
-        return Outcome(turn.verdict, reason=turn.reason, several=several, window=turn.window)
-    calibration = Calibration.from_estimate(turn.estimate, turn.verdict.evidence(turn.estimate))
-    return Outcome(turn.verdict, calibration, turn.estimate, None, several, turn.window)
+    turn = (joined.members or joined.turns)[-1]
+    if turn.unfit and len(joined.turns) > 1:
+        each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in joined.turns)
+        words = f"none of the turns can be used: {each}"
+        return Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
+    if turn.estimate is not None:
+        outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
+    else:
+        outcome = calibrate(turn.window, knowledge)
+    return replace(outcome, several=joined.several)
 
 
 def pooled(windows: Sequence[Window]) -> Window:
@@ -265,9 +278,7 @@ def take_turn(
     several = outcome.several
     if several is None or not several.fates[-1].joined:
         return _refused(outcome, kept), kept
-    if not outcome.verdict.accepted:
-        return outcome, kept
-    return outcome, kept.joined(window, several)
+    return outcome, kept.joined(window, several) if outcome.verdict.accepted else kept
 
 
 def _refused(outcome: Outcome, kept: Kept) -> Outcome:

@@ -55,3 +55,8 @@ class Refusal(MagcalError):
     def __reduce__(self) -> tuple[type[Refusal], tuple[Reason, str]]:
         """Let it pass from process to process."""
         return type(self), (self.reason, str(self))
+
+
+def in_words(error: Exception) -> str:
+    """Return what an error says: a known one its words, another also what it is."""
+    return str(error) if isinstance(error, MagcalError) else repr(error)

@@ -24,18 +24,12 @@ MOUNTING_YAW_SIGMA = math.radians(5.0)
 
 @dataclass(frozen=True)
 class Belief:
-    """One number that is known, uncertain or unknown.
-
-    Parameters
-    ----------
-    value : float
-        The expectation; ignored when nothing is known.
-    sigma : float
-        Standard deviation in the same unit: zero for known, infinite for unknown.
-    """
+    """One number that is known, uncertain or unknown."""
 
     value: float
+    """The expectation; ignored when nothing is known."""
     sigma: float = 0.0
+    """Standard deviation in the same unit: zero for known, infinite for unknown."""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.value) or math.isnan(self.sigma) or self.sigma < 0.0:
@@ -59,24 +53,16 @@ class Belief:
 
 @dataclass(frozen=True)
 class ReferenceField:
-    """The Earth's field where the robot turns.
-
-    Parameters
-    ----------
-    strength : Belief
-        Tesla.
-    inclination : Belief
-        Radians, positive where the field points down.
-    declination : float or None
-        Radians, positive where magnetic north lies east of true north; None if not known.
-    declination_sigma : float
-        Standard deviation of the declination, radians; it is part of a yaw to true north.
-    """
+    """The Earth's field where the robot turns."""
 
     strength: Belief = field(default_factory=Belief.unknown)
+    """Tesla."""
     inclination: Belief = field(default_factory=Belief.unknown)
+    """Radians, positive where the field points down."""
     declination: float | None = None
+    """Radians, positive where magnetic north lies east of true north; None if not known."""
     declination_sigma: float = 0.0
+    """Standard deviation of the declination, radians; it is part of a yaw to true north."""
 
     @property
     def is_complete(self) -> bool:
@@ -101,19 +87,14 @@ class SoftIron:
     """What is believed about soft iron beyond the known gains.
 
     The residual soft iron is a symmetric 3 x 3 matrix E in body axes, `m = K R_n (I + E) ...`.
-
-    Parameters
-    ----------
-    sigma_diagonal, sigma_cross : float
-        Standard deviations of the elements on and off the diagonal, dimensionless.
-        Both zero: there is none.
-    always : bool
-        Fit it in any case; otherwise only where the samples ask for it.
     """
 
     sigma_diagonal: float = SOFT_IRON_SIGMA_DIAGONAL
     sigma_cross: float = SOFT_IRON_SIGMA_CROSS
+    """Standard deviations of the elements on and off the diagonal, dimensionless. Both zero: there
+    is none."""
     always: bool = False
+    """Fit it in any case; otherwise only where the samples ask for it."""
 
     @classmethod
     def none(cls) -> SoftIron:
@@ -123,23 +104,16 @@ class SoftIron:
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """How the magnetometer is meant to sit: known gains and nominal pose.
-
-    Parameters
-    ----------
-    gains : array_like, shape (3,)
-        Known soft-iron gains K along the sensor's own axes, dimensionless, positive.
-    pose : array_like, shape (3, 3)
-        Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
-        (`rotation_from_rpy` of the URDF's origin).
-    yaw_sigma : float
-        Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and
-        pitch in one turn; yaw shows in turns on different tilts only.
-    """
+    """How the magnetometer is meant to sit: known gains and nominal pose."""
 
     gains: FloatArray = field(default_factory=lambda: np.ones(3))
+    """Known soft-iron gains K along the sensor's own axes, dimensionless, positive. Shape (3,)."""
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
+    """Nominal pose of the magnetometer in the IMU's frame, sensor axes to body axes
+    (`rotation_from_rpy` of the URDF's origin). Shape (3, 3)."""
     yaw_sigma: float = MOUNTING_YAW_SIGMA
+    """Radians, how far the true pose may be from it in yaw (1 sigma). Gravity shows roll and pitch
+    in one turn; yaw shows in turns on different tilts only."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", frozen_array(self.gains, (3,), "soft-iron gains"))
@@ -167,33 +141,24 @@ class Systematics:
     They repeat from sample to sample, so that no number of samples averages them out. The
     defaults are a MEMS set on a robot that turns in the open: with them the squared error over
     the variance is about one where all typical errors come together (doc/measured/turns.md).
-
-    Parameters
-    ----------
-    axes : float
-        How far the magnetometer's axes are out of square, and its linearity: relative.
-    gains : float
-        How far each gain of the magnetometer and each angle between its axes is off: relative.
-        Sheets of MEMS sensors give 0.2 to 1% for cross-axis sensitivity. A whole turn shows it, and
-        part of a turn takes it for hard iron.
-    crooked : float
-        Axes are seldom further out of square than this; what is seen beyond it is soft iron, which
-        turns no axes.
-    field : float
-        Tesla per axis of a field that turns with the robot and is taken for hard iron, or stands
-        still and is not: currents of motors, the crust over the patch of the turn.
-    lever_arm : float
-        Metres of the accelerometer from the turn's axis: the centripetal acceleration leans up.
-    latency : float
-        Seconds between gyro, accelerometer and field that nobody took off.
     """
 
     axes: float = 0.002
+    """How far the magnetometer's axes are out of square, and its linearity: relative."""
     field: float = 0.035e-6
+    """Tesla per axis of a field that turns with the robot and is taken for hard iron, or stands
+    still and is not: currents of motors, the crust over the patch of the turn."""
     lever_arm: float = 0.06
+    """Metres of the accelerometer from the turn's axis: the centripetal acceleration leans up."""
     latency: float = 0.003
+    """Seconds between gyro, accelerometer and field that nobody took off."""
     crooked: float = 0.03
+    """Axes are seldom further out of square than this; what is seen beyond it is soft iron, which
+    turns no axes."""
     gains: float = 0.005
+    """How far each gain of the magnetometer and each angle between its axes is off: relative.
+    Sheets of MEMS sensors give 0.2 to 1% for cross-axis sensitivity. A whole turn shows it, and
+    part of a turn takes it for hard iron."""
 
     def __post_init__(self) -> None:
         sizes = (self.axes, self.field, self.lever_arm, self.latency, self.gains)
@@ -249,10 +214,6 @@ def knowledge_of(
         Nominal roll, pitch and yaw of the magnetometer in the IMU's frame, degrees.
     declination_sigma_deg : float
         Degrees.
-
-    Returns
-    -------
-    Knowledge
     """
     strength, inclination = Belief.unknown(), Belief.unknown()
     if not math.isnan(strength_ut):

@@ -7,8 +7,13 @@ from typing import Any
 
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import HeadingSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    HeadingSample,
+    ImuSample,
+    SpeedSample,
+    VelocitySample,
+)
 
 NO_RATE: Triple = (math.nan, math.nan, math.nan)
 ABSENT = -1.0

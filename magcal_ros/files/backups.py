@@ -24,13 +24,6 @@ def keep_backup(path: Path, successor: Calibration) -> None:
     twice: two calibrations that take turns do not push out a third. Former files that do not say
     that they are ours stay where they are, and are not counted.
 
-    Parameters
-    ----------
-    path : Path
-        The file, which is about to be replaced.
-    successor : Calibration
-        What will replace it.
-
     Raises
     ------
     FileTrouble

@@ -24,7 +24,7 @@ from magcal_ros.core.messages import (
     speed_of,
     velocity_of,
 )
-from magcal_ros.core.samples.travel_samples import HeadingSample, TravelSample
+from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
@@ -68,7 +68,7 @@ REMEDIES = {
 
 
 class Bag:
-    """The two sensor topics of an open bag.
+    """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
 
     Parameters
     ----------
@@ -104,13 +104,7 @@ class Bag:
         return min(1.0, (self._reached - self._first) / max(self._end - self._first, 1))
 
     def readings(self) -> Iterator[Reading]:
-        """Yield what the two topics say, in the order in which it was recorded.
-
-        Raises
-        ------
-        FileTrouble
-            Where the bag is damaged.
-        """
+        """Yield what the two topics say, in the order in which it was recorded."""
         layout = wire.CDR if self._reader.is2 else wire.ROS1
         of_imu, of_field = wire.imu_parser(layout), wire.field_parser(layout)
         fields = {connection.id for connection in self._field}
@@ -133,13 +127,7 @@ class Bag:
                     yield reading
 
     def place(self) -> Place | None:
-        """Return the place of the first good fix of the span; None if there is none.
-
-        Raises
-        ------
-        FileTrouble
-            Where the bag is damaged.
-        """
+        """Return the place of the first good fix of the span; None if there is none."""
         receivers = [c for c in self._reader.connections if c.msgtype == FIX_TYPE and c.msgcount]
         if not receivers:
             return None
@@ -160,13 +148,7 @@ class Bag:
         return self._first * 1e-9
 
     def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing.
-
-        Raises
-        ------
-        FileTrouble
-            Where the bag is damaged.
-        """
+        """Return what receiver and wheels said, by stamp; empty if nothing."""
         heard = self._travel_connections()
         plane, found = LocalPlane(), list[TravelSample]()
         if not heard:
@@ -181,13 +163,7 @@ class Bag:
         return sorted(found, key=lambda sample: sample.stamp)
 
     def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if there is none.
-
-        Raises
-        ------
-        FileTrouble
-            Where the bag is damaged.
-        """
+        """Return stamps, seconds, and currents of the battery, A; empty if there is none."""
         all_of_them = self._reader.connections
         heard = [c for c in all_of_them if c.msgtype == BATTERY_TYPE and c.msgcount]
         found = list[tuple[float, float]]()

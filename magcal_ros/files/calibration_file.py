@@ -47,25 +47,17 @@ HEADER = """\
 
 @dataclass(frozen=True)
 class Origin:
-    """Where and when a calibration was made.
-
-    Parameters
-    ----------
-    magnetometer_frame, imu_frame : str
-        `frame_id` of the two sensors' messages.
-    created : str
-        ISO 8601, UTC.
-    node : str
-        Fully qualified name of the node that made it; empty where there was none.
-    vehicle_yaw : VehicleYaw or None
-        How the IMU sits in the vehicle, as drives have shown it; no part of the calibration.
-    """
+    """Where and when a calibration was made."""
 
     magnetometer_frame: str
     imu_frame: str
+    """`frame_id` of the two sensors' messages."""
     created: str
+    """ISO 8601, UTC."""
     node: str = ""
+    """Fully qualified name of the node that made it; empty where there was none."""
     vehicle_yaw: VehicleYaw | None = None
+    """How the IMU sits in the vehicle, as drives have shown it; no part of the calibration."""
 
     @classmethod
     def now(
@@ -174,11 +166,6 @@ def require_ours(path: Path) -> None:
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
     """Read a calibration back.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
 
     Returns
     -------

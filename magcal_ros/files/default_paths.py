@@ -1,4 +1,7 @@
-"""Paths of files that the user has not named."""
+"""Paths of files that the user has not named.
+
+Where there is no home for one it is a FileTrouble; the text says what to do.
+"""
 
 from __future__ import annotations
 
@@ -22,35 +25,17 @@ RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\Z", re.IGNORECASE)
 
 
 def ros_home() -> Path:
-    """Return the user's ROS home: `$ROS_HOME`, or `~/.ros`.
-
-    Raises
-    ------
-    FileTrouble
-        If there is neither.
-    """
+    """Return the user's ROS home: `$ROS_HOME`, or `~/.ros`."""
     return chosen_path(os.environ.get("ROS_HOME") or "~/.ros")
 
 
 def own_folder() -> Path:
-    """Return the folder below which everything is kept unless the user says otherwise.
-
-    Raises
-    ------
-    FileTrouble
-        If there is no home.
-    """
+    """Return the folder below which everything is kept unless the user says otherwise."""
     return ros_home() / "magcal"
 
 
 def chosen_path(text: str) -> Path:
-    """Return a path as the user wrote it, `~` included.
-
-    Raises
-    ------
-    FileTrouble
-        If there is no such home.
-    """
+    """Return a path as the user wrote it, `~` included."""
     try:
         return Path(text).expanduser()
     except RuntimeError as error:
@@ -119,52 +104,29 @@ class SensorFile:
 
     Nodes for several magnetometers may share a namespace, and the magnetometers a frame, so both
     names stand in the file's.
-
-    Parameters
-    ----------
-    frame : str
-        `frame_id` of the field messages; empty if they have none.
-    namespace, node : str
-        The node's: two robots may carry the same sensor.
     """
 
     frame: str
+    """`frame_id` of the field messages; empty if they have none."""
     namespace: str = "/"
     node: str = DEFAULT_NODE
+    """The node's: two robots may carry the same sensor."""
 
     @property
     def path(self) -> Path:
-        """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own.
-
-        Raises
-        ------
-        FileTrouble
-            If there is no home.
-        """
+        """Where it is stored: `<node>.<frame>.yaml`; no part of it has a dot of its own."""
         return self._folder / f"{safe_name(self.node)}.{safe_name(self.frame or FRAMELESS)}.yaml"
 
     @property
     def former(self) -> Path:
-        """Where earlier releases stored it, for all nodes of a namespace alike.
-
-        Raises
-        ------
-        FileTrouble
-            If there is no home.
-        """
+        """Where earlier releases stored it, for all nodes of a namespace alike."""
         return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
 
     def find(self) -> Path:
         """Return the file to load: the sensor's own, or else the former one if it is surely its.
 
         A former file is the default node's. That of a node by another name may be its neighbour's
-        and is not taken.
-
-        Raises
-        ------
-        FileTrouble
-            If there is only a former file and it may be another node's; the text says how to keep
-            it. Or if there is no home.
+        and is not taken: that is a FileTrouble, too.
         """
         own, former = self.path, self.former
         if not is_missing(own) or is_missing(former):

@@ -14,36 +14,25 @@ from magcal_ros.core.samples.streams import STREAMS
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of the numbers of a calibration.
-
-    Attributes
-    ----------
-    smallest_gain, largest_gain : float
-        By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
-        halves or doubles it.
-    largest_variance : float
-        Of the matrix and in tesla squared: far beyond every doubt, far within the floats.
-    weakest_field : float
-        Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
-        times.
-    strongest_field : float
-        Tesla.
-    asymmetry : float
-        Relative to the two sigmas, as from a copy with few digits.
-    negative : float
-        Smallest eigenvalue of the correlations that rounding alone can make negative.
-    most_samples : float
-        More than a day of the fastest sensor: nothing averages the noise further than this.
-    """
+    """Bounds of the numbers of a calibration."""
 
     smallest_gain: float = 0.05
     largest_gain: float = 20.0
+    """By which the matrix may multiply a field: known gains from 0.1 to 10, and soft iron that
+    halves or doubles it."""
     largest_variance: float = 1e8
+    """Of the matrix and in tesla squared: far beyond every doubt, far within the floats."""
     weakest_field: float = 5e-6
+    """Tesla. The Earth's field has 22 to 67 µT, and steel around divides or multiplies it a few
+    times."""
     strongest_field: float = 300e-6
+    """Tesla."""
     asymmetry: float = 1e-6
+    """Relative to the two sigmas, as from a copy with few digits."""
     negative: float = 1e-6
+    """Smallest eigenvalue of the correlations that rounding alone can make negative."""
     most_samples: float = 1e8
+    """More than a day of the fastest sensor: nothing averages the noise further than this."""
 
 
 BOUNDS = Bounds()
@@ -51,11 +40,6 @@ BOUNDS = Bounds()
 
 def require_possible(calibration: Calibration) -> None:
     """Refuse numbers that no turn can have found.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        As read from a file that may have been edited or damaged.
 
     Raises
     ------

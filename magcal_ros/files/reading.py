@@ -28,13 +28,6 @@ class NotOrdinary(ValueError):
 def read_small(path: Path, largest: int) -> bytes:
     """Return the content of a regular file; nothing else is waited for.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    largest : int
-        Bytes that it may have.
-
     Raises
     ------
     NotOrdinary
@@ -74,17 +67,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 @contextlib.contextmanager
 def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
-    """Turn whatever a library does with damaged bytes into FileTrouble.
-
-    Parameters
-    ----------
-    path : Path
-        For words.
-    damage : str
-        What else than damaged it may be.
-    remedy : callable
-        Returns what to do.
-    """
+    """Turn whatever a library does with damaged bytes into FileTrouble."""
     try:
         yield
     except MagcalError:

@@ -11,8 +11,7 @@ import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.files.tables import read_columns
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
@@ -21,37 +20,25 @@ FIELD_COLUMNS = ("t", "mx", "my", "mz")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A drive as it was recorded, nothing cleaned.
-
-    Parameters
-    ----------
-    imu : ndarray, shape (n, 7)
-        Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro).
-    field : ndarray, shape (m, 4)
-        Stamp (s), raw field (tesla).
-    travel : tuple of TravelSample
-        What receiver and wheels said, by stamp.
-    place : Place or None
-        Where the first good fix was.
-    imu_topic, field_topic : str
-        What to call the two.
-    field_frame : str
-        What a calibration remembers of the magnetometer.
-    yaw : ndarray, shape (k, 2)
-        Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north).
-    notes : tuple of str
-        What is to be said of the recording.
-    """
+    """A drive as it was recorded, nothing cleaned."""
 
     imu: FloatArray
+    """Stamp (s), specific force (m/s²), angular rate (rad/s; NaN without a gyro). Shape (n, 7)."""
     field: FloatArray
+    """Stamp (s), raw field (tesla). Shape (m, 4)."""
     travel: tuple[TravelSample, ...] = ()
+    """What receiver and wheels said, by stamp."""
     place: Place | None = None
+    """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
+    """What to call the two."""
     field_frame: str = ""
+    """What a calibration remembers of the magnetometer."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
+    """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
+    """What is to be said of the recording."""
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
@@ -86,15 +73,6 @@ def _imu_sample(row: list[float]) -> ImuSample:
 
 def read_csv_folder(folder: Path) -> Recording:
     """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Holds the two files, each with a header line; SI units.
-
-    Returns
-    -------
-    Recording
 
     Raises
     ------

@@ -39,15 +39,6 @@ class RepairedReadings:
     A recording is read once, and twice more where its stamps come in bursts. An IMU of 1 to 5 Hz,
     whose samples are too far apart to be joined, is interpolated where it turns slowly.
 
-    Parameters
-    ----------
-    source : Source
-        The recording.
-    for_drive : bool
-        Whether it is read as a drive, for which its field may be too slow.
-    known : Calibration, optional
-        Whose motors' field is taken off.
-
     Attributes
     ----------
     notes : list of str
@@ -67,17 +58,11 @@ class RepairedReadings:
         return self._source.share * self._given / max(self._ahead, self._given, 1)
 
     def __iter__(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded.
-
-        Raises
-        ------
-        Refusal
-            If a sensor is too slow for what is to be done.
-        """
+        """Yield what the sensors said in the order in which it was recorded."""
         if self._known is None or self._known.motors is None:
             return self._repaired()
-        told = self._source.travel(), self._source.currents()
-        return without_motors(self._repaired(), self._known, *told)
+        inputs = self._source.travel(), self._source.currents()
+        return without_motors(self._repaired(), self._known, *inputs)
 
     def _repaired(self) -> Iterator[Reading]:
         readings = self._source.readings()
@@ -111,13 +96,7 @@ class RepairedReadings:
             yield reading
 
     def _filled_up(self, readings: Iterable[Reading], gap: float, slow: str) -> Iterator[Reading]:
-        """Yield a slow IMU with samples between its own, and no field of fast turns.
-
-        Raises
-        ------
-        Refusal
-            If it is too slow for that.
-        """
+        """Yield a slow IMU with samples between its own, and no field of fast turns."""
         if gap > SLOWEST:
             raise Refusal(Reason.TOO_FEW_SAMPLES, f"{self._source.imu_topic}: {slow}")
         last: ImuSample | None = None

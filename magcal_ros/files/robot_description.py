@@ -24,11 +24,6 @@ class DescriptionTrouble(MagcalError):
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
     """Read the joints of a URDF.
 
-    Parameters
-    ----------
-    text : str
-        The description, as robot_state_publisher publishes it on `robot_description`.
-
     Returns
     -------
     tuple of FrameJoint

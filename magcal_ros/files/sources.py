@@ -14,7 +14,7 @@ import numpy as np
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.travel_samples import HeadingSample, TravelSample
+from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag

@@ -16,7 +16,7 @@ import numpy as np
 from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, TravelSample
+from magcal_ros.core.samples.streams import PositionSample, SpeedSample, TravelSample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import open_regular

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.messages import fix_from, imu_of, speed_from, velocity_from
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, VelocitySample
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4

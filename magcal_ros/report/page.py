@@ -30,17 +30,7 @@ SIGNS = {Grade.EXCELLENT: "✓✓", Grade.GOOD: "✓", Grade.WARN: "!", Grade.RE
 
 
 def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
-    """Return the whole page.
-
-    Parameters
-    ----------
-    subject : Subject
-        What it is about.
-    turn : Turn
-        Its samples, worked out.
-    pictures : sequence of Picture
-        Drawn or missing.
-    """
+    """Return the whole page."""
     outcome = subject.outcome
     estimate, calibration = outcome.estimate, outcome.calibration
     by_hand = calibration is not None and calibration.evidence.accepted_by_user
@@ -244,15 +234,7 @@ def _repeat(subject: Subject) -> str:
 
 
 def recipe(knowledge: Knowledge, method: str) -> str:
-    """Return a program that reads `samples.csv` and prints the verdict again.
-
-    Parameters
-    ----------
-    knowledge : Knowledge
-        What the method was told; every number is given in full precision.
-    method : str
-        Its name.
-    """
+    """Return a program that reads `samples.csv` and prints the verdict again."""
     reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
     declination = None if reference.declination is None else float(reference.declination)
     return f"""\

@@ -31,40 +31,27 @@ from magcal_ros.core.up.windows import propagated_up
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One calibration, or one attempt, that a report is about.
-
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    knowledge : Knowledge
-        What was known beforehand.
-    outcome : Outcome
-        What came of it; a refusal is reported too.
-    source : str
-        Where the samples came from: topics, or a recording. Any text: it is escaped.
-    method : str
-        Name of the method that was asked for.
-    created : datetime
-        When the calibration was made; this moment unless given.
-    title : str
-        Headline of the report.
-    magnetometer_frame, imu_frame : str
-        `frame_id` of field and IMU where they are known. Any text: it is escaped.
-    vehicle : str
-        How the IMU sits in the vehicle, where driving has shown it.
-    """
+    """One calibration, or one attempt, that a report is about."""
 
     window: Window
+    """The samples."""
     knowledge: Knowledge
+    """What was known beforehand."""
     outcome: Outcome
+    """What came of it; a refusal is reported too."""
     source: str
+    """Where the samples came from: topics, or a recording. Any text: it is escaped."""
     method: str
+    """Name of the method that was asked for."""
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
+    """When the calibration was made; this moment unless given."""
     title: str = "Compass calibration"
+    """Headline of the report."""
     magnetometer_frame: str = ""
     imu_frame: str = ""
+    """`frame_id` of field and IMU where they are known. Any text: it is escaped."""
     vehicle: str = ""
+    """How the IMU sits in the vehicle, where driving has shown it."""
 
     @property
     def answered_by(self) -> str:
@@ -87,34 +74,24 @@ INDEPENDENT_SAMPLES = 20
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """What the estimate makes of the samples, one row per sample.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        What was found.
-    field : ndarray, shape (n, 3)
-        Corrected field in body axes, tesla.
-    circle : ndarray, shape (m, 3)
-        Where the reference field says that the corrected field should lie, body axes, tesla.
-    yaw : ndarray, shape (n,)
-        Magnetic ENU yaw, radians.
-    sigma : ndarray, shape (n,)
-        Its standard deviation as the node would publish it, radians.
-    reference : ndarray, shape (n,)
-        The yaw that the turn asks for, radians.
-    radial, axial : ndarray, shape (n,)
-        Residual away from the turn's axis and along it, tesla.
-    """
+    """What the estimate makes of the samples, one row per sample."""
 
     estimate: Estimate
+    """What was found."""
     field: FloatArray
+    """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
+    """Where the reference field says that the corrected field should lie, body axes, tesla. Shape
+    (m, 3)."""
     yaw: FloatArray
+    """Magnetic ENU yaw, radians. Shape (n,)."""
     sigma: FloatArray
+    """Its standard deviation as the node would publish it, radians. Shape (n,)."""
     reference: FloatArray
+    """The yaw that the turn asks for, radians. Shape (n,)."""
     radial: FloatArray
     axial: FloatArray
+    """Residual away from the turn's axis and along it, tesla. Shape (n,)."""
 
     @property
     def deviation(self) -> FloatArray:
@@ -124,46 +101,32 @@ class Corrected:
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """The samples of a subject, one row per sample.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds since the first sample.
-    field : ndarray, shape (n, 3)
-        Raw field after the known gains and the nominal mounting, tesla.
-    up : ndarray, shape (n, 3)
-        Specific force over its length.
-    yaw : ndarray, shape (n,)
-        Yaw of the raw field, radians.
-    angle : ndarray, shape (n,), or None
-        Radians turned since the first sample, left positive; None if nothing shows it.
-    has_gyro : bool
-        Whether a gyro measured the angle.
-    believed : ndarray of bool, shape (n,)
-        Samples that the fit believed; all where there was none.
-    coverage : Coverage
-        Which part of the turn was seen.
-    corrected : Corrected or None
-        None if nothing could be found.
-    sensors : Page
-        What the samples show of the sensors themselves.
-    swing_bound : float or None
-        Degrees rms up to which the compass's swing against the gyro is called good; None where
-        it was not judged.
-    """
+    """The samples of a subject, one row per sample."""
 
     time: FloatArray
+    """Seconds since the first sample. Shape (n,)."""
     field: FloatArray
+    """Raw field after the known gains and the nominal mounting, tesla. Shape (n, 3)."""
     up: FloatArray
+    """Specific force over its length. Shape (n, 3)."""
     yaw: FloatArray
+    """Yaw of the raw field, radians. Shape (n,)."""
     angle: FloatArray | None
+    """Radians turned since the first sample, left positive; None if nothing shows it. Shape
+    (n,)."""
     has_gyro: bool
+    """Whether a gyro measured the angle."""
     believed: BoolArray
+    """Samples that the fit believed; all where there was none. Shape (n,)."""
     coverage: Coverage
+    """Which part of the turn was seen."""
     corrected: Corrected | None
+    """None if nothing could be found."""
     sensors: Page
+    """What the samples show of the sensors themselves."""
     swing_bound: float | None = None
+    """Degrees rms up to which the compass's swing against the gyro is called good; None where it
+    was not judged."""
 
     @classmethod
     def of(cls, subject: Subject) -> Turn:

@@ -23,13 +23,6 @@ def write_report(folder: Path, subject: Subject) -> Path:
 
     Safe in any thread. Without matplotlib the page has no pictures and says what to install.
 
-    Parameters
-    ----------
-    folder : Path
-        Where they go; made if it is missing. `new_folder` gives one that is not in use.
-    subject : Subject
-        The calibration, or the attempt that was refused.
-
     Returns
     -------
     Path
@@ -114,15 +107,7 @@ def mark_in_force(folder: Path) -> None:
 
 
 def remove_old(parent: Path, keep: int) -> None:
-    """Remove the oldest reports; those that were put in force stay, and whatever is not ours.
-
-    Parameters
-    ----------
-    parent : Path
-        Holds the folders that `new_folder` made.
-    keep : int
-        How many of those that were not put in force may stay.
-    """
+    """Remove the oldest reports; those that were put in force stay, and whatever is not ours."""
     with contextlib.suppress(OSError):
         found = [(_age(f), f) for f in parent.iterdir() if DATED.fullmatch(f.name) and _is_ours(f)]
         mere = [f for _, f in sorted(found) if not (f / IN_FORCE).exists()]

@@ -46,17 +46,7 @@ class _Complaint:
 
 
 class Announcer:
-    """Writes to the log what changed, at most once in ten seconds on each subject.
-
-    Parameters
-    ----------
-    log : Log
-        Takes the lines.
-    clock : callable
-        Returns seconds, steady.
-    lasting : float
-        Seconds that something must be wrong before it is a complaint.
-    """
+    """Writes to the log what changed, at most once in ten seconds on each subject."""
 
     def __init__(
         self, log: Log, clock: Callable[[], float] = time.monotonic, lasting: float = LASTING
@@ -87,11 +77,6 @@ class Announcer:
         """Say what is wrong: once it has lasted, and again when it comes back.
 
         Numbers that go on do not make a complaint a new one.
-
-        Parameters
-        ----------
-        complaints : iterable of str
-            Everything that is wrong at the moment.
         """
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
@@ -104,17 +89,7 @@ class Announcer:
                 self._log.warning(found[kind])
 
     def follow_turn(self, turning: bool, answer: object, words: str) -> None:
-        """Say that a turn begins, and what came of it.
-
-        Parameters
-        ----------
-        turning : bool
-            Whether a turn is under way.
-        answer : object
-            The last turn's answer; None before the first. A new one is a new object.
-        words : str
-            What it says.
-        """
+        """Say that a turn begins, and what came of it: the words of each new answer."""
         if answer is not self._answer:
             self._answer, self._turning = answer, False
             self._log.info(f"the turn is over: {words}")

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
 from magcal_ros.core.keeping.decisions import Mode
 from magcal_ros.core.messages import heading_of
-from magcal_ros.core.samples.streams import STREAMS, FieldSample
-from magcal_ros.core.samples.travel_samples import HeadingSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
-from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.fused import FusedOutput
-from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.sensor_frames import SensorFrames
+from magcal_ros.ros.heading_pipeline import HeadingPipeline
+from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
-from magcal_ros.ros.services import Tell
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.wire.incoming import Unreadable, by_rclpy
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
@@ -47,35 +42,8 @@ NO_DECLINATION = (
 )
 
 
-class Owner(Protocol):
-    """What the node does for it."""
-
-    def put_in_force(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
-        """Apply a calibration and store it; only what is stored as well is a success."""
-
-
 class Antenna:
     """Listens to `heading`; without it, it does nothing.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    owner : Owner
-        Puts in force what was found.
-    keeper : Keeper
-        Has what is in force.
-    settled : callable
-        Returns the parameters as they hold for a turn.
-    frames : SensorFrames
-        Whose heading is told.
-    follower : UpFollower
-        Has taken each IMU message.
-    fused : FusedOutput
-        Whose yaw the heading corrects.
-    fits : BackgroundThread
-    group : CallbackGroup
-        Of the subscription.
 
     Attributes
     ----------
@@ -88,17 +56,14 @@ class Antenna:
     def __init__(
         self,
         node: Node,
-        owner: Owner,
-        keeper: Keeper,
-        settled: Callable[[], Settings],
-        frames: SensorFrames,
-        follower: UpFollower,
-        fused: FusedOutput,
+        magnetometer: Magnetometer,
+        pipeline: HeadingPipeline,
         fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
-        self._follower, self._fused, self._fits = follower, fused, fits
+        self._magnetometer, self._settled = magnetometer, pipeline.settled
+        self._frames, self._follower, self._fits = pipeline.frames, pipeline.up, fits
+        self._fused = pipeline.fused
         self._say = node.get_logger().info
         self._worker = WorkerProcess()
         self.topic = node.resolve_topic_name(TOPIC)
@@ -165,7 +130,7 @@ class Antenna:
             self._check.add_turn(dot(self._follower.mean_rate, up) * seconds)
 
     def on_field(self, sample: FieldSample) -> None:
-        """Take a field sample while the heading is told."""
+        """Take a field sample while the topic gives a heading."""
         assert self._heard is not None
         heading, follower = self._heard[1], self._follower
         since = sample.stamp - heading.stamp
@@ -182,9 +147,9 @@ class Antenna:
             from magcal_ros.core.session.antenna import HeadingLog
 
             self._log, self._view = HeadingLog(view.pose[0]), view
-        told = ExternalHeading(heading.yaw, heading.sigma, settings.heading_is_true)
+        external = ExternalHeading(heading.yaw, heading.sigma, settings.heading_is_true)
         seen = sample.stamp, sample.field, up.direction, follower.rate
-        if self._log.add(*seen, told, shift, follower.is_at_rest) and not self._is_fitting:
+        if self._log.add(*seen, external, shift, follower.is_at_rest) and not self._is_fitting:
             self._fit(settings, self._log)
 
     def _on_heading(self, data: bytes) -> None:
@@ -206,8 +171,8 @@ class Antenna:
             return
         x, y, z = view.pose[0].tolist()
         yaw = self._fused.yaw
-        told = sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z)
-        missed = None if yaw is None else yaw.take_heading(*told)
+        heading = sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z)
+        missed = None if yaw is None else yaw.take_heading(*heading)
         if yaw is not None and missed is not None:
             is_beyond = missed > yaw.tuning.told_gate
             self._missed = self._missed + 1 if is_beyond else 0
@@ -235,12 +200,12 @@ class Antenna:
         if log is not self._log:
             return
         self._answer = outcome.verdict.summary
-        found, before = outcome.calibration, self._keeper.calibration
+        found, before = outcome.calibration, self._magnetometer.keeper.calibration
         if found is None or not outcome.verdict.accepted or not _is_better(found, before):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")
         is_another = before is None or before.evidence.method != METHOD
-        self._owner.put_in_force(found, lambda done: self._say(done.message), is_another)
+        self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
 
 
 def _shift(settings: Settings) -> float | None:
@@ -251,10 +216,10 @@ def _shift(settings: Settings) -> float | None:
 def _is_better(found: Calibration, before: Calibration | None) -> bool:
     """Return whether a calibration replaces the one in force: one of a turn stays."""
     if before is None:
-        return predicted_heading_sigma(found) < ENOUGH
+        return calibration_sigma(found) < ENOUGH
     if before.evidence.method != METHOD:
         return False
-    return predicted_heading_sigma(found) < predicted_heading_sigma(before)
+    return calibration_sigma(found) < calibration_sigma(before)
 
 
 ENOUGH = math.radians(5.0)

@@ -21,13 +21,6 @@ class BackgroundThread:
     The thread is started with the first job. It does not delay the end of the process: a disk that
     does not answer may block it for ever. If no thread can be started, the work fails as if it had
     raised that error itself.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose executor takes the results.
-    name : str
-        Name of the thread.
     """
 
     def __init__(self, node: Node, name: str) -> None:
@@ -46,17 +39,7 @@ class BackgroundThread:
         then: Callable[[T], object],
         otherwise: Callable[[Exception], object],
     ) -> None:
-        """Do some work, then go on in the executor's thread.
-
-        Parameters
-        ----------
-        work : callable
-            Runs in the thread.
-        then : callable
-            Is given what it returned.
-        otherwise : callable
-            Is given what it raised.
-        """
+        """Do some work, then go on in the executor's thread."""
 
         def job() -> Done:
             try:

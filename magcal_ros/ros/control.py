@@ -1,4 +1,4 @@
-"""A turn in the running node: passes events to the state machine, and carries out its commands.
+"""A turn in the running node: tells the state machine what happens, and does what it says.
 
 Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
 its own and the disk a thread, so the corrected field and the yaw keep flowing.
@@ -8,52 +8,32 @@ from __future__ import annotations
 
 import contextlib
 import math
-import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from time import monotonic as now
+from typing import Any, Protocol, TypeVar
 
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.errors import in_words
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
+from magcal_ros.ros.keeper import Runner
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 
 SAVING_PATIENCE = 1.5
 """Seconds that a disk may take to store a calibration while the node is being ended."""
 
-
 T = TypeVar("T")
-
-
-def in_words(error: Exception) -> str:
-    """Return what an error says: a known one its words, another also what it is."""
-    return str(error) if isinstance(error, MagcalError) else repr(error)
 
 
 def _broken_off(error: Exception) -> str:
     return f"the turn was broken off by an error ({error}); the node's log says where"
-
-
-class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.background_thread.BackgroundThread` is one."""
-
-    def run(
-        self,
-        work: Callable[[], T],
-        then: Callable[[T], object],
-        otherwise: Callable[[Exception], object],
-    ) -> None:
-        """Do some work, then go on in the executor's thread."""
-
-    def finish_within(self, patience: float) -> bool:
-        """Wait so many seconds for the work that was asked for."""
 
 
 class House(Protocol):
@@ -84,17 +64,6 @@ class House(Protocol):
 class Control:
     """Runs one turn at a time.
 
-    Parameters
-    ----------
-    streams : Streams
-        The cleaned sensor streams.
-    house : House
-        Does what a turn leads to.
-    robot : SelfTurn
-        Turns itself where the parameters ask for it.
-    fits, files : Runner
-        Compute and store elsewhere.
-
     Attributes
     ----------
     turn : TurnMachine
@@ -116,7 +85,7 @@ class Control:
         self.turn = TurnMachine(robot)
         self._settings: Settings | None = None
         self._listeners: list[Callable[[ev.Conclusion], None]] = []
-        self._untold: ev.Conclusion | None = None
+        self._unreported: ev.Conclusion | None = None
 
     @property
     def state(self) -> TurnState:
@@ -129,21 +98,14 @@ class Control:
 
     def forget_turns(self) -> None:
         """Let the next turn start afresh."""
-        self._tell(ev.ForgetAsked())
+        self._tell(self.turn.forget)
 
-    def sensors_met(self, field: str, imu: str) -> None:
+    def note_sensors(self, field: str, imu: str) -> None:
         """Note the frames of the sensors that are there; turns of others are not joined."""
-        self._tell(ev.SensorsMet(field, imu))
+        self._tell(self.turn.note_sensors, field, imu)
 
     def start(self, settings: Settings, gyro: GyroAtRest | None = None) -> ev.Conclusion:
-        """Open a session; refused while another is under way.
-
-        Parameters
-        ----------
-        settings : Settings
-        gyro : GyroAtRest, optional
-            What a rest before it has shown of the gyro.
-        """
+        """Open a session; refused while another is under way."""
         rotation, limits = settings.rotation, settings.limits
         order = None
         if rotation.enabled:
@@ -152,11 +114,10 @@ class Control:
         knowledge, method = settings.knowledge, settings.method
         brief = ev.Brief(limits, knowledge, method, settings.accumulate, order, gyro)
         was_idle = self.state is TurnState.IDLE
-        answer = self._tell(ev.Opened(brief))
-        assert answer is not None
+        answer = self._tell(self.turn.open, brief, now())
         if was_idle and answer.success:
             self._settings, self._pairer = settings, Pairer(self._streams)
-            self._untold = None
+            self._unreported = None
         return answer
 
     def add(self, sample: FieldSample) -> None:
@@ -168,7 +129,7 @@ class Control:
     def hear(self, sample: ImuSample) -> None:
         """Take an IMU sample, if the robot turns itself."""
         if self.turn.robot.is_under_way:
-            self._tell(ev.RateHeard(sample.rate))
+            self._tell(self.turn.hear, sample.rate, now())
 
     def finish(self) -> ev.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way.
@@ -176,34 +137,32 @@ class Control:
         The verdict on a turn that ended by itself, and that nobody waited for, is told once.
         """
         self._collect()
-        untold, self._untold = self._untold, None
-        if untold is not None:
-            return untold
-        return self._tell(ev.FinishAsked())
+        unreported, self._unreported = self._unreported, None
+        if unreported is not None:
+            return unreported
+        return self._tell(self.turn.finish, now())
 
     def cancel(self) -> ev.Conclusion:
         """Give up the turn under way; the calibration in force stays."""
-        answer = self._tell(ev.CancelAsked())
-        assert answer is not None
-        return answer
+        return self._tell(self.turn.cancel)
 
     def tick(self) -> bool:
         """Let a turn see that time has passed; returns whether one is under way."""
         if self.state is TurnState.COLLECTING:
             self._collect()
-            self._tell(ev.Ticked(self._house.describe_silence()))
+            self._tell(self.turn.tick, self._house.describe_silence(), now())
         return self.state is not TurnState.IDLE
 
     def look(self) -> bool:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self._tell(ev.Looked(self._house.look_around()))
+            self._tell(self.turn.look, self._house.look_around(), now())
         return not self.turn.robot.is_quiet
 
     def give_up(self, reason: str) -> None:
         """Stop a robot that turns itself and break off its turn."""
-        self._tell(ev.Faulted(reason))
+        self._tell(self.turn.stop_robot, reason, now())
 
     def shut_down(self) -> None:
         """Drop a turn under way; what is in force already is saved before this returns."""
@@ -214,30 +173,31 @@ class Control:
     def _collect(self) -> None:
         if self.state is TurnState.COLLECTING:
             for pair in self._pairer.take():
-                self._tell(ev.PairArrived(pair))
+                self._tell(self.turn.take, pair, now())
 
-    def _tell(self, event: ev.Event) -> ev.Conclusion | None:
-        """Tell the turn what happened and do what it says; returns its answer, if it has one."""
-        answer, before = None, self.state
+    def _tell(self, happened: Callable[..., T], *facts: Any) -> T:
+        """Tell the turn what happened and do what it says; returns its answer."""
+        before = self.state
         try:
-            commands = self.turn.handle(event, time.monotonic())
+            answer = happened(*facts)
+            commands = self.turn.commands()
         except Exception as error:  # short of files even a median fails: its code must be read
-            if not isinstance(event, ev.Broken):
+            if happened != self.turn.break_off:
                 was_under_way = {before, self.state} != {TurnState.IDLE}
-                self._tell(ev.Broken(_broken_off(error), was_under_way))
+                self._tell(self.turn.break_off, _broken_off(error), was_under_way)
             raise
         for command in commands:
-            if isinstance(command, ev.Answer):
-                answer = command.conclusion
-                continue
-            try:
-                self._do(command)
-            except Exception as error:  # whatever has failed, those who wait are told
-                self._house.note_error(error)
-                self._tell(ev.Broken(_broken_off(error)))
+            self._do(command)
         return answer
 
     def _do(self, command: ev.Command) -> None:
+        try:
+            self._carry_out(command)
+        except Exception as error:  # whatever has failed, those who wait are told
+            self._house.note_error(error)
+            self._tell(self.turn.break_off, _broken_off(error))
+
+    def _carry_out(self, command: ev.Command) -> None:
         if isinstance(command, ev.MoveBase):
             self._house.move(command.rate)
         elif isinstance(command, ev.Prepare):
@@ -247,7 +207,7 @@ class Control:
         elif isinstance(command, ev.FitTurn):
             self._fit(command)
         elif isinstance(command, ev.Report):
-            self._tell(ev.Reported(self._report(command)))
+            self._tell(self.turn.note_report, self._report(command))
         elif isinstance(command, ev.PutInForce):
             self._put_in_force(command)
         elif isinstance(command, ev.Conclude):
@@ -256,18 +216,18 @@ class Control:
     def _preview(self, asked: ev.Preview) -> None:
         self._fits.run(
             lambda: self._worker.run(predicted_sigma, asked.window, asked.knowledge, asked.method),
-            lambda sigma: self._tell(ev.PreviewFitted(asked.turn, sigma)),
+            lambda sigma: self._tell(self.turn.note_preview, asked.turn, sigma, now()),
             # A preview that failed predicts nothing; the fit will tell.
-            lambda _: self._tell(ev.PreviewFitted(asked.turn, math.inf)),
+            lambda _: self._tell(self.turn.note_preview, asked.turn, math.inf, now()),
         )
 
     def _fit(self, asked: ev.FitTurn) -> None:
-        told = (asked.knowledge, asked.method, asked.accumulate)
-        turn = (asked.kept, asked.window, *told)
+        settings = (asked.knowledge, asked.method, asked.accumulate)
+        turn = (asked.kept, asked.window, *settings)
         self._fits.run(
             lambda: self._worker.run(take_turn, *turn),
-            lambda found: self._tell(ev.FitDone(asked.turn, *found)),
-            lambda error: self._tell(ev.FitFailed(asked.turn, in_words(error))),
+            lambda found: self._tell(self.turn.note_fit, asked.turn, *found),
+            lambda error: self._tell(self.turn.note_failed_fit, asked.turn, in_words(error)),
         )
 
     def _report(self, asked: ev.Report) -> str:
@@ -281,14 +241,16 @@ class Control:
     def _put_in_force(self, command: ev.PutInForce) -> None:
         self._files.run(
             self._house.put_in_force(command.calibration),
-            lambda words: self._tell(ev.Saved(words)),
+            lambda words: self._tell(self.turn.note_saved, words),
             # The calibration is in force; a fault in storing it is only said.
-            lambda error: self._tell(ev.Saved(f"In force, but not saved: {in_words(error)}")),
+            lambda error: self._tell(
+                self.turn.note_saved, f"In force, but not saved: {in_words(error)}"
+            ),
         )
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
-        self._untold = None if listeners else conclusion
+        self._unreported = None if listeners else conclusion
         # Whatever fails here, everyone who waits is told.
         with contextlib.ExitStack() as at_last:
             for listener in listeners:

@@ -12,12 +12,12 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.frame_tree import FIXED, FrameJoint, FrameTree
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import in_words
 from magcal_ros.ros.wire.incoming import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -32,13 +32,6 @@ class Description:
 
     Both are whatever the network sends. They are read in a thread of their own, and no more than
     `LARGEST` bytes at a time.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    changed : callable
-        Called in the executor's thread when there is something new.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None]) -> None:
@@ -66,8 +59,8 @@ class Description:
         ]
         transforms = _transform_message()
         if transforms is not None:
-            told = transforms, "/tf_static", STATIC_TRANSFORMS
-            kinds.append((*told, lambda message: joints_from(message.transforms)))
+            static = transforms, "/tf_static", STATIC_TRANSFORMS
+            kinds.append((*static, lambda message: joints_from(message.transforms)))
         for kind, topic, quality, joints_in in kinds:
             take = partial(self._take, topic, kind, joints_in)
             self._node.create_subscription(kind, topic, take, quality, raw=True)

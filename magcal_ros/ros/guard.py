@@ -44,17 +44,7 @@ HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGA
 
 
 class Guard:
-    """The node's end of the line to a guard.
-
-    Parameters
-    ----------
-    topic : str
-        Where the base listens, fully resolved.
-    stamped : bool
-        Whether it takes TwistStamped.
-    frame : str
-        The frame_id then.
-    """
+    """The node's end of the line to a guard of a base's topic, given by its full name."""
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         self._process = start(
@@ -191,17 +181,7 @@ def _say(words: bytes) -> None:
 def is_needed(
     line: int, silence: float = SILENCE, answer: Callable[[bytes], object] = lambda _: None
 ) -> bool:
-    """Wait for the node's last word; returns whether it went while the robot may be moving.
-
-    Parameters
-    ----------
-    line : int
-        File descriptor that the node writes to.
-    silence : float
-        Seconds without a word after which the node counts as gone.
-    answer : callable
-        Is given each question of the node.
-    """
+    """Read the node's line; returns whether it went (silent for so many s) in a turn."""
     deadline, heard = math.inf, b""
     while True:
         patience = max(0.0, deadline - time.monotonic()) if deadline < math.inf else None
@@ -219,13 +199,7 @@ def is_needed(
 
 
 class Brake:
-    """Publishes zeros.
-
-    Parameters
-    ----------
-    topic, stamped, frame
-        As of `Guard`.
-    """
+    """Publishes zeros."""
 
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         import rclpy

@@ -6,24 +6,19 @@ from collections.abc import Mapping
 
 from rclpy.node import Node
 
-from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.decisions import Mode
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.ros.fused import FusedOutput
-from magcal_ros.ros.inputs import Inputs, Sensor
-from magcal_ros.ros.keeper import CalibrationStore, Keeper
-from magcal_ros.ros.known_headings import KnownHeadings
+from magcal_ros.ros.inputs import Sensor
+from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.motors import Motors
-from magcal_ros.ros.outputs import HeadingOutput
+from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
 from magcal_ros.ros.reference_source import ReferenceSource
-from magcal_ros.ros.reporter import Reporter
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.travel import Travel
@@ -36,17 +31,6 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    up : UpFollower
-        Has taken each IMU message.
-    inputs : Inputs
-        The IMU and the first magnetometer.
-    frames, reference_source, travel : SensorFrames, ReferenceSource, Travel
-        How the sensors sit, where the robot is, and what it drives on.
-
     Attributes
     ----------
     motors : Motors
@@ -57,28 +41,26 @@ class HeadingPipeline:
         Whether a calibration of a further one is in force, so that there is something to join.
     lead : Calibration or None
         In whose terms the heading is: that of the first magnetometer that has one.
-    known : KnownHeadings or None
-        Follows the gyro between known headings.
     """
 
     def __init__(
         self,
         node: Node,
         up: UpFollower,
-        inputs: Inputs,
+        imu: Sensor,
+        streams: Streams,
         frames: SensorFrames,
         reference_source: ReferenceSource,
         travel: Travel,
     ) -> None:
-        self._node, self._up, self._inputs = node, up, inputs
-        self._frames, self._reference, self._travel = frames, reference_source, travel
+        self._node, self.up, self._imu, self.streams = node, up, imu, streams
+        self.frames, self._reference, self._travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
         self.fused = FusedOutput(node, up, frames)
         self.several = SeveralCompasses()
         self.are_several = False
         self.lead: Calibration | None = None
-        self.known: KnownHeadings | None = None
         self._origin: Origin | None = None
         self._in_force: dict[int, Calibration | None] = {}
 
@@ -100,34 +82,29 @@ class HeadingPipeline:
             self._reference.use(lead)
             self._travel.use(self._origin.vehicle_yaw if self._origin else None)
 
-    def follow(
-        self, settings: Settings, keeper: Keeper, store: CalibrationStore, turn: TurnState
-    ) -> None:
+    def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
         self.fused.patience = settings.patience
         learnt = self.motors.follow(Mode(settings.self_calibration), turn is not TurnState.IDLE)
-        if learnt is not None and keeper.keep_motors(learnt):
-            store.save(lambda _: None)
+        if learnt is not None:
+            keeper.keep_motors(learnt)
 
     def on_imu(self, seconds: float, stamp: bytes) -> None:
         """Go on to an IMU message, of which up knows already."""
-        if self.known is not None and self.known.follows:
-            self.known.on_imu(seconds)
         reference = self._reference.reference.field
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
     def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
         """Return what a field sample comes to by a compass."""
-        streams = self._inputs.streams
-        up = self._up.at(sample.stamp, streams.max_gap)
+        up = self.up.at(sample.stamp, self.streams.max_gap)
         running = self.motors.as_used(compass, sample.stamp)
-        turning = self._up.rate if self._up.is_propagated else None
-        return Moment.of(compass, sample, up, streams.newest_rate, running, turning)
+        turning = self.up.rate if self.up.is_propagated else None
+        return Moment.of(compass, sample, up, self.streams.newest_rate, running, turning)
 
     def take(self, number: int, moment: Moment, arrived: FieldArrival) -> None:
         """Publish the heading that follows from a magnetometer's message."""
         if self.are_several:
-            now = self._inputs.streams.imu_stamps.newest
+            now = self.streams.imu_stamps.newest
             joined = self.several.add(number, moment, now, self.fused.yaw)
             if joined is None:
                 return
@@ -139,23 +116,21 @@ class HeadingPipeline:
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
-        return self._inputs.imu.frame or (self._origin.imu_frame if self._origin else "")
+        return self._imu.frame or (self._origin.imu_frame if self._origin else "")
 
-    def settled(self, number: int, frame: str) -> Settings:
+    def settled(self, number: int = FIRST, frame: str = "") -> Settings:
         """Return the parameters as they hold for a turn of one magnetometer."""
         settings = self._reference.settings
         if number == FIRST:
-            return self._frames.settled(settings)
-        return self._frames.settled_for(settings, number, frame)
+            return self.frames.settled(settings)
+        return self.frames.settled_for(settings, number, frame)
 
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
         node = self._node.get_fully_qualified_name()
-        return Origin.now(magnetometer_frame, self._inputs.imu.frame, node, self._travel.yaw)
+        return Origin.now(magnetometer_frame, self._imu.frame, node, self._travel.yaw)
 
-    def report(
-        self, sensor: Sensor, by: Reporter, window: Window, settings: Settings, outcome: Outcome
-    ) -> str:
-        """Begin the report on a turn of a magnetometer; returns where it will lie, in words."""
-        words = self._travel.words
-        return by.report(window, settings, outcome, sensor, self._inputs.imu, words)
+    @property
+    def vehicle_words(self) -> str:
+        """How the IMU sits in the vehicle, for people; empty while it is not known."""
+        return self._travel.words

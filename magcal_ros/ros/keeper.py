@@ -1,15 +1,17 @@
-"""The calibration in force, its file, and the services that save and load it."""
+"""The calibration in force of one magnetometer, and its file."""
 
 from __future__ import annotations
 
+from collections import OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, Protocol, TypeVar
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.motors import MotorField
 from magcal_ros.core.driving.front import VehicleYaw
+from magcal_ros.core.errors import in_words
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.backups import keep_backup
@@ -17,18 +19,43 @@ from magcal_ros.files.calibration_file import Origin, read_calibration, write_ca
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import promptly
-from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.services import Tell
 
-Key: TypeAlias = tuple[Path, int, int]
-"""Path, time of change and size of a file that was read."""
+T = TypeVar("T")
+Tell = Callable[[Conclusion], None]
 
 TO_WRITE = 15.0
 """Seconds that a slow but living disk may take to store a calibration for good."""
 
+MOST_KNOWN = 100
+"""Names of sensors that are remembered; beyond that the oldest one is dropped."""
 
-@dataclass(frozen=True, eq=False)
-class Loaded:
+
+class Runner(Protocol):
+    """Does work elsewhere; `magcal_ros.ros.background_thread.BackgroundThread` is one."""
+
+    def run(
+        self,
+        work: Callable[[], T],
+        then: Callable[[T], object],
+        otherwise: Callable[[Exception], object],
+    ) -> None:
+        """Do some work, then go on in the executor's thread."""
+
+    def finish_within(self, patience: float) -> bool:
+        """Wait so many seconds for the work that was asked for."""
+
+
+class Log(Protocol):
+    """What is needed of a logger."""
+
+    def info(self, message: str) -> object:
+        """Say what happens."""
+
+    def error(self, message: str) -> object:
+        """Say what went wrong."""
+
+
+class Loaded(NamedTuple):
     """A calibration as a file has it."""
 
     path: Path
@@ -39,155 +66,83 @@ class Loaded:
 class Keeper:
     """Holds the calibration in force and moves it to and from its file.
 
-    Parameters
-    ----------
-    namespace, node : str
-        The node's, part of the default path.
-    given : str
-        The file that was named when the node was started. Of any other that is named the network
-        is not told what it is.
-    apply : callable
-        Called with the calibration (or None) and the magnetometer's frame whenever it changes.
-    number : int
-        Of the magnetometer; from the second on it stands in the file's name.
+    `name` is the node's namespace and name, part of the default path; a `number` above 1, of a
+    further magnetometer, stands in the file's name. `chosen` returns the parameter
+    calibration_file. Of any file that is named there after the start the network is not told what
+    it is. `apply` is called with the calibration (or None) and the magnetometer's frame whenever
+    it changes.
     """
 
     def __init__(
         self,
-        namespace: str,
-        node: str,
-        apply: Callable[[Calibration | None, str], None],
-        given: str = "",
+        name: tuple[str, str],
+        files: Runner,
+        log: Log,
+        apply: Callable[[Calibration | None, str], object],
+        chosen: Callable[[], str] = lambda: "",
         number: int = 1,
     ) -> None:
-        self._namespace, self._node, self._given = namespace, node, given
-        self._number = number
-        self._apply = apply
+        self._name, self._number, self._apply, self._chosen = name, number, apply, chosen
+        self._files, self._log, self._given = files, log, chosen()
         self.calibration: Calibration | None = None
         self.origin: Origin | None = None
-        self._read: tuple[Key | None, Loaded] | None = None
         self.trouble = ""
         """What went wrong with the file last time, for the diagnostics; empty if nothing."""
-
-    def path(self, chosen: str, magnetometer_frame: str) -> Path:
-        """Return the file to save to: as chosen, or by the node and the sensor's frame.
-
-        Raises
-        ------
-        FileTrouble
-            If it lies in a home that does not exist.
-        """
-        own = chosen_path(chosen) if chosen else self._sensor_file(magnetometer_frame).path
-        return numbered(own, self._number)
-
-    def path_to_load(self, chosen: str, magnetometer_frame: str) -> Path:
-        """Return the file to load from: the same, or the one of a former release.
-
-        Raises
-        ------
-        FileTrouble
-            If it lies in a home that does not exist, or may be another node's.
-        """
-        if chosen or self._number > 1:
-            return self.path(chosen, magnetometer_frame)
-        file = self._sensor_file(magnetometer_frame)
-        return promptly(file.find, file.path)
-
-    def _sensor_file(self, magnetometer_frame: str) -> SensorFile:
-        return SensorFile(magnetometer_frame, self._namespace, self._node)
+        self._frame = ""
+        self._last_read: tuple[object, Loaded] | None = None
+        self._wanted: deque[str] = deque(maxlen=MOST_KNOWN)
+        self._is_reading = False
+        self._found: OrderedDict[str, Loaded | None] = OrderedDict()
+        self._used: Path | None = None
+        self._dismissed: Path | None = None
+        self._resets = 0
 
     def put_in_force(self, calibration: Calibration, origin: Origin) -> None:
         """Use a calibration from now on."""
         self.calibration, self.origin = calibration, origin
         self._apply(calibration, origin.magnetometer_frame)
 
-    def keep_vehicle_yaw(self, yaw: VehicleYaw) -> bool:
-        """Lay a yaw beside the calibration in force; returns whether there is one to save."""
-        if self.calibration is None or self.origin is None:
-            return False
-        self.origin = replace(self.origin, vehicle_yaw=yaw)
-        return True
+    def put_in_force_and_store(
+        self, calibration: Calibration, origin: Origin, tell: Tell, with_backup: bool = True
+    ) -> None:
+        """Apply a calibration and store it; only what is stored as well is a success."""
+        self.put_in_force(calibration, origin)
+        self._run_storing(self.store(with_backup), tell, "In force, but not saved")
 
-    def keep_motors(self, motors: MotorField) -> bool:
-        """Lay what was learnt of the motors beside the calibration; returns whether there is one.
+    def keep_vehicle_yaw(self, yaw: VehicleYaw) -> None:
+        """Store a yaw with the calibration in force, if there is one."""
+        if self.calibration is not None and self.origin is not None:
+            self.origin = replace(self.origin, vehicle_yaw=yaw)
+            self.save()
+
+    def keep_motors(self, motors: MotorField) -> None:
+        """Store what was learnt of the motors with the calibration in force, if there is one.
 
         Nothing is applied anew: whoever learnt it uses it already.
         """
-        if self.calibration is None:
-            return False
-        self.calibration = replace(self.calibration, motors=motors)
-        return True
+        if self.calibration is not None:
+            self.calibration = replace(self.calibration, motors=motors)
+            self.save()
 
     def reset(self) -> None:
         """Use none."""
         self.calibration = self.origin = None
         self._apply(None, "")
 
-    def read_if_there(self, chosen: str, magnetometer_frame: str) -> Loaded | None:
-        """Read a sensor's file as `read` does; None if there surely is none."""
-        path = self.path_to_load(chosen, magnetometer_frame)
-        if promptly(lambda: is_missing(path), path):
-            return None
-        return self.read(chosen, magnetometer_frame)
+    def store(self, with_backup: bool = True) -> Callable[[], str]:
+        """Return the work of saving what is in force now, to be done in any thread.
 
-    def read(self, chosen: str, magnetometer_frame: str) -> Loaded:
-        """Read a file, in any thread; one that has not changed since is not read again.
-
-        Parameters
-        ----------
-        chosen : str
-            The file that the user named; empty for that of node and sensor.
-        magnetometer_frame : str
-            Frame of the sensor that is there; empty while it is not known.
+        With a backup another calibration that the file holds is kept beside it.
 
         Raises
         ------
         FileTrouble
-            If the file is missing, damaged, foreign, or made for another sensor.
-        """
-        try:
-            return self._read_file(chosen, magnetometer_frame)
-        except FileTrouble:
-            if chosen in ("", self._given):
-                raise
-            raise FileTrouble(
-                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is no usable "
-                "calibration or was made for another sensor. Calibrate, or name another file in "
-                "calibration_file"
-            ) from None
-
-    def _read_file(self, chosen: str, magnetometer_frame: str) -> Loaded:
-        path = self.path_to_load(chosen, magnetometer_frame)
-        key = promptly(lambda: _key_of(path), path)
-        if self._read is None or key is None or self._read[0] != key:
-            found = promptly(lambda: read_calibration(path), path)
-            self._read = key, Loaded(path, *found)
-        loaded = self._read[1]
-        require_sensor(path, loaded.origin, magnetometer_frame)
-        return loaded
-
-    def use(self, loaded: Loaded) -> str:
-        """Put what was read in force; returns what was done."""
-        self.trouble = ""
-        self.put_in_force(loaded.calibration, loaded.origin)
-        origin, method = loaded.origin, loaded.calibration.evidence.method
-        made = f"{plain(origin.created)} by {plain(method)}"
-        where = f" in {plain(origin.node)}" if origin.node else ""
-        return f"loaded {loaded.path} (made {made}{where})"
-
-    def store(self, find_path: Callable[[], Path], with_backup: bool = True) -> Callable[[], str]:
-        """Return the work of saving what is in force now, to be done in any thread.
-
-        Parameters
-        ----------
-        find_path : callable
-            Returns the file.
-        with_backup : bool
-            Whether another calibration that the file holds is kept beside it.
+            If nothing is in force.
         """
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
             raise FileTrouble("there is no calibration in force to save")
+        frame = self._frame
 
         def work() -> str:
             lost = ""
@@ -201,9 +156,9 @@ class Keeper:
                     lost = f" What it held before is not kept: {error}"
 
             try:
-                path = find_path()
-                told = (path, calibration, origin, keep if with_backup else None)
-                promptly(lambda: write_calibration(*told), path, TO_WRITE)
+                path = self._path(frame)
+                content = (path, calibration, origin, keep if with_backup else None)
+                promptly(lambda: write_calibration(*content), path, TO_WRITE)
             except FileTrouble as error:
                 self.trouble = str(error)
                 return f"In force, but not saved: {error}"
@@ -212,8 +167,168 @@ class Keeper:
 
         return work
 
+    def save(self, tell: Tell = lambda _: None) -> None:
+        """Save the calibration in force."""
+        try:
+            work = self.store()
+        except FileTrouble as error:
+            tell(Conclusion(False, str(error)))
+            return
+        self._run_storing(work, tell, "not saved")
 
-def _key_of(path: Path) -> Key | None:
+    def load(self, tell: Tell) -> None:
+        """Put the calibration of the file in force."""
+        chosen, frame = self._chosen(), self._frame
+
+        def fail(error: Exception) -> None:
+            self.trouble = str(error)
+            tell(Conclusion(False, str(error)))
+
+        self._files.run(
+            lambda: self.read(chosen, frame),
+            lambda loaded: tell(Conclusion(True, self.use(loaded))),
+            fail,
+        )
+
+    def read(self, chosen: str, frame: str) -> Loaded:
+        """Read the file of a sensor, in any thread; one that has not changed is not read again.
+
+        Raises
+        ------
+        FileTrouble
+            If the file is missing, damaged, foreign, or made for another sensor.
+        """
+        try:
+            path = self._path_to_load(chosen, frame)
+            key = promptly(lambda: _key_of(path), path)
+            if self._last_read is None or key is None or self._last_read[0] != key:
+                found = promptly(lambda: read_calibration(path), path)
+                self._last_read = key, Loaded(path, *found)
+            loaded = self._last_read[1]
+            _require_sensor(path, loaded.origin, frame)
+        except FileTrouble:
+            if chosen in ("", self._given):
+                raise
+            raise FileTrouble(
+                f"{plain(chosen)} cannot be loaded: it is missing, cannot be read, is no usable "
+                "calibration or was made for another sensor. Calibrate, or name another file in "
+                "calibration_file"
+            ) from None
+        return loaded
+
+    def use(self, loaded: Loaded) -> str:
+        """Put what was read in force; returns what was done."""
+        self.trouble = ""
+        self.put_in_force(loaded.calibration, loaded.origin)
+        origin, method = loaded.origin, loaded.calibration.evidence.method
+        made = f"{plain(origin.created)} by {plain(method)}"
+        where = f" in {plain(origin.node)}" if origin.node else ""
+        return f"loaded {loaded.path} (made {made}{where})"
+
+    def begin(self) -> None:
+        """Load a file that was chosen by its name, before any message arrives."""
+        if self._chosen():
+            self._begin_reading("", of_sensor=False)
+
+    def note_sensor(self, frame: str) -> None:
+        """Load the calibration of the sensor whose field comes now, in the background.
+
+        One that is loaded already is checked; a sensor that was there before is not read again.
+        """
+        self._frame = frame
+        if frame in self._found:
+            self._use_found(self._found[frame])
+            return
+        # A driver may leave out the frame at first.
+        is_first = not any(self._found)
+        self._found[frame] = None
+        if len(self._found) > MOST_KNOWN:
+            self._found.popitem(last=False)
+        if self.calibration is None:
+            self._wanted.append(frame)
+            self._read_next()
+        elif is_first:
+            self._check_sensor(frame)
+
+    def forget(self) -> None:
+        """Do not use any more what was found, or began to be read, so far."""
+        self._found = OrderedDict.fromkeys(self._found)
+        self._dismissed = self._used
+        self._resets += 1
+
+    def _path(self, frame: str, chosen: str | None = None) -> Path:
+        """Return the file to save to: as chosen, or by the node and the sensor's frame."""
+        chosen = self._chosen() if chosen is None else chosen
+        own = chosen_path(chosen) if chosen else SensorFile(frame, *self._name).path
+        return numbered(own, self._number)
+
+    def _path_to_load(self, chosen: str, frame: str) -> Path:
+        """Return the file to load from: the same, or the one of a former release."""
+        if chosen or self._number > 1:
+            return self._path(frame, chosen)
+        file = SensorFile(frame, *self._name)
+        return promptly(file.find, file.path)
+
+    def _run_storing(self, work: Callable[[], str], tell: Tell, fault: str) -> None:
+        self._files.run(
+            work,
+            lambda words: tell(Conclusion(not self.trouble, words)),
+            lambda error: tell(Conclusion(False, f"{fault}: {in_words(error)}")),
+        )
+
+    def _read_next(self) -> None:
+        if self.calibration is not None:
+            self._wanted.clear()
+        if self._wanted and not self._is_reading:
+            self._begin_reading(self._wanted.pop(), of_sensor=True)
+
+    def _begin_reading(self, frame: str, of_sensor: bool) -> None:
+        self._is_reading = True
+        chosen, resets = self._chosen(), self._resets
+
+        def read_if_there() -> Loaded | None:
+            path = self._path_to_load(chosen, frame)
+            return None if promptly(lambda: is_missing(path), path) else self.read(chosen, frame)
+
+        def note(loaded: Loaded | None) -> None:
+            self._is_reading = False
+            loaded = loaded if resets == self._resets else None
+            if of_sensor and frame in self._found:
+                self._found[frame] = loaded
+            if not of_sensor or frame == self._frame:
+                self._use_found(loaded)
+            self._read_next()
+
+        def fail(error: Exception) -> None:
+            self._is_reading = False
+            self.trouble = str(error)
+            self._log.error(f"{error} Running uncalibrated.")
+            self._read_next()
+
+        self._files.run(read_if_there, note, fail)
+
+    def _use_found(self, loaded: Loaded | None) -> None:
+        if loaded is None or self.calibration is not None:
+            return
+        # A chosen file is the same for a sensor that is met only after the reset.
+        if loaded.path == self._dismissed:
+            return
+        self._used = loaded.path
+        self._log.info(self.use(loaded))
+        self._check_sensor(self._frame)
+
+    def _check_sensor(self, frame: str) -> None:
+        """Take a loaded calibration out of force that was made for another sensor."""
+        try:
+            assert self.origin is not None
+            _require_sensor(self._path(frame), self.origin, frame)
+        except FileTrouble as error:
+            self.reset()
+            self.trouble = str(error)
+            self._log.error(str(error))
+
+
+def _key_of(path: Path) -> object:
     """Return what changes with a file; None if it cannot be looked at."""
     try:
         about = path.stat()
@@ -222,72 +337,12 @@ def _key_of(path: Path) -> Key | None:
     return path, about.st_mtime_ns, about.st_size
 
 
-def require_sensor(path: Path, origin: Origin, magnetometer_frame: str) -> None:
-    """Refuse a calibration that was made for another sensor.
-
-    Raises
-    ------
-    FileTrouble
-        If both frames are known and differ.
-    """
-    made_for = origin.magnetometer_frame
-    there = known_as(magnetometer_frame)
+def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
+    """Refuse a calibration that was made for another sensor: both frames are known and differ."""
+    made_for, there = origin.magnetometer_frame, known_as(frame)
     if made_for and there and made_for != there:
         raise FileTrouble(
             f"{path} was made for the magnetometer {made_for!r}, but the field comes from "
             f"{there!r}. Calibrate this sensor, or name its own file in "
             "calibration_file."
-        )
-
-
-class CalibrationStore:
-    """Saves and loads the calibration when a service asks for it.
-
-    Parameters
-    ----------
-    keeper : Keeper
-        Has the calibration in force.
-    files : BackgroundThread
-        Reads and writes the files.
-    find_path : callable
-        Returns the file to save to.
-    of_sensor : callable
-        Returns the file that the user named (or nothing) and the magnetometer's frame.
-    """
-
-    def __init__(
-        self,
-        keeper: Keeper,
-        files: BackgroundThread,
-        find_path: Callable[[], Path],
-        of_sensor: Callable[[], tuple[str, str]],
-    ) -> None:
-        self._keeper, self._files = keeper, files
-        self._find_path, self._of_sensor = find_path, of_sensor
-
-    def save(self, tell: Tell) -> None:
-        """Save the calibration in force."""
-        try:
-            work = self._keeper.store(self._find_path)
-        except FileTrouble as error:
-            tell(Conclusion(False, str(error)))
-            return
-        self._files.run(
-            work,
-            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
-            lambda error: tell(Conclusion(False, f"not saved: {error!r}")),
-        )
-
-    def load(self, tell: Tell) -> None:
-        """Put the calibration of the file in force."""
-        chosen, frame = self._of_sensor()
-
-        def fail(error: Exception) -> None:
-            self._keeper.trouble = str(error)
-            tell(Conclusion(False, str(error)))
-
-        self._files.run(
-            lambda: self._keeper.read(chosen, frame),
-            lambda loaded: tell(Conclusion(True, self._keeper.use(loaded))),
-            fail,
         )

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer, Streams
+from magcal_ros.core.errors import in_words
+from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer
 from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.antenna import Antenna, Owner
+from magcal_ros.ros.antenna import Antenna
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import in_words
-from magcal_ros.ros.fused import FusedOutput
-from magcal_ros.ros.keeper import Keeper
-from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.services import Tell, Turns
+from magcal_ros.ros.heading_pipeline import HeadingPipeline
+from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.magnetometer import Magnetometer
+from magcal_ros.ros.services import Turns
 from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
-    from magcal_ros.core.session.dockings import Docked
+    from magcal_ros.core.session.at_known_heading import HeadingResult
     from magcal_ros.core.smoother.standings import Standing
 
 TICK = 0.2
@@ -45,25 +43,6 @@ NO_NORTH = (
 class KnownHeadings:
     """Calibrates where the robot stands at a known heading.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    owner : Owner
-        Puts in force what was found.
-    keeper : Keeper
-        Has what is in force.
-    settled : callable
-        Returns the parameters as they hold for a turn.
-    frames : SensorFrames
-        Whose heading is published, and so is told.
-    follower : UpFollower
-        Has taken each IMU message.
-    streams : Streams
-    fused : FusedOutput
-    fits : BackgroundThread
-    group : CallbackGroup
-        Of the subscription.
-
     Attributes
     ----------
     antenna : Antenna
@@ -73,28 +52,23 @@ class KnownHeadings:
     def __init__(
         self,
         node: Node,
-        owner: Owner,
-        keeper: Keeper,
-        settled: Callable[[], Settings],
-        frames: SensorFrames,
-        follower: UpFollower,
-        streams: Streams,
-        fused: FusedOutput,
+        magnetometer: Magnetometer,
+        pipeline: HeadingPipeline,
         fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._owner, self._keeper, self._settled, self._frames = owner, keeper, settled, frames
-        self._follower, self._streams, self._fits = follower, streams, fits
-        heard = node, owner, keeper, settled, frames, follower, fused
-        self.antenna = Antenna(*heard, fits, group)
+        self._magnetometer, self._settled = magnetometer, pipeline.settled
+        self._frames, self._follower, self._fits = pipeline.frames, pipeline.up, fits
+        self._streams = pipeline.streams
+        self.antenna = Antenna(node, magnetometer, pipeline, fits, group)
         self._worker = WorkerProcess()
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._sensors = ""
         self._since: TurnSince | None = None
         self._pairs: list[Pair] = []
-        self._pairer = Pairer(streams)
-        self._told: ExternalHeading | None = None
+        self._pairer = Pairer(self._streams)
+        self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
         self._is_collecting = False
@@ -120,21 +94,14 @@ class KnownHeadings:
         self._answer = ""
         self.antenna.forget()
 
-    def meet(self, sensors: str) -> None:
+    def note_sensors(self, sensors: str) -> None:
         """Take note of which sensors are heard: where others stood says nothing of these."""
         if self._sensors and sensors != self._sensors:
             self.forget()
         self._sensors = sensors
 
     def calibrate(self, turns: Turns, tell: Tell) -> None:
-        """Collect where the robot stands now, and tell what its heading shows.
-
-        Parameters
-        ----------
-        turns : Turns
-            Another calibration that may be under way.
-        tell : callable
-        """
+        """Collect where the robot stands now, and tell what its heading shows."""
         if turns.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
             return
@@ -142,10 +109,10 @@ class KnownHeadings:
             tell(Conclusion(False, "already collecting at a known heading: wait for its answer"))
             return
         settings = self._settled()
-        told = settings.known_heading
+        given = settings.known_heading
         if settings.north_is_missing:
             tell(Conclusion(False, NO_NORTH))
-        elif told is None and not self.antenna.is_fresh:
+        elif given is None and not self.antenna.is_fresh:
             words = f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
             tell(Conclusion(False, words))
         elif self._frames.view is None:
@@ -158,7 +125,7 @@ class KnownHeadings:
                 )
             )
         else:
-            self._tell, self._told = tell, told
+            self._tell, self._given = tell, given
             self._pairs, self.antenna.collected = [], []
             self._pairer = Pairer(self._streams)
             self._deadline = time.monotonic() + TUNING.patience
@@ -217,27 +184,31 @@ class KnownHeadings:
         # The timer ends itself: cancelled by another thread it may be on its way already.
         self._is_collecting = False
         settings = self._settled()
-        told = self._told or self._told_by_topic(settings)
+        given = self._given or self._given_by_topic(settings)
         view = self._frames.view
-        if told is None or view is None:
+        if given is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
             return
         follower, forward = self._follower, view.pose[0]
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
         pairs, since, knowledge = tuple(self._pairs), self._since, settings.knowledge
-        before, in_force, epoch = self._standings, self._keeper.calibration, self._epoch
+        before, epoch = self._standings, self._epoch
+        in_force = self._magnetometer.keeper.calibration
         self._pairs = []
 
-        def work() -> Docked:
+        def work() -> HeadingResult:
             # What only a fit needs is loaded when one is made, beside the messages.
-            from magcal_ros.core.session.dockings import Stood, dock_stood
+            from magcal_ros.core.session.at_known_heading import (
+                CollectedSamples,
+                calibrate_standing,
+            )
 
-            stood = Stood(pairs, told, knowledge, forward, since, bias)
-            return self._worker.run(dock_stood, before, stood, in_force)
+            collected = CollectedSamples(pairs, given, knowledge, forward, since, bias)
+            return self._worker.run(calibrate_standing, before, collected, in_force)
 
-        self._fits.run(work, lambda docked: self._note(docked, epoch), self._lost)
+        self._fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
-    def _told_by_topic(self, settings: Settings) -> ExternalHeading | None:
+    def _given_by_topic(self, settings: Settings) -> ExternalHeading | None:
         """Return the mean of the topic's headings while the robot stood."""
         heard, self.antenna.collected = self.antenna.collected, None
         if not heard:
@@ -252,26 +223,26 @@ class KnownHeadings:
         words = "the node ends" if isinstance(error, Stopped) else in_words(error)
         self._conclude(Conclusion(False, f"nothing was found: {words}"))
 
-    def _note(self, docked: Docked, epoch: int) -> None:
+    def _note(self, result: HeadingResult, epoch: int) -> None:
         self._worker.stop()
         if epoch != self._epoch:
             words = "~/reset was called, or another sensor met, meanwhile: call again"
             self._conclude(Conclusion(False, words))
             return
-        calibration = docked.outcome.calibration
+        calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._since = docked.standings, TurnSince()
-        if not docked.applies or calibration is None:
+            self._standings, self._since = result.standings, TurnSince()
+        if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
-            self._conclude(Conclusion(docked.outcome.verdict.accepted, docked.words))
+            self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))
             return
-        self._owner.put_in_force(
+        self._magnetometer.use(
             calibration,
-            lambda done: self._conclude(Conclusion(done.success, f"{docked.words} {done.message}")),
+            lambda done: self._conclude(Conclusion(done.success, f"{result.words} {done.message}")),
         )
 
     def _conclude(self, conclusion: Conclusion) -> None:
         tell, self._tell = self._tell, None
-        self._told, self._answer = None, conclusion.message
+        self._given, self._answer = None, conclusion.message
         if tell is not None:
             tell(conclusion)

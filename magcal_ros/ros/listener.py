@@ -27,18 +27,7 @@ USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 
 
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
-    """Return the topic of a sensor.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Looks around.
-    kind : str
-        Type of its messages.
-    wanted : str
-        What the user named; empty for the only one, or the one of the usual name.
-    option : str
-        How the user would name it.
+    """Return the topic of a sensor: as wanted, else the only one of this type, or the usual one.
 
     Raises
     ------
@@ -70,15 +59,6 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
 
 class Listener:
     """Subscribes to both sensors and hands on what they say.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    imu_topic, field_topic : str
-        What to listen to.
-    take : callable
-        Gets every sample.
 
     Attributes
     ----------

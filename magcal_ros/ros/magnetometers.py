@@ -10,66 +10,50 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.streams import ImuSample
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-from magcal_ros.ros.control import Control
-from magcal_ros.ros.further_magnetometer import FurtherMagnetometer
-from magcal_ros.ros.heading_pipeline import FIRST
-from magcal_ros.ros.keeper import CalibrationStore, Keeper
-from magcal_ros.ros.services import Tell
+from magcal_ros.ros.keeper import Keeper, Tell
+from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.wire.outgoing import diagnostic, key_values
+from magcal_ros.ros.wire.outgoing import diagnostic
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""
 
 
 class Magnetometers:
-    """All magnetometers of the node: who is there, the heading of all, and turns of all at once.
+    """All magnetometers of the node: who is there, the heading of all, and turns of all at once."""
 
-    Parameters
-    ----------
-    first : Control
-        Runs the turns of the first magnetometer.
-    topic : str
-        That of the first magnetometer.
-    keeper : Keeper
-        Has what is in force for it.
-    several : SeveralCompasses
-        Joins them.
-    """
+    def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
+        self._several = several
+        self.heard = [first]
+        """The first one and the further ones that were heard, by their numbers."""
 
-    def __init__(
-        self, first: Control, topic: str, keeper: Keeper, several: SeveralCompasses
-    ) -> None:
-        self._first, self._topic, self._keeper, self._several = first, topic, keeper, several
-        self.heard: list[FurtherMagnetometer] = []
-        """The further ones that were heard, by their numbers."""
+    @property
+    def further(self) -> list[Magnetometer]:
+        """The further ones that were heard."""
+        return self.heard[1:]
 
-    def meet(self, met: FurtherMagnetometer) -> None:
-        """Take note of one that sends for the first time."""
-        self.heard = sorted([*self.heard, met], key=lambda each: each.number)
+    def add(self, magnetometer: Magnetometer) -> None:
+        """Take note of one that sends."""
+        if magnetometer not in self.heard:
+            self.heard = sorted([*self.heard, magnetometer], key=lambda each: each.number)
 
-    def save(self, first: CalibrationStore, tell: Tell) -> None:
+    def save(self, tell: Tell) -> None:
         """Save what is in force."""
-        asked: dict[str, Ask] = {
-            e.topic: e.store.save for e in self.heard if e.keeper.calibration is not None
-        }
-        if self._keeper.calibration is not None or not asked:
-            asked = {self._topic: first.save} | asked
-        told_together(asked, tell)
+        saving = [each for each in self.heard if each.keeper.calibration is not None]
+        told_together({e.topic: e.keeper.save for e in saving or self.heard[:1]}, tell)
 
-    def load(self, first: CalibrationStore, tell: Tell) -> None:
+    def load(self, tell: Tell) -> None:
         """Put in force what the files have."""
-        further = {each.topic: each.store.load for each in self.heard}
-        told_together({self._topic: first.load} | further, tell)
+        told_together({each.topic: each.keeper.load for each in self.heard}, tell)
 
-    def accept(self, first: Callable[[Tell], None] | None, tell: Tell) -> None:
-        """Put in force what waits for a person's word; `first` does so for the first of them."""
-        asked: dict[str, Ask] = {e.topic: e.accept for e in self.heard if e.has_something_to_accept}
-        if first is not None:
-            asked = {self._topic: first} | asked
+    def accept(self, proposed: Ask | None, tell: Tell) -> None:
+        """Put in force what waits for a person's word, first what was learnt while driving."""
+        asked: dict[str, Ask] = {} if proposed is None else {self.heard[0].topic: proposed}
+        for each in self.heard:
+            if each.has_something_to_accept:
+                asked.setdefault(each.topic, each.accept)
         if self.state is not TurnState.IDLE:
             tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
         elif asked:
@@ -77,27 +61,16 @@ class Magnetometers:
         else:
             tell(Conclusion(False, "there is no fitted calibration to accept"))
 
-    def reset(self) -> bool:
-        """Use no calibration of a further one any more; returns whether there was one."""
-        were_several = self.are_calibrated
-        for each in self.heard:
-            each.reset()
-        return were_several
-
-    def start(self, gyro: GyroAtRest | None) -> None:
+    def start(self, gyro: GyroAtRest | None) -> Conclusion:
         """Let those that send collect the turn that begins."""
-        for each in self.heard:
+        first = self.heard[0]
+        if self.state is not TurnState.IDLE and first.control.state is TurnState.IDLE:
+            words = f"already {self.state.value} another magnetometer's turn: wait"
+            return Conclusion(False, words)
+        opened = first.start(gyro)
+        for each in self.further if opened.success else ():
             each.start(gyro)
-
-    def on_imu(self, sample: ImuSample) -> None:
-        """Take an IMU sample."""
-        for each in self.heard:
-            each.on_imu(sample)
-
-    def repeat_bias(self, stamp: Any) -> None:
-        """Publish the biases of the further ones once more."""
-        for each in self.heard:
-            each.repeat_bias(stamp)
+        return opened
 
     def look(self, count_publishers: Callable[[str], int], settings: Settings) -> None:
         """Update those that send, once a second."""
@@ -109,11 +82,10 @@ class Magnetometers:
 
     def complaints(self) -> list[str]:
         """Return what is wrong with the further ones, and between all, in words."""
-        found = [text for each in self.heard for text in each.inputs.complaints()]
+        found = [text for each in self.further for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
-        topics = self._topics
-        shares = self._several.shares
+        topics, shares = self._topics, self._several.shares
         # What disturbs all of them alike is no fault of one.
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
@@ -131,99 +103,87 @@ class Magnetometers:
 
     def facts(self) -> list[dict[str, Any]]:
         """Return what `~/status` tells; nothing while only the first is there."""
-        if not self.heard:
-            return []
         shares = self._several.shares
-        topics = self._topics
         return [
             {
-                "topic": topics[number],
-                "calibrated": keeper.calibration is not None,
-                "created": keeper.origin.created if keeper.origin else "",
-                "weight": round(shares[number].weight, 2) if number in shares else 0.0,
-                "why": shares[number].why if number in shares else "",
+                "topic": each.topic,
+                "calibrated": each.keeper.calibration is not None,
+                "created": each.keeper.origin.created if each.keeper.origin else "",
+                "weight": round(shares[each.number].weight, 2) if each.number in shares else 0.0,
+                "why": shares[each.number].why if each.number in shares else "",
             }
-            for number, keeper in self.keepers.items()
+            for each in (self.heard if self.further else ())
         ]
 
     def diagnostics(self, name: str) -> list[DiagnosticStatus]:
         """Say how each takes part in the heading; nothing while only the first is there."""
-        if not self.heard:
+        if not self.further:
             return []
-        status = diagnostic(name, "Magnetometers")
-        facts = self.facts()
-        complaints = [each.keeper.trouble for each in self.heard if each.keeper.trouble]
+        complaints = [each.keeper.trouble for each in self.further if each.keeper.trouble]
         complaints += self.complaints()
-        status.message = "; ".join(complaints) or "all take part in the heading"
-        status.level = DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK
+        words = "all take part in the heading"
         if not self.are_calibrated:
-            status.message = "; ".join(complaints) or (
-                "only one of them is calibrated: ~/calibrate calibrates all in one turn"
-            )
+            words = "only one of them is calibrated: ~/calibrate calibrates all in one turn"
+        level = DiagnosticStatus.WARN if complaints else DiagnosticStatus.OK
         values = {}
-        for fact in facts:
+        for fact in self.facts():
             values[f"{fact['topic']} weight"] = f"{fact['weight']:.2f}"
             if fact["why"]:
                 values[f"{fact['topic']}"] = fact["why"]
-        status.values = key_values(values)
-        return [status]
+        words = "; ".join(complaints) or words
+        return [diagnostic(name, "Magnetometers", words, values, level)]
 
     @property
     def are_calibrated(self) -> bool:
         """Whether a calibration of a further one is in force."""
-        return any(each.keeper.calibration is not None for each in self.heard)
+        return any(each.keeper.calibration is not None for each in self.further)
 
     @property
     def keepers(self) -> dict[int, Keeper]:
         """Who has what is in force, by the magnetometers' numbers."""
-        return {FIRST: self._keeper} | {each.number: each.keeper for each in self.heard}
+        return {each.number: each.keeper for each in self.heard}
 
     @property
     def _topics(self) -> dict[int, str]:
-        return {FIRST: self._topic} | {each.number: each.topic for each in self.heard}
+        return {each.number: each.topic for each in self.heard}
 
     @property
-    def _controls(self) -> dict[str, Control]:
-        further = {each.topic: each.control for each in self.heard}
-        return {self._topic: self._first} | further
-
-    @property
-    def _busy(self) -> dict[str, Control]:
-        return {t: c for t, c in self._controls.items() if c.state is not TurnState.IDLE}
+    def _busy(self) -> list[Magnetometer]:
+        return [each for each in self.heard if each.control.state is not TurnState.IDLE]
 
     @property
     def state(self) -> TurnState:
         """What is going on; collecting as long as one of them does."""
-        states = [control.state for control in self._busy.values()]
+        states = [each.control.state for each in self._busy]
         if TurnState.COLLECTING in states:
             return TurnState.COLLECTING
         return states[0] if states else TurnState.IDLE
 
-    def when_done(self, listener: Callable[[Conclusion], None]) -> None:
+    def when_done(self, listener: Tell) -> None:
         """Call back once with the conclusion of the turns that are under way."""
-        waiting = {t: c.when_done for t, c in self._busy.items()}
-        told_together(waiting or {self._topic: self._first.when_done}, listener)
+        waiting = self._busy or self.heard[:1]
+        told_together({each.topic: each.control.when_done for each in waiting}, listener)
 
     def finish(self) -> Conclusion | None:
         """End the turns now and fit what there is; None means the fits are under way."""
-        collecting = [c for c in self._busy.values() if c.state is TurnState.COLLECTING]
-        for control in collecting:
-            control.finish()
-        return None if collecting else self._first.finish()
+        collecting = [e for e in self._busy if e.control.state is TurnState.COLLECTING]
+        for each in collecting:
+            each.control.finish()
+        return None if collecting else self.heard[0].control.finish()
 
     def cancel(self) -> Conclusion:
         """Give up the turns under way; the calibrations in force stay."""
-        busy = self._busy or {self._topic: self._first}
-        return joined({topic: control.cancel() for topic, control in busy.items()})
+        busy = self._busy or self.heard[:1]
+        return joined({each.topic: each.control.cancel() for each in busy})
 
     def tick(self) -> bool:
         """Let turns see that time has passed; returns whether one is under way."""
-        return sum(control.tick() for control in self._controls.values()) > 0
+        return sum(each.control.tick() for each in self.heard) > 0
 
     def shut_down(self) -> None:
         """Drop the turns under way."""
-        for control in self._controls.values():
-            control.shut_down()
+        for each in self.heard:
+            each.control.shut_down()
 
 
 def told_together(asked: Mapping[str, Ask], tell: Tell) -> None:

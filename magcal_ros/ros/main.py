@@ -18,8 +18,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.signals import SignalHandlerOptions
 
-from magcal_ros.processes import leave_out_current_folder, use_one_thread
-from magcal_ros.ros import memory_limit
+from magcal_ros.processes import bound_memory, leave_out_current_folder, use_one_thread
 from magcal_ros.ros.node import Calibrator
 
 SIGNALS = (
@@ -103,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     node = None
     try:
         node = Calibrator()
-        memory_limit.bound(node.get_parameter("memory_limit_mb").value)
+        bound_memory(node.get_parameter("memory_limit_mb").value)
         _spin(node, signals)
     except ExternalShutdownException:
         pass

@@ -35,28 +35,14 @@ AXIS = (0.3, 0.3, 0.3)
 
 
 class TurnMarkers:
-    """Publishes the drawing of a turn, once for each window of it.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publisher lives.
-    """
+    """Publishes the drawing of a turn, once for each window of it."""
 
     def __init__(self, node: Node) -> None:
         self._out = node.create_publisher(MarkerArray, "~/markers", LATCHED)
         self._drawn: Window | None = None
 
     def draw(self, control: Control, to_body: FloatArray, frame: str) -> None:
-        """Draw the window of the moment; a turn under way has a new one with each preview.
-
-        Parameters
-        ----------
-        control : Control
-            Runs the turn.
-        to_body, frame
-            As of `turn_markers`.
-        """
+        """Draw the window of the moment; a turn under way has a new one with each preview."""
         window = control.turn.last_window
         if window is None or window is self._drawn:
             return
@@ -72,18 +58,9 @@ class TurnMarkers:
 def turn_markers(
     window: Window, to_body: FloatArray, estimate: Estimate | None, frame: str
 ) -> MarkerArray:
-    """Draw a turn under way, or a fitted one.
+    """Draw a turn under way (without an estimate), or a fitted one.
 
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    to_body : ndarray, shape (3, 3)
-        From the magnetometer's axes to nominal body axes.
-    estimate : Estimate or None
-        What was found; None while the turn is under way.
-    frame : str
-        The IMU's frame, in which everything is drawn.
+    `to_body` (3, 3) turns the magnetometer's axes to nominal body axes; all is in the IMU's frame.
 
     Returns
     -------

@@ -34,13 +34,6 @@ class Commands:
 
     The type is that of whoever publishes. Nothing is subscribed to while wheels tell a speed, or
     while this node turns the robot and asks who listens to its commands.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    up : UpFollower
-        Has taken each IMU message.
     """
 
     def __init__(self, node: Node, up: UpFollower) -> None:
@@ -48,7 +41,7 @@ class Commands:
         self.topic = node.resolve_topic_name("cmd_vel")
         self._subscription: Subscription | None = None
         self._kind = ""
-        self._speed, self._told = math.nan, -math.inf
+        self._speed, self._received = math.nan, -math.inf
 
     @property
     def is_heard(self) -> bool:
@@ -57,7 +50,7 @@ class Commands:
 
     def speed_near(self, stamp: float) -> float:
         """Return the commanded speed, m/s; NaN where nobody told one near a stamp, seconds."""
-        return self._speed if abs(stamp - self._told) < SILENT else math.nan
+        return self._speed if abs(stamp - self._received) < SILENT else math.nan
 
     def follow(self, is_wanted: bool) -> None:
         """Subscribe or leave, once a second."""
@@ -88,33 +81,24 @@ class Commands:
     def _on_command(self, message: Twist | TwistStamped) -> None:
         # A command holds from when it comes, on the clock of the sensors.
         twist = message.twist if isinstance(message, TwistStamped) else message
-        self._speed, self._told = float(twist.linear.x), self._up.newest_stamp
+        self._speed, self._received = float(twist.linear.x), self._up.newest_stamp
 
 
 class Motors:
     """Follows what the motors do, by gyro, wheels and battery, and learns what they add.
 
     It learns where wheels or a battery tell, unless self-calibration is off.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscription lives.
-    up : UpFollower
-        Has taken each IMU message.
-    travel : Travel
-        Knows the speed.
     """
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
         self._up, self._travel = up, travel
         self._sense = MotionSense()
-        self._current, self._told = math.nan, -math.inf
+        self._current, self._received = math.nan, -math.inf
         self._compass: Compass | None = None
         self._learning: MotorLearning | None = None
         self._kept: MotorField | None = None
         self._mode, self._has_learnt, self._waited = Mode.PROPOSE, False, 0
-        self._is_told = False
+        self._has_input = False
         self.commands = Commands(node, up)
         self._topic = node.resolve_topic_name("battery")
         self._odom = node.resolve_topic_name("odom")
@@ -123,7 +107,7 @@ class Motors:
     def running(self, stamp: float) -> Running:
         """Return what the motors do at the stamp of a field message, seconds."""
         rate = self._up.rate if self._up.is_propagated else None
-        current = self._current if abs(stamp - self._told) < SILENT else math.nan
+        current = self._current if abs(stamp - self._received) < SILENT else math.nan
         speed = self._travel.speed_near(stamp)
         if math.isnan(speed):
             speed = self.commands.speed_near(stamp)
@@ -139,7 +123,7 @@ class Motors:
             self._use(compass)
         if compass is None:
             return sample
-        if self._is_told and self._mode is not Mode.OFF and self._up.is_propagated:
+        if self._has_input and self._mode is not Mode.OFF and self._up.is_propagated:
             if self._learning is None:
                 self._learning = MotorLearning(compass.calibration_with_motors)
             running = self.running(sample.stamp)
@@ -151,22 +135,14 @@ class Motors:
         return FieldSample(sample.stamp, compass.without_motors(sample.field, running))
 
     def follow(self, mode: Mode, is_turning: bool) -> MotorField | None:
-        """Use what was learnt, once a second; returns what is to be kept, where that is new.
-
-        Parameters
-        ----------
-        mode : Mode
-            Of self-calibration.
-        is_turning : bool
-            Whether a turn is under way, in which this node may ask who listens to its commands.
-        """
+        """Use what was learnt, once a second; returns what is to be kept, where that is new."""
         self.commands.follow(not self._travel.has_wheels and not is_turning)
         if mode is Mode.OFF:
             self._learning = None
         self._mode = mode
         # Asked once a second, as it holds for long, and not for each message.
-        told = self._current, self.commands.speed_near(self._up.newest_stamp)
-        self._is_told = self._travel.has_wheels or any(map(math.isfinite, told))
+        known = self._current, self.commands.speed_near(self._up.newest_stamp)
+        self._has_input = self._travel.has_wheels or any(map(math.isfinite, known))
         if self._learning is None or self._compass is None or not self._has_learnt:
             return None
         self._has_learnt = False
@@ -194,10 +170,12 @@ class Motors:
         if motors is None:
             return None
         now = self._sense.newest
+        delay = None if self._learning is None else [round(s, 2) for s in self._learning.delay]
         return {
             "moves": None if now.moving == 0.5 else now.moving > 0.5,
             "learns": self._learning is not None,
             "ripple_ut": round(motors.ripple * 1e6, 2),
+            "current_delay_s": delay if MotorInput.CURRENT in motors.inputs else None,
             "inputs": {
                 each.value: {
                     "from": self._source(each),
@@ -218,12 +196,12 @@ class Motors:
         speed = self.commands.topic if self.commands.is_heard else self._odom
         if which is MotorInput.SPEED:
             return speed
-        is_told = self._travel.has_wheels or self.commands.is_heard
-        return f"gyro and {speed}" if is_told else "gyro"
+        is_known = self._travel.has_wheels or self.commands.is_heard
+        return f"gyro and {speed}" if is_known else "gyro"
 
     def _on_battery(self, message: BatteryState) -> None:
         # Zero stamps are usual in drivers of batteries: the IMU's newest is as good.
         stamp = seconds(message.header.stamp)
         newest = self._up.newest_stamp
-        self._told = stamp if abs(stamp - newest) < SILENT else newest
+        self._received = stamp if abs(stamp - newest) < SILENT else newest
         self._current = float(message.current)

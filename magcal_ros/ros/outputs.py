@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import math
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -17,8 +19,10 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Moment
-from magcal_ros.core.heading.disturbance import FieldDoubt
+from magcal_ros.core.heading.disturbance import PATIENCE, FieldDoubt, Trust
+from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.up import UpFollower
 from magcal_ros.files.plain import plain
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.wire.incoming import FieldArrival
@@ -28,6 +32,7 @@ from magcal_ros.ros.wire.outgoing import (
     NumberTemplate,
     azimuth_message,
     bias_message,
+    diagnostic,
 )
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -35,15 +40,7 @@ RELIABLE = QoSProfile(depth=10)
 
 
 class FieldOutput:
-    """Publishes the corrected field of one magnetometer, and its bias.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    topic : str
-        That of the raw field; the two begin with it.
-    """
+    """Publishes the corrected field of one magnetometer, and its bias."""
 
     def __init__(self, node: Node, topic: str) -> None:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
@@ -94,13 +91,6 @@ class HeadingOutput:
     """Publishes the heading that follows from each field message.
 
     What nobody listens to is not filled in.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    frames : SensorFrames
-        Tells whose attitude is published.
     """
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
@@ -142,19 +132,7 @@ class HeadingOutput:
         self.moment = None
 
     def publish(self, moment: Moment, stamp: bytes, frame: str, reference: ReferenceField) -> None:
-        """Publish everything that follows from one field message.
-
-        Parameters
-        ----------
-        moment : Moment
-            What it comes to; without a heading nothing is published.
-        stamp : bytes
-            The message's, as it came.
-        frame : str
-            The IMU's frame.
-        reference : ReferenceField
-            Without a declination there is no true north.
-        """
+        """Publish everything that follows from one field message."""
         moment, declination = self._doubted(moment), reference.declination
         self.moment = moment
         view = self._frames.view
@@ -194,3 +172,115 @@ def azimuth_type() -> Any:
 
 def _is_wanted(publisher: Publisher) -> bool:
     return bool(publisher.get_subscription_count())
+
+
+TOPIC = "compass/fused/enu/imu"
+
+
+class FusedOutput:
+    """Publishes the fused yaw while a calibration is in force and somebody listens."""
+
+    def __init__(self, node: Node, follower: UpFollower, frames: SensorFrames) -> None:
+        self._frames = frames
+        self.patience = PATIENCE
+        self.is_needed = False
+        """Whether the yaw is propagated although nobody listens."""
+        self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
+        self._follower = follower
+        self._calibration: Calibration | None = None
+        self._attitude = AttitudeTemplate()
+        self._fused: FusedYaw | None = None
+
+    def begin_anew(self, calibration: Calibration | None) -> None:
+        """Forget the yaw: another calibration is in force, or none.
+
+        While two antennas tell it, no compass is needed to know it.
+        """
+        self._calibration = calibration
+        if calibration is not None and self._fused is not None and self._fused.is_told:
+            self._fused.use(calibration, self.patience)
+        else:
+            self._fused = None
+
+    def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
+        """Propagate the yaw to an IMU message, and publish it there."""
+        if self._calibration is None:
+            return
+        is_heard = bool(self._out.get_subscription_count())
+        if not (is_heard or self.is_needed):
+            self._fused = None
+            return
+        if self._fused is None:
+            self._fused = FusedYaw(self._calibration, self.patience)
+        fused, up = self._fused, self._follower.at(seconds, 0.0)
+        if up is None or not self._follower.is_propagated:
+            fused.restart()
+            return
+        follower = self._follower
+        fused.propagate(seconds, up, follower.mean_rate, follower.gyro_bias, follower.is_at_rest)
+        if not is_heard:
+            return
+        heading, view = fused.heading(), self._frames.view
+        if heading is not None and view is not None:
+            declination = reference.declination
+            sigma = 0.0 if declination is None else reference.declination_sigma
+            seen, frame = view.heading(heading), self._frames.frame(frame)
+            message = self._attitude.fill(stamp, frame, seen, declination or 0.0, sigma)
+            self._out.publish(message)
+
+    def on_field(self, moment: Moment) -> None:
+        """Let a field message correct the yaw."""
+        if self._fused is None or not self._follower.is_propagated:
+            return
+        if moment.up is not None and moment.heading is not None:
+            self._fused.detector.patience = self.patience
+            self._fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
+
+    @property
+    def yaw(self) -> FusedYaw | None:
+        """The yaw that is propagated; None while none is."""
+        return self._fused
+
+    def diagnostic(self, name: str) -> DiagnosticStatus:
+        """Say whether the yaw is published, and whether the field is believed."""
+        silence, level = self._silence(), DiagnosticStatus.OK
+        if silence:
+            level = level if self._fused is None else DiagnosticStatus.WARN
+            return diagnostic(name, "Fused", silence, level=level)
+        assert self._fused is not None
+        detector, heading = self._fused.detector, self._fused.heading()
+        departure = f"{detector.departure:.1f} sigma"
+        values = {"field": detector.trust.value, "field departure": departure}
+        message = "the compass corrects the gyro"
+        if detector.last is not None:
+            values["last disturbance"] = detector.last.in_words
+        if detector.trust is not Trust.GOOD:
+            level = DiagnosticStatus.WARN
+            message = f"the field is not the calibrated one and {detector.trust.value}"
+            if detector.trust is Trust.IGNORED and detector.last is not None:
+                message += f": {detector.last.in_words}; the gyro alone propagates the yaw"
+        if heading is not None:
+            values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
+            values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
+        return diagnostic(name, "Fused", message, values, level)
+
+    def _silence(self) -> str:
+        """Say why nothing is published; empty if something is."""
+        if self._calibration is None:
+            return "no fused yaw before a calibration is in force"
+        if self._fused is None or not self._out.get_subscription_count():
+            return f"nobody listens to {TOPIC}"
+        if not self._follower.gyro_is_believed:
+            return (
+                f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
+                "its axes or its sign are wrong in the driver"
+            )
+        if not self._follower.gyro_is_whole:
+            return (
+                f"nothing on {TOPIC}: axes of the gyro never change; the driver does not read them"
+            )
+        if not self._follower.is_propagated:
+            return f"nothing on {TOPIC}: the IMU has no gyro"
+        if self._fused.heading() is None:
+            return f"nothing on {TOPIC} yet: no field has come"
+        return ""

@@ -190,7 +190,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "confidence.target_sigma_deg",
         0.5,
         "Predicted heading error (1 σ, on the level) at which a complete turn is enough; so is up "
-        "to twice as much where turning on no longer makes it more certain",
+        "to twice as much where turning on no longer makes it more certain, or after 1.2 turns",
         0.01,
         10.0,
         "°",

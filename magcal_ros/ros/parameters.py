@@ -23,11 +23,8 @@ from magcal_ros.ros.spec import Later, Spec, Value
 class Parameters:
     """The node's parameters, declared, checked and kept as `settings`.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where they are declared. A value from the command line or a file that is not allowed is
-        said in the log and replaced by the default: the node stays alive.
+    A value from the command line or a file that is not allowed is reported in the log and replaced
+    by the default: the node stays alive.
     """
 
     def __init__(self, node: Node) -> None:
@@ -76,15 +73,7 @@ class Parameters:
         return SetParametersResult(successful=True)
 
     def _require_changeable(self, spec: Spec, value: Value) -> None:
-        """Refuse what only those who start the node may choose.
-
-        Raises
-        ------
-        ValueError
-            If it is that.
-        FileTrouble
-            If it is a place that cannot be.
-        """
+        """Refuse what only those who start the node may choose."""
         # What rclpy holds: on Humble a change takes effect a little later.
         if value == spec.parse(self._node.get_parameter(spec.name).value):
             return
@@ -131,13 +120,7 @@ class Parameters:
             executor.create_task(look)
 
     def _changed(self, changes: list[Parameter]) -> dict[str, Any]:
-        """Return all values with these changes.
-
-        Raises
-        ------
-        ValueError
-            If one is not allowed.
-        """
+        """Return all values with these changes."""
         ours = [change for change in changes if change.name in self._specs]
         parsed = {change.name: self._specs[change.name].parse(change.value) for change in ours}
         return {**self._values, **parsed}

@@ -65,21 +65,7 @@ class Preflight:
 
 
 def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
-    """Listen to the sensors of a running calibrator.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Listens.
-    calibrator : str
-        Full name of the calibrator node.
-    duration : float
-        Seconds to listen.
-
-    Returns
-    -------
-    Preflight
-    """
+    """Listen to the sensors of a running calibrator."""
     topics = _sensor_topics(node, calibrator)
     if topics is None:
         return Preflight(

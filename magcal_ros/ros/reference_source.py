@@ -26,15 +26,7 @@ FIX_PAUSE = 0.2
 
 
 class ReferenceSource:
-    """Listens to gps/fix and keeps the reference field up to date.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node, for its clock and log.
-    table : Parameters
-        What the user gave; it has priority over fix and model.
-    """
+    """Listens to gps/fix and keeps the reference field up to date."""
 
     def __init__(self, node: Node, table: Parameters) -> None:
         self._node, self._table = node, table

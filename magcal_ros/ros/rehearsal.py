@@ -37,21 +37,7 @@ SETTLE = 0.8
 
 
 class Rehearsal:
-    """Drives a simulated robot and calls the node's services.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The actor's own node.
-    robot : Robot
-        Truth and noise.
-    seed : int
-        Seed of the noise.
-    speed : float
-        How many times faster than real time the robot lives; stamps rule, so the node follows.
-    calibrator : str
-        Full name of the node under test.
-    """
+    """Drives a simulated robot and calls the node's services."""
 
     def __init__(
         self,

@@ -39,13 +39,6 @@ class Reporter:
     a process that passes on messages for months. The other process has a session of its own, so
     that a report is finished although the node was ended right after the turn. There is one such
     process at a time; of the reports that come meanwhile the newest waits for its end.
-
-    Parameters
-    ----------
-    say : callable
-        Told, in a thread of its own, what went wrong with a report after `begin` has returned.
-    draw : callable
-        Starts the process that draws a subject into a folder.
     """
 
     def __init__(self, say: Callable[[str], object], draw: Draw | None = None) -> None:
@@ -57,17 +50,7 @@ class Reporter:
         self._newest: Path | None = None
 
     def begin(self, parent: str, subject: Subject, keep: int) -> str:
-        """Start a report in a new folder and say where it will lie; empty if there is none.
-
-        Parameters
-        ----------
-        parent : str
-            As the parameter report_folder has it.
-        subject : Subject
-            What to report.
-        keep : int
-            How many reports stay beside those of turns that were put in force.
-        """
+        """Start a report in a new folder and say where it will lie; empty if there is none."""
         self._newest = None
         if parent == NO_REPORTS:
             return ""

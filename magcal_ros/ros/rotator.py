@@ -31,15 +31,7 @@ ACKNOWLEDGED_WITHIN = 0.2
 
 
 class Rotator:
-    """Publishes velocities, once there is something to say.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publisher lives.
-    guard : callable
-        Starts a guard of a topic, its type and frame.
-    """
+    """Publishes velocities, once there is something to say."""
 
     def __init__(self, node: Node, guard: Callable[[str, bool, str], Guard] = Guard) -> None:
         self._node, self._start_guard = node, guard

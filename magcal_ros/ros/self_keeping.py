@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
 from magcal_ros.core.keeping.jobs import DriveJob, Findings
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
-from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import in_words
-from magcal_ros.ros.keeper import Keeper
+from magcal_ros.ros.keeper import Tell
+from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
-from magcal_ros.ros.services import Tell
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
@@ -38,41 +35,11 @@ IDLE_LOOKS = 300
 """Heartbeats without a job after which the process and its memory are given back."""
 
 
-class Owner(Protocol):
-    """What the node does for it."""
-
-    def put_in_force(self, calibration: Calibration, with_backup: bool = True) -> Callable[[], str]:
-        """Apply a calibration at once; returns the work of storing it, which says what it did."""
-
-    def drive_knowledge(self) -> Knowledge | None:
-        """Return what is known beforehand; None while a turn is under way."""
-
-
 class SelfKeeping:
-    """Lets a calibration keep itself.
+    """Lets a calibration keep itself."""
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Whose executor takes what was found.
-    owner : Owner
-    keeper : Keeper
-        Has what is in force, and its file.
-    files : BackgroundThread
-        Does the disk's work.
-    say : callable
-        Takes one line for the log.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        owner: Owner,
-        keeper: Keeper,
-        files: BackgroundThread,
-        say: Callable[[str], object],
-    ) -> None:
-        self._owner, self._keeper, self._files, self._say = owner, keeper, files, say
+    def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
+        self._magnetometer, self._say = magnetometer, node.get_logger().info
         self._machine = SelfCalibration()
         self._jobs = BackgroundThread(node, "magcal-keep")
         self._worker = WorkerProcess()
@@ -98,22 +65,14 @@ class SelfKeeping:
         """Take note of what is in force."""
         self._machine.put_in_force(calibration)
 
-    def meet(self, sensors: str) -> None:
+    def note_sensors(self, sensors: str) -> None:
         """Take note of the present sensors: data of others does not count."""
         if self._sensors and sensors != self._sensors:
             self._machine.forget()
         self._sensors = sensors
 
     def follow(self, mode: str, reports: str, course: CourseSwing | None) -> None:
-        """Look after the rest, once a second.
-
-        Parameters
-        ----------
-        mode, reports : str
-            The parameters self_calibration and report_folder.
-        course : CourseSwing or None
-            How the compass in force swings against course.
-        """
+        """Look after the rest, once a second."""
         self._jobs.deliver()
         self._reports = reports
         self._machine.note_course(course)
@@ -133,7 +92,7 @@ class SelfKeeping:
         """Put what is proposed in force; there must be something."""
         proposal = self._machine.proposal
         assert proposal is not None
-        self.put_in_force(proposal.on_users_word(), tell)
+        self._magnetometer.use(proposal.on_users_word(), tell)
 
     def facts(self) -> dict[str, Any]:
         """Return what `~/status` tells."""
@@ -159,7 +118,7 @@ class SelfKeeping:
         self._worker.end()
 
     def _look(self) -> None:
-        knowledge = self._owner.drive_knowledge()
+        knowledge = self._magnetometer.drive_knowledge()
         if knowledge is None:
             return
         self._idle = 0
@@ -189,7 +148,7 @@ class SelfKeeping:
         else:
             # Refined, it is the same calibration still, and the one before it is the way back.
             is_another = decision.verb is not Verb.REFINED
-            self.put_in_force(calibration, lambda done: self._tell(done.message), is_another)
+            self._magnetometer.use(calibration, lambda done: self._tell(done.message), is_another)
 
     def _tell(self, words: str) -> None:
         self._say(f"self-calibration: {words}")
@@ -201,24 +160,16 @@ class SelfKeeping:
         from magcal_ros.core.keeping.story import DriveStory
 
         machine = self._machine
-        told = tuple((made.clock, made) for made in machine.decisions)
-        before = self._keeper.calibration
+        decisions = tuple((made.clock, made) for made in machine.decisions)
+        before = self._magnetometer.keeper.calibration
         story = DriveStory(
-            told, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
+            decisions, before, calibration, machine.seconds, machine.seconds, machine.in_words, None
         )
         log, reports = machine.log(), self._reports
         self._jobs.run(
             lambda: self._worker.run(write_page, reports_of(reports), story, log),
             lambda page: self._tell(f"report: {page}"),
             lambda error: self._tell(f"no report: {in_words(error)}"),
-        )
-
-    def put_in_force(self, calibration: Calibration, tell: Tell, with_backup: bool = True) -> None:
-        """Apply a calibration and store it; only what is stored as well is a success."""
-        self._files.run(
-            self._owner.put_in_force(calibration, with_backup),
-            lambda words: tell(Conclusion(not self._keeper.trouble, words)),
-            lambda error: tell(Conclusion(False, f"In force, but not saved: {in_words(error)}")),
         )
 
 

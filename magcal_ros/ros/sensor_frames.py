@@ -29,15 +29,7 @@ FAR_OFF = 0.26
 
 
 class SensorFrames:
-    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node that subscribes to the robot's description.
-    settings : callable
-        Returns the parameters in use.
-    """
+    """Gives the poses of magnetometer and IMU, and the frame that attitudes are published in."""
 
     def __init__(self, node: Node, settings: Callable[[], Settings]) -> None:
         self._settings = settings
@@ -51,7 +43,7 @@ class SensorFrames:
         self._vehicle_yaw: VehicleYaw | None = None
         self._corrected = CorrectedPose(None)
 
-    def meet(self, imu_frame: str, magnetometer_frame: str) -> None:
+    def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
         self._imu_frame, self._magnetometer_frame = (
             known_as(imu_frame),

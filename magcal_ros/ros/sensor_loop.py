@@ -59,24 +59,11 @@ class SensorGroup(CallbackGroup):
 
 
 class SensorLoop:
-    """A thread that takes the messages of chosen subscriptions and calls back.
+    """A thread that takes the messages of chosen subscriptions and calls back, under a lock.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node that owns the subscriptions.
-    subscriptions : sequence of Subscription
-        Made in the group; their callbacks are plain functions.
-    group : SensorGroup
-        Closed while the thread serves them.
-    lock : context manager
-        Held while callbacks run.
-    note : callable
-        Told what a callback raised; the loop goes on.
-    give_up : callable
-        Told, in the loop's thread and with the group open again, what of rclpy has failed.
-    unhurried : sequence of Subscription
-        The same kind; their messages wake nobody, and are taken with the next of the others.
+    `note` is given what a callback raised; the loop goes on. `give_up` is called in the loop's
+    thread, with the group open again, where a call of rclpy has failed. Messages of `unhurried`
+    subscriptions wake nobody and are taken with the next of the others.
     """
 
     def __init__(

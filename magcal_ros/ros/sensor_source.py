@@ -19,15 +19,7 @@ from magcal_ros.files.sources import FIRST_STAMP
 
 
 class SensorSource:
-    """A driver for an IMU and a magnetometer.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the publishers live.
-    imu_frame, field_frame : str
-        `frame_id` of the two sensors.
-    """
+    """A driver for an IMU and a magnetometer."""
 
     def __init__(
         self, node: Node, imu_frame: str = "imu_link", field_frame: str = "mag_link"
@@ -82,22 +74,9 @@ def replay(
     between: Callable[[float], None],
     clock: bool = False,
 ) -> int:
-    """Publish a recording under its own stamps, in its own time or faster.
+    """Publish a recording under its own stamps, in its own time or `rate` times faster.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Publishes the clock.
-    source : SensorSource
-        Publishes the samples.
-    recording : Recording
-        What was recorded.
-    rate : float
-        How many times faster than it was recorded.
-    between : callable
-        Called with the seconds to wait before the next sample; may spin or sleep.
-    clock : bool
-        Whether to publish /clock for nodes that run on simulated time.
+    `between` is called with the seconds to wait before the next sample; it may spin or sleep.
 
     Returns
     -------

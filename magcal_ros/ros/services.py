@@ -12,8 +12,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-
-Tell = Callable[[Conclusion], None]
+from magcal_ros.ros.keeper import Tell
 
 CALLS = QoSProfile(depth=100)
 """With the usual depth of 10, calls of a storm overwrite each other before they are read."""
@@ -39,18 +38,8 @@ class Turns(Protocol):
 class Services:
     """Offers the calibration to the graph.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the services live.
-    turns : Turns
-        The turn of all magnetometers.
-    short : dict of callable
-        What the services that answer at once do; one of them is `start`.
-    slow : dict of callable
-        What those do that go to the disk; each is given whom to tell when it is done.
-    note : callable
-        Told each error in a service; its caller is told as well.
+    `short` services answer at once, one of them is `start`; `slow` ones tell when they are done.
+    `note` is given each error in a service; its caller is told as well.
     """
 
     def __init__(

@@ -19,24 +19,16 @@ from magcal_ros.ros.spec import TRUE_NORTH
 
 @dataclass(frozen=True)
 class Rotation:
-    """Whether and how the robot turns itself.
-
-    Parameters
-    ----------
-    enabled : bool
-        Whether it does.
-    speed : float
-        rad/s.
-    stamped : bool
-        Whether velocities are TwistStamped.
-    frame : str
-        Their frame_id then.
-    """
+    """Whether and how the robot turns itself."""
 
     enabled: bool
+    """Whether it does."""
     speed: float
+    """rad/s."""
     stamped: bool
+    """Whether velocities are TwistStamped."""
     frame: str
+    """Their frame_id then."""
 
 
 @dataclass(frozen=True)

@@ -41,37 +41,25 @@ class Later(Enum):
 
 @dataclass(frozen=True)
 class Spec:
-    """One row of the table.
-
-    Parameters
-    ----------
-    name : str
-        Parameter name.
-    default : bool, int, float, str or tuple of float
-        Default, which also fixes the type.
-    low, high : float
-        Allowed range, for numbers.
-    unit : str
-        Unit, empty for none.
-    description : str
-        What it does.
-    choices : tuple of str
-        Allowed texts; empty for any.
-    later : Later
-        What may be changed while the node runs.
-    words : tuple of str
-        Texts that are no place, of one that names a place otherwise.
-    """
+    """One row of the table."""
 
     name: str
+    """Parameter name."""
     default: Value
+    """Default, which also fixes the type."""
     description: str
+    """What it does."""
     low: float = -math.inf
     high: float = math.inf
+    """Allowed range, for numbers."""
     unit: str = ""
+    """Unit, empty for none."""
     choices: tuple[str, ...] = ()
+    """Allowed texts; empty for any."""
     later: Later = Later.ANYTHING
+    """What may be changed while the node runs."""
     words: tuple[str, ...] = ("",)
+    """Texts that are no place, of one that names a place otherwise."""
 
     @property
     def may_be_unset(self) -> bool:

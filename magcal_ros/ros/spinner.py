@@ -45,20 +45,6 @@ class Spinner:
     rclpy's executor finds what is ready and the handlers it returns are called here, under a lock
     that is shared with the loop of the subscriptions. An error in a callback is noted and does not
     end anything.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node to serve.
-    subscriptions : sequence of Subscription
-        Those of its subscriptions that bring nearly all messages; their callbacks are plain
-        functions.
-    group : SensorGroup
-        The callback group that they were made with.
-    note : callable
-        Told each error that a callback raises, before another callback runs.
-    unhurried : sequence of Subscription
-        Of the same group; their messages wait for the next message of those.
     """
 
     def __init__(
@@ -180,11 +166,6 @@ class CallbackErrors:
     """Counts the errors of all callbacks and logs each kind of them once.
 
     A kind is a type of error at a line of code.
-
-    Parameters
-    ----------
-    log : callable
-        Takes a line for the log.
     """
 
     def __init__(self, log: Callable[[str], object]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -19,66 +20,60 @@ from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.plain import plain
-from magcal_ros.ros.control import Control
 from magcal_ros.ros.inputs import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
+from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.magnetometers import Magnetometers
+from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.wire.outgoing import diagnostic, key_values
+from magcal_ros.ros.wire.outgoing import diagnostic
 
 
 def status_json(
-    control: Control,
-    keeper: Keeper,
-    inputs: Inputs,
+    first: Magnetometer,
     reference: Reference,
-    watch: Watch | None,
     turns_itself: bool,
     travel: Travel,
     keeping: SelfKeeping,
     magnetometers: Magnetometers,
-    motors: Mapping[str, Any] | None,
+    motors: Motors,
     known_headings: KnownHeadings,
 ) -> str:
     """Return the content of `~/status`: one JSON object, stable keys, people's units."""
+    keeper, streams, turn = first.keeper, first.inputs.streams, first.control.turn
     state = magnetometers.state.value
     if magnetometers.state is TurnState.IDLE:
         is_calibrated = keeper.calibration is not None or magnetometers.are_calibrated
         state = "calibrated" if is_calibrated else "uncalibrated"
-    outcome, conclusion = control.turn.last_outcome, control.turn.last_conclusion
-    return json.dumps(
-        {
-            "state": state,
-            "north": reference.north,
-            "reference": reference.facts,
-            "turns_itself": turns_itself,
-            "progress": _progress(control.turn.progress),
-            "answer": None
-            if conclusion is None
-            else {"success": conclusion.success, "message": conclusion.message},
-            "verdict": None if outcome is None else _verdict(outcome.verdict),
-            "turns_kept": control.turn.turns_kept,
-            "several": None
-            if outcome is None or outcome.several is None
-            else outcome.several.facts(),
-            "calibration": _calibration(keeper),
-            "watch": None if watch is None else _watch(watch.watched),
-            "vehicle_yaw_offset": _vehicle_yaw(travel),
-            "drive": travel.facts(),
-            "self_calibration": keeping.facts(),
-            "magnetometers": magnetometers.facts(),
-            "motors": motors,
-            "known_headings": known_headings.facts(),
-            "dropped": {
-                "imu": {drop.value: n for drop, n in inputs.streams.imu_drops.items()},
-                "field": {drop.value: n for drop, n in inputs.streams.field_drops.items()},
-            },
-            "complaints": inputs.complaints(),
+    outcome, conclusion = turn.last_outcome, turn.last_conclusion
+    several = None if outcome is None else outcome.several
+    content = {
+        "state": state,
+        "north": reference.north,
+        "reference": reference.facts,
+        "turns_itself": turns_itself,
+        "progress": _progress(turn.progress),
+        "answer": None if conclusion is None else asdict(conclusion),
+        "verdict": None if outcome is None else _verdict(outcome.verdict),
+        "turns_kept": turn.turns_kept,
+        "several": None if several is None else several.facts(),
+        "calibration": _calibration(keeper),
+        "watch": None if first.watch is None else _watch(first.watch.watched),
+        "vehicle_yaw_offset": _vehicle_yaw(travel),
+        "drive": travel.facts(),
+        "self_calibration": keeping.facts(),
+        "magnetometers": magnetometers.facts(),
+        "motors": motors.facts(first.compass),
+        "known_headings": known_headings.facts(),
+        "dropped": {
+            "imu": {drop.value: n for drop, n in streams.imu_drops.items()},
+            "field": {drop.value: n for drop, n in streams.field_drops.items()},
         },
-        ensure_ascii=False,
-    )
+        "complaints": first.inputs.complaints(),
+    }
+    return json.dumps(content, ensure_ascii=False)
 
 
 def _progress(progress: Progress | None) -> Mapping[str, Any] | None:
@@ -152,118 +147,91 @@ def _calibration(keeper: Keeper) -> Mapping[str, Any] | None:
     }
 
 
-def calibration_diagnostic(
-    name: str, control: Control, keeper: Keeper, field_frame: str
-) -> DiagnosticStatus:
+def calibration_diagnostic(name: str, first: Magnetometer) -> DiagnosticStatus:
     """Say whether a calibration is in force, which, how good it was, and if it is this sensor's."""
-    status = diagnostic(name, "Calibration")
+    keeper, control, level = first.keeper, first.control, DiagnosticStatus.OK
     calibration, origin = keeper.calibration, keeper.origin
     values = {"state": control.state.value}
     if control.turn.last_conclusion is not None:
         values["last answer"] = control.turn.last_conclusion.message
     if calibration is None or origin is None:
-        status.level = DiagnosticStatus.WARN
-        status.message = "not calibrated: call ~/calibrate and turn the robot once"
+        level = DiagnosticStatus.WARN
+        message = "not calibrated: call ~/calibrate and turn the robot once"
     else:
-        status.message = calibration.evidence.summary
+        evidence = calibration.evidence
+        message = evidence.summary
         values |= {
-            "method": calibration.evidence.method,
+            "method": evidence.method,
             "created": origin.created,
-            "quality": calibration.evidence.quality,
-            "confidence": calibration.evidence.confidence,
+            "quality": evidence.quality,
+            "confidence": evidence.confidence,
         }
-        if "warn" in (calibration.evidence.quality, calibration.evidence.confidence):
-            status.level = DiagnosticStatus.WARN
-        made_for, there = origin.magnetometer_frame, known_as(field_frame)
+        if "warn" in (evidence.quality, evidence.confidence):
+            level = DiagnosticStatus.WARN
+        made_for, there = origin.magnetometer_frame, known_as(first.inputs.field.frame)
         if made_for and there and made_for != there:
-            status.level = DiagnosticStatus.ERROR
-            status.message = (
+            level = DiagnosticStatus.ERROR
+            message = (
                 f"made for the magnetometer {made_for!r}, but the field now comes from {there!r}: "
                 "let one sensor publish, or calibrate this one"
             )
     if keeper.trouble:
-        status.level = DiagnosticStatus.ERROR
-        status.message = keeper.trouble
-    status.values = key_values(values)
-    return status
+        level, message = DiagnosticStatus.ERROR, keeper.trouble
+    return diagnostic(name, "Calibration", message, values, level)
 
 
 def field_diagnostic(
     name: str, moment: Moment | None, calibration: Calibration | None, reference: Reference
 ) -> DiagnosticStatus:
     """Say whether the field looks like the calibrated one, and what it is compared with."""
-    status = _corrected_field(name, moment, calibration)
-    status.values = [*status.values, *key_values({"reference": reference.words})]
-    if reference.complaints:
-        status.level = max(status.level, DiagnosticStatus.WARN)
-        status.message = "; ".join([status.message, *reference.complaints])
-    return status
-
-
-def _corrected_field(
-    name: str, moment: Moment | None, calibration: Calibration | None
-) -> DiagnosticStatus:
-    status = diagnostic(name, "Field")
+    values, level = dict[str, str](), DiagnosticStatus.OK
     if calibration is None:
-        status.message = "no corrected field before a calibration is in force"
-        return status
-    if moment is None:
-        status.message = "no field has come since the calibration is in force"
-        return status
-    strength, heading = math.hypot(*moment.field), moment.heading
-    values = {
-        "corrected strength": f"{strength * 1e6:.1f} µT",
-        "calibrated strength": f"{calibration.strength * 1e6:.1f} µT",
-    }
-    status.message = f"{strength * 1e6:.1f} µT, calibrated {calibration.strength * 1e6:.1f} µT"
-    if heading is not None:
-        values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
-        values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-    if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
-        status.level = DiagnosticStatus.WARN
-        status.message += ": something magnetic is near, or the calibration is another sensor's"
-    status.values = key_values(values)
-    return status
+        message = "no corrected field before a calibration is in force"
+    elif moment is None:
+        message = "no field has come since the calibration is in force"
+    else:
+        strength, heading = math.hypot(*moment.field), moment.heading
+        shown, calibrated = f"{strength * 1e6:.1f} µT", f"{calibration.strength * 1e6:.1f} µT"
+        values = {"corrected strength": shown, "calibrated strength": calibrated}
+        message = f"{shown}, calibrated {calibrated}"
+        if heading is not None:
+            values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
+            values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
+        if not 0.7 < strength / max(calibration.strength, 1e-9) < 1.4:
+            level = DiagnosticStatus.WARN
+            message += ": something magnetic is near, or the calibration is another sensor's"
+    values["reference"] = reference.words
+    if reference.complaints:
+        level = max(level, DiagnosticStatus.WARN)
+    words = "; ".join([message, *reference.complaints])
+    return diagnostic(name, "Field", words, values, level)
 
 
 def watch_diagnostic(name: str, watch: Watch | None, keeping: SelfKeeping) -> DiagnosticStatus:
     """Say whether the calibration has held over the last minutes, and whether it keeps itself."""
-    status = diagnostic(name, "Watch")
     values = {"self-calibration": keeping.facts()["doing"], "fits lost": str(keeping.lost)}
-    if watch is None:
-        status.message = "nothing to watch before a calibration is in force"
-    else:
+    words, is_wrong = ["nothing to watch before a calibration is in force"], bool(keeping.trouble)
+    if watch is not None:
         watched = watch.watched
-        status.message = watched.summary
-        if watched.is_stale:
-            status.level = DiagnosticStatus.WARN
+        words, is_wrong = [watched.summary], is_wrong or watched.is_stale
         values |= {f.name: f"{f.value or 0.0:.1f}{f.unit}" for f in watched.findings}
-    if keeping.trouble:
-        status.level = DiagnosticStatus.WARN
-        status.message = f"{status.message}; {keeping.trouble}"
-    status.values = key_values(values)
-    return status
+    words += [keeping.trouble] if keeping.trouble else []
+    level = DiagnosticStatus.WARN if is_wrong else DiagnosticStatus.OK
+    return diagnostic(name, "Watch", "; ".join(words), values, level)
 
 
 def inputs_diagnostic(
     name: str, inputs: Inputs, complaints: list[str], callback_errors: int
 ) -> DiagnosticStatus:
     """Say whether both sensors arrive, what is wrong with their messages, and what went wrong."""
-    status = diagnostic(name, "Inputs")
-    status.message = "; ".join(complaints) or "both sensors arrive"
-    status.level = DiagnosticStatus.ERROR if complaints else DiagnosticStatus.OK
-    values = {
-        f"{sensor.topic} messages": str(sensor.messages) for sensor in (inputs.imu, inputs.field)
-    }
-    values |= {f"{s.topic} rate": f"{s.rate:.1f} Hz" for s in (inputs.imu, inputs.field)}
-    for sensor, drops in (
-        (inputs.imu, inputs.streams.imu_drops),
-        (inputs.field, inputs.streams.field_drops),
-    ):
+    both = (inputs.imu, inputs.streams.imu_drops), (inputs.field, inputs.streams.field_drops)
+    values = {f"{sensor.topic} messages": str(sensor.messages) for sensor, _ in both}
+    values |= {f"{sensor.topic} rate": f"{sensor.rate:.1f} Hz" for sensor, _ in both}
+    for sensor, drops in both:
         values |= {f"{sensor.topic} {drop.value}": str(n) for drop, n in drops.items()}
     values["callback errors"] = str(callback_errors)
-    status.values = key_values(values)
-    return status
+    level = DiagnosticStatus.ERROR if complaints else DiagnosticStatus.OK
+    return diagnostic(name, "Inputs", "; ".join(complaints) or "both sensors arrive", values, level)
 
 
 def diagnostic_name(full_name: str) -> str:

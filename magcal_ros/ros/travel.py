@@ -27,15 +27,14 @@ from magcal_ros.core.monitoring.course_check import (
     check_by_course,
     course_fault,
 )
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
-from magcal_ros.ros.wire.outgoing import diagnostic, key_values
+from magcal_ros.ros.wire.outgoing import diagnostic
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -45,17 +44,6 @@ BETTER = 0.7
 
 class Travel:
     """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Where the subscriptions live.
-    thread : BackgroundThread
-        Does the fits beside the messages.
-    group : CallbackGroup
-        Of the subscriptions.
-    on_fix : callable
-        Told each fix.
 
     Attributes
     ----------
@@ -234,18 +222,15 @@ class Travel:
         }
 
     def diagnostics(self, name: str) -> list[DiagnosticStatus]:
-        """Say what the drive has told so far; nothing where no speed and no fix has come."""
+        """Say what the drive has shown so far; nothing where no speed and no fix has come."""
         if not self._travelling.is_heard:
             return []
-        status = diagnostic(name, "Drive")
         yaw, verdict = self.yaw, self.verdict
-        told = "the vehicle's front is not known yet" if yaw is None else yaw.words
+        front = "the vehicle's front is not known yet" if yaw is None else yaw.words
         wrong = [*self.complaints, *([verdict] if verdict else [])]
-        status.level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
-        status.message = "; ".join([told, *wrong])
-        facts = self.facts() or {}
-        status.values = key_values({key: str(value) for key, value in facts.items()})
-        return [status]
+        level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
+        values = {key: str(value) for key, value in (self.facts() or {}).items()}
+        return [diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:

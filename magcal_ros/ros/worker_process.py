@@ -17,8 +17,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.processes import start
-from magcal_ros.ros import memory_limit
+from magcal_ros.processes import start, unbound_memory
 
 if TYPE_CHECKING:
     import subprocess
@@ -123,13 +122,7 @@ class WorkerProcess:
 
 
 def _exchange(process: subprocess.Popen[bytes], call: bytes) -> bytes:
-    """Send a call and return the answer.
-
-    Raises
-    ------
-    EOFError, OSError
-        If the process goes meanwhile, or somebody stops it.
-    """
+    """Send a call and return the answer."""
     assert process.stdin is not None
     assert process.stdout is not None
     to, back = process.stdin.fileno(), process.stdout.fileno()
@@ -185,7 +178,7 @@ def _how_it_ended(process: subprocess.Popen[bytes]) -> str:
 def main() -> int:
     """Answer calls on standard input until it is closed; returns 0."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    memory_limit.unbound()
+    unbound_memory()
     back = os.dup(sys.stdout.fileno())
     # Output that a library prints must not be taken for an answer.
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

@@ -7,7 +7,7 @@ from axes_cases import wrong_case
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
 from magcal_ros.core.doctor.page import Page
-from magcal_ros.core.geometry.rotations import signed_permutations
+from magcal_ros.core.geometry import signed_permutations
 
 NED = np.diag([1.0, -1.0, -1.0])
 

@@ -13,7 +13,7 @@ from simulated.travel import travel
 from magcal_ros.cli.main import main
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.session.recorded import Gathering
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 from magcal_ros.core.smoothing.level import pull
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.files.sources import open_recording

@@ -7,9 +7,8 @@ import pytest
 from drives import STORE2, header, write_bag, write_csv
 
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.simulation import Ride, Robot
 from magcal_ros.files.calibration_file import read_calibration
 
 ROBOT = Robot(strength=50e-6, inclination=math.radians(60.0), hard_iron=(30e-6, -20e-6, 10e-6))

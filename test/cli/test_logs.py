@@ -13,8 +13,8 @@ from long_form import first_of
 
 from magcal_ros.cli import recorded
 from magcal_ros.cli.main import main
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.simulation import Robot
 from magcal_ros.files.logs.px4 import rotation_of
 
 REFERENCE = ["--reference-strength-ut", "50", "--reference-inclination-deg", "60"]

@@ -6,7 +6,7 @@ from simulated import Vehicle, simulated_drive, travel
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry import yaw_from_up_and_field
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample
+from magcal_ros.core.samples.streams import PositionSample, SpeedSample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.core.up import UpFollower
 

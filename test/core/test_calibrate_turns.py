@@ -21,7 +21,6 @@ from slope_turns import (
 )
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
-from magcal_ros.core.calibration import Figure
 from magcal_ros.core.errors import Misuse, Reason
 from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation import heading_errors
@@ -223,17 +222,12 @@ def test_other_methods_pool_or_say_that_they_do_not_join():
         calibrate_turns(windows, KNOWN, "design_tip")
 
 
-def test_what_lasts_in_the_sensors_is_not_averaged_out_by_turns():
-    windows = windows_on([LEVEL, EAST, NORTH], 5)
-    field, axes = 0.2e-6, math.radians(0.5)
-    none = replace(KNOWN, systematics=Systematics.none())
-    with_them = replace(none, systematics=Systematics(axes, field, 0.0, 0.0))
-    clean, honest = (
-        calibrate_turns(windows, knowledge).estimate for knowledge in (none, with_them)
-    )
-    np.testing.assert_array_equal(clean.correction.parameters, honest.correction.parameters)
-    level = ROBOT.strength * math.cos(ROBOT.inclination)
-    added = honest.figures[Figure.HEADING_SIGMA] ** 2 - clean.figures[Figure.HEADING_SIGMA] ** 2
-    assert math.sqrt(added) == pytest.approx(field / level, rel=0.2)
-    yaws = [each.figures[Figure.INSTALLATION_YAW_SIGMA] for each in (clean, honest)]
-    assert math.sqrt(yaws[1] ** 2 - yaws[0] ** 2) == pytest.approx(axes, rel=0.01)
+def test_a_sigma_knows_of_sensors_with_errors_of_their_own():
+    iron = np.array([[0.004, 0.003, -0.002], [0.003, -0.005, 0.002], [-0.002, 0.002, 0.003]])
+    robot = replace(ROBOT, soft_iron=iron)
+    windows = windows_on([LEVEL, EAST, NORTH], 5, robot, gyro=True)
+    real = replace(KNOWN, systematics=Systematics())
+    outcome, believed = calibrate_turns(windows, real), calibrate_turns(windows, KNOWN)
+    sigmas = [each.several.shown.absolute_level for each in (outcome, believed)]
+    assert sigmas[0] > 1.2 * sigmas[1]
+    assert math.radians(absolute_rms_deg(outcome, robot)) < 3.0 * sigmas[0]

@@ -15,7 +15,7 @@ from smoothing.streets import BOSTON, driven, heading_error
 
 from magcal_ros.core.calibrate import calibrate, calibrate_drive
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.log import log_of
@@ -43,7 +43,7 @@ def test_circles_are_told_as_the_drive_they_were(ringed):
     assert outcome.verdict.accepted
     assert outcome.estimate.figures[Figure.HEADINGS_DRIVEN] == 12.0
     error = heading_error(outcome.estimate.correction, robot)
-    assert error < 2.0 * math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+    assert error < 2.0 * math.degrees(calibration_sigma(outcome.estimate, 0.0))
     assert "ordinary driving" in outcome.verdict.summary
 
 
@@ -52,7 +52,7 @@ def test_nineteen_seconds_of_circles_are_enough_for_a_drive(ringed, start):
     robot, window = ringed
     outcome = calibrate(nineteen_seconds(window, start), BOSTON)
     assert outcome.verdict.accepted
-    sigma = math.degrees(predicted_heading_sigma(outcome.estimate, 0.0))
+    sigma = math.degrees(calibration_sigma(outcome.estimate, 0.0))
     assert heading_error(outcome.estimate.correction, robot) < 2.0 * sigma
     assert sigma < 12.0
 
@@ -64,7 +64,7 @@ def test_a_gyro_that_is_far_off_is_no_matter_once_a_rest_has_shown_it(ringed):
     unknown = calibrate(replace(window, angular_rate=rate), BOSTON)
     known = calibrate(replace(window, sigma_before=5e-4), BOSTON)
     error = heading_error(known.estimate.correction, robot)
-    sigma = math.degrees(predicted_heading_sigma(known.estimate, 0.0))
+    sigma = math.degrees(calibration_sigma(known.estimate, 0.0))
     assert known.verdict.accepted
     assert error < 2.0 * sigma
     assert sigma < 6.0
@@ -87,7 +87,7 @@ def test_a_bias_of_the_gyro_is_not_taken_for_the_acceleration_of_a_drive(kind, n
     scene, known = by_turn(kind, "cheap", "open")(number)
     estimate = calibrate(scene.window, known).estimate
     assert Figure.HEADINGS_DRIVEN not in estimate.figures
-    assert turn_error(scene, estimate.correction) < 3.0 * predicted_heading_sigma(estimate, 0.0)
+    assert turn_error(scene, estimate.correction) < 3.0 * calibration_sigma(estimate, 0.0)
 
 
 def test_motors_that_a_rest_has_shown_are_not_driven_away():
@@ -99,10 +99,10 @@ def test_motors_that_a_rest_has_shown_are_not_driven_away():
     drive, outcome = calibrate_drive(log_of(window), known), calibrate(window, known)
     driven_error = turn_error(scene, drive.estimate.correction)
     error = turn_error(scene, outcome.estimate.correction)
-    assert driven_error > 4.0 * predicted_heading_sigma(drive.estimate, 0.0)
+    assert driven_error > 4.0 * calibration_sigma(drive.estimate, 0.0)
     assert error < math.radians(0.5)
     assert "between rest and turn the field changes" in outcome.verdict.summary
-    assert error < 2.0 * predicted_heading_sigma(outcome.estimate, 0.0)
+    assert error < 2.0 * calibration_sigma(outcome.estimate, 0.0)
 
 
 @pytest.mark.parametrize("turned", first_of([("slope", 11), ("there and back", 8)]))
@@ -110,7 +110,7 @@ def test_a_gyro_that_is_off_by_degrees_per_second_spoils_no_turn(turned):
     kind, number = turned
     scene, known = by_turn(kind, "cheap", "open")(number)
     outcome = calibrate(scene.window, known)
-    sigma = predicted_heading_sigma(outcome.estimate, 0.0)
+    sigma = calibration_sigma(outcome.estimate, 0.0)
     assert outcome.verdict.accepted
     assert turn_error(scene, outcome.estimate.correction) < 3.0 * sigma
     assert sigma < math.radians(1.0)

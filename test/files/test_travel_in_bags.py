@@ -7,7 +7,7 @@ import pytest
 from drives import STORE2, drive, write_bag
 
 from magcal_ros.core.messages import speed_of, velocity_of
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.files.sources import open_recording
 from magcal_ros.files.wire import speed_in, sure_velocity_in, velocity_in
 

@@ -8,7 +8,6 @@ from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros import keeper as keeper_module
-from magcal_ros.ros.calibration_loader import CalibrationLoader
 from magcal_ros.ros.inputs import Sensor
 from magcal_ros.ros.keeper import Keeper
 
@@ -34,6 +33,15 @@ class Elsewhere:
             then(result)
 
 
+class Lines(list):
+    """A log."""
+
+    def info(self, line):
+        self.append(line)
+
+    error = info
+
+
 @pytest.fixture
 def reads(monkeypatch):
     """Return the paths that are read from the disk, in their order."""
@@ -49,15 +57,15 @@ def reads(monkeypatch):
 
 @pytest.fixture
 def met(ros_home, reads):
-    """Return loader, their runner, keeper and log; the file of left is there, no other."""
+    """Return keeper, its runner and log; the file of left is there, no other."""
     store_calibration(ros_home / "magcal" / "calibrator.left.yaml", frame="left")
-    keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
-    return CalibrationLoader(keeper, files, lambda: "", log.append, log.append), files, keeper, log
+    files, log = Elsewhere(), Lines()
+    return Keeper(("/", "calibrator"), files, log, lambda *_: None), files, log
 
 
 def test_what_is_met_is_loaded_from_its_file_and_said(met):
-    loader, files, keeper, log = met
-    loader.meet("left")
+    keeper, files, log = met
+    keeper.note_sensor("left")
     assert keeper.calibration is None
     files.go()
     assert keeper.origin.magnetometer_frame == "left"
@@ -65,10 +73,10 @@ def test_what_is_met_is_loaded_from_its_file_and_said(met):
 
 
 def test_alternating_names_read_each_file_once(met, reads):
-    loader, files, keeper, _ = met
+    keeper, files, _ = met
     for _ in range(20):
         for frame in ("right", "left", ""):
-            loader.meet(frame)
+            keeper.note_sensor(frame)
         while files.waiting:
             files.go()
     assert reads == ["calibrator.left.yaml"]
@@ -76,10 +84,10 @@ def test_alternating_names_read_each_file_once(met, reads):
 
 
 def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
-    loader, files, keeper, _ = met
+    keeper, files, _ = met
     for k in range(200):
-        loader.meet(f"name_{k}")
-    loader.meet("left")
+        keeper.note_sensor(f"name_{k}")
+    keeper.note_sensor("left")
     assert len(files.waiting) == 1
     while files.waiting:
         files.go()
@@ -88,58 +96,58 @@ def test_many_names_while_the_disk_is_slow_wait_for_one_reading(met, reads):
 
 
 def test_what_was_found_under_a_name_that_has_gone_is_used_when_it_returns(met, reads):
-    loader, files, keeper, _ = met
-    loader.meet("left")
-    loader.meet("right")
+    keeper, files, _ = met
+    keeper.note_sensor("left")
+    keeper.note_sensor("right")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
-    loader.meet("left")
+    keeper.note_sensor("left")
     assert keeper.calibration is not None
     assert reads == ["calibrator.left.yaml"]
 
 
 def test_what_the_user_has_reset_does_not_come_back_by_itself(met):
-    loader, files, keeper, _ = met
-    loader.meet("left")
+    keeper, files, _ = met
+    keeper.note_sensor("left")
     files.go()
-    loader.forget()
+    keeper.forget()
     keeper.reset()
-    loader.meet("right")
+    keeper.note_sensor("right")
     while files.waiting:
         files.go()
-    loader.meet("left")
+    keeper.note_sensor("left")
     assert keeper.calibration is None
 
 
 def test_what_is_reset_while_it_is_read_is_not_used(met):
-    loader, files, keeper, _ = met
-    loader.meet("left")
-    loader.forget()
+    keeper, files, _ = met
+    keeper.note_sensor("left")
+    keeper.forget()
     files.go()
     assert keeper.calibration is None
-    loader.meet("")
-    loader.meet("left")
+    keeper.note_sensor("")
+    keeper.note_sensor("left")
     assert keeper.calibration is None
 
 
 def test_a_chosen_file_that_was_reset_does_not_come_back_with_the_first_message(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
-    keeper, files = Keeper("/", "calibrator", lambda *_: None), Elsewhere()
-    loader = CalibrationLoader(keeper, files, lambda: str(chosen), print, print)
-    loader.begin()
+    files = Elsewhere()
+    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
+    keeper.begin()
     files.go()
-    loader.forget()
+    keeper.forget()
     keeper.reset()
-    loader.meet("left")
+    keeper.note_sensor("left")
     while files.waiting:
         files.go()
     assert keeper.calibration is None
 
 
 def test_a_turn_that_is_faster_than_the_disk_wins(met):
-    loader, files, keeper, _ = met
-    loader.meet("left")
+    keeper, files, _ = met
+    keeper.note_sensor("left")
     loaded = keeper.read("", "left")
     keeper.use(loaded)
     before = keeper.calibration
@@ -148,7 +156,7 @@ def test_a_turn_that_is_faster_than_the_disk_wins(met):
 
 
 def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
-    _, _, keeper, _ = met
+    keeper, *_ = met
     path = ros_home / "magcal" / "calibrator.left.yaml"
     keeper.read("", "left")
     keeper.read("", "left")
@@ -158,9 +166,9 @@ def test_a_file_that_has_changed_is_read_again(met, reads, ros_home):
 
 
 def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
-    loader, files, keeper, log = met
+    keeper, files, log = met
     (ros_home / "magcal" / "calibrator.bad.yaml").write_text("format: [")
-    loader.meet("bad")
+    keeper.note_sensor("bad")
     files.go()
     assert "Running uncalibrated" in log[0]
     assert "bad.yaml" in keeper.trouble
@@ -168,12 +176,12 @@ def test_a_damaged_file_is_said_and_stays_the_trouble(met, ros_home):
 
 def test_a_chosen_file_of_another_sensor_goes_out_of_force_when_that_is_met(ros_home):
     chosen = store_calibration(ros_home / "chosen.yaml", frame="left")
-    keeper, files, log = Keeper("/", "calibrator", lambda *_: None), Elsewhere(), []
-    loader = CalibrationLoader(keeper, files, lambda: str(chosen), log.append, log.append)
-    loader.begin()
+    files = Elsewhere()
+    keeper = Keeper(("/", "calibrator"), files, Lines(), lambda *_: None, lambda: str(chosen))
+    keeper.begin()
     files.go()
     assert keeper.calibration is not None
-    loader.meet("right")
+    keeper.note_sensor("right")
     assert keeper.calibration is None
     assert "made for the magnetometer 'left'" in keeper.trouble
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support import REFERENCE, ROBOT
 
-from magcal_ros.core.samples.streams import ImuSample, Streams
+from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.session.self_turn import SelfTurn
 from magcal_ros.core.session.session import Session
 from magcal_ros.core.session.turn_events import TurnState
-from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.simulation import Ride
 from magcal_ros.ros import worker_process
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.parameter_table import PARAMETERS

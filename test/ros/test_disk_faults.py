@@ -86,7 +86,8 @@ def test_a_file_with_numbers_beyond_every_sensor_is_not_put_in_force(tmp_path, e
         document[entry][0][0] = 1e300
     path.write_text(yaml.safe_dump(document))
     applied = []
-    keeper = Keeper("/", "calibrator", lambda *what: applied.append(what), str(path))
+    chosen = str(path)
+    keeper = Keeper(("/", "c"), None, None, lambda *what: applied.append(what), lambda: chosen)
     with pytest.raises(FileTrouble, match=f"{entry} .*1e\\+300"):
         keeper.read(str(path), "mag_link")
     assert not applied

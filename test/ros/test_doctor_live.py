@@ -23,8 +23,8 @@ from magcal_ros.cli.doctor_live import Asking, gathered
 from magcal_ros.core.doctor.guide import Guide
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.simulation.ride import Ride
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.simulation import Ride
 from magcal_ros.ros.description import LATCHED
 from magcal_ros.ros.listener import Listener
 from magcal_ros.ros.sensor_source import SensorSource

@@ -16,7 +16,7 @@ from rcl_interfaces.srv import GetParameters
 from std_srvs.srv import Trigger
 from support import AT_ONCE, PATIENCE
 
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Robot
 from magcal_ros.ros.rehearsal import Rehearsal
 
 CHECKOUT = Path(__file__).resolve().parents[2]

@@ -11,8 +11,8 @@ from support import PATIENCE
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux counts data memory so")
 
 TAKE = """
-from magcal_ros.ros import memory_limit
-memory_limit.bound(300)
+from magcal_ros import processes
+processes.bound_memory(300)
 {before}
 try:
     print(len(bytearray({megabytes} * 10**6)))
@@ -34,12 +34,12 @@ def test_what_is_within_the_bound_is_had_and_more_is_refused():
 
 
 def test_a_process_for_a_fit_has_all():
-    assert take(400, "memory_limit.unbound()") == "400000000"
+    assert take(400, "processes.unbound_memory()") == "400000000"
 
 
 def test_a_lower_bound_that_the_system_sets_stays():
     hard = "import resource; resource.setrlimit(resource.RLIMIT_DATA, (350 * 10**6,) * 2)"
-    assert take(400, f"{hard}; memory_limit.bound(10**6)") == "refused"
+    assert take(400, f"{hard}; processes.bound_memory(10**6)") == "refused"
 
 
 def test_the_executable_bounds_itself(graph):

@@ -10,8 +10,8 @@ from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.samples.streams import STREAMS, Pairer, Streams
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.samples import STREAMS, Pairer, Streams
+from magcal_ros.core.simulation import Robot, measure, turn
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.wire.incoming import read_field, read_imu
 from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate

@@ -30,8 +30,8 @@ def leisure(monkeypatch):
     monkeypatch.setattr(guard, "SILENCE", PATIENCE)
     monkeypatch.setattr(
         rotation_plan,
-        "ROTATION_LIMITS",
-        replace(rotation_plan.ROTATION_LIMITS, farthest_beyond=math.pi),
+        "TUNING",
+        replace(rotation_plan.TUNING, farthest_beyond=math.pi),
     )
 
 

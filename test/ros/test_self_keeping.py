@@ -16,7 +16,7 @@ from test_travel import Car
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.keeping.decisions import Decision, Verb
 from magcal_ros.core.keeping.jobs import Findings
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot, measure, turn
 from magcal_ros.files.backups import backup_files
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.status import watch_diagnostic
@@ -91,14 +91,14 @@ class TestInTheNode:
     def test_what_a_worker_cannot_do_is_said_and_asked_again(self, house, monkeypatch):
         keeping, said = house._keeping, []
         keeping._say = said.append
-        keeping._machine.job(house.drive_knowledge())
+        keeping._machine.job(house._first.drive_knowledge())
         keeping._lost(OSError("no memory"))
         assert "no memory" in said[0]
         assert keeping.facts()["fits_lost"] == 1
         status = watch_diagnostic("calibrator", None, keeping)
         assert status.level == DiagnosticStatus.WARN
         assert "no memory" in status.message
-        keeping._machine.job(house.drive_knowledge())
+        keeping._machine.job(house._first.drive_knowledge())
         keeping._note(Findings(0.0, (), None, None, {}))
         assert watch_diagnostic("calibrator", None, keeping).level == DiagnosticStatus.OK
         assert keeping.facts()["fits_lost"] == 1

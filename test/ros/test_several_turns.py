@@ -7,7 +7,7 @@ import pytest
 from rclpy.parameter import Parameter
 from support import REFERENCE, ROBOT, rms_deg
 
-from magcal_ros.core.simulation.simulator import slope_rpy
+from magcal_ros.core.simulation import slope_rpy
 
 ACCUMULATE = {**REFERENCE, "accumulate": True, "report_folder": "none"}
 TURNED = replace(ROBOT, yaw=0.1)

@@ -19,9 +19,9 @@ from std_srvs.srv import Trigger
 from support import PATIENCE, REFERENCE, store_calibration
 from theatre import FARTHEST_AHEAD, LOST_AFTER
 
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.samples import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.outputs import LATCHED
 

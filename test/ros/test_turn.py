@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support import DEGREE, REFERENCE, ROBOT, rms_deg
 
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.simulation.simulator import UP_ENU
+from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.simulation import UP_ENU
 
 LEVEL = [(0.0, 0.0)]
 SLOPES = [(8.0, 0.0), (0.0, -8.0)]

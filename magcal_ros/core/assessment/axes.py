@@ -27,55 +27,37 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class AxesTuning:
-    """When axes are excluded, and when they are reported as wrong.
-
-    Parameters
-    ----------
-    remains : float
-        Misfit, in independent samples' chi-square, up to which a candidate remains.
-    likely : float
-        Misfit up to which candidates are ordered by what people do.
-    wrong : float
-        Misfit of the axes as given from which they are called wrong.
-    times : float
-        So many times the best's residual they must leave, too.
-    lift : float
-        Radians RMS of movement beside the turn from which less than that is asked for.
-    times_lifted : float
-        So many times the best's residual, then: on a long drive the gyro's drift looks like
-        movement, and a linear acceleration like another inclination; neither is part of it.
-    worst_fit : float
-        Residual over the changing field beyond which even the best explains nothing.
-    least_turn : float
-        Radians between the first and some later attitude.
-    fewest : int
-        Samples.
-    dip_sigma : float
-        Radians that a reference inclination is trusted to at best.
-    attitude_error : float
-        Radians that propagated attitudes are off at best.
-    vaguest_dip : float
-        Radians of uncertainty beyond which the seen inclination says nothing.
-    least_dip : float
-        Radians of inclination from which its sign says something.
-    most_named : int
-        Candidates that are written out.
-    """
+    """When axes are excluded, and when they are reported as wrong."""
 
     remains: float = 25.0
+    """Misfit, in independent samples' chi-square, up to which a candidate remains."""
     likely: float = 9.0
+    """Misfit up to which candidates are ordered by what people do."""
     wrong: float = 50.0
+    """Misfit of the axes as given from which they are called wrong."""
     times: float = 2.0
+    """So many times the best's residual they must leave, too."""
     lift: float = math.radians(3.0)
+    """Radians RMS of movement beside the turn from which less than that is asked for."""
     times_lifted: float = 1.25
+    """So many times the best's residual, then: on a long drive the gyro's drift looks like
+    movement, and a linear acceleration like another inclination; neither is part of it."""
     worst_fit: float = 0.3
+    """Residual over the changing field beyond which even the best explains nothing."""
     least_turn: float = math.radians(60.0)
+    """Radians between the first and some later attitude."""
     fewest: int = 20
+    """Samples."""
     dip_sigma: float = math.radians(3.0)
+    """Radians that a reference inclination is trusted to at best."""
     attitude_error: float = math.radians(0.5)
+    """Radians that propagated attitudes are off at best."""
     vaguest_dip: float = math.radians(15.0)
+    """Radians of uncertainty beyond which the seen inclination says nothing."""
     least_dip: float = math.radians(10.0)
+    """Radians of inclination from which its sign says something."""
     most_named: int = 3
+    """Candidates that are written out."""
 
 
 TUNING = AxesTuning()
@@ -107,25 +89,17 @@ DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
 
 @dataclass(frozen=True, eq=False)
 class AxesFound:
-    """What a movement shows of the magnetometer's axes.
-
-    Parameters
-    ----------
-    candidates : ndarray, shape (k, 3, 3)
-        What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
-        mounting that is known, in the body's. Empty if nothing does.
-    right : bool
-        Whether the axes as given are among them, or not excluded beyond doubt.
-    pose : ndarray, shape (3, 3)
-        The mounting that is known.
-    dip_known : bool
-        Whether a reference inclination told a field from its opposite.
-    """
+    """What a movement shows of the magnetometer's axes."""
 
     candidates: FloatArray
+    """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
+    mounting that is known, in the body's. Empty if nothing does. Shape (k, 3, 3)."""
     right: bool
+    """Whether the axes as given are among them, or not excluded beyond doubt."""
     pose: FloatArray
+    """The mounting that is known. Shape (3, 3)."""
     dip_known: bool
+    """Whether a reference inclination told a field from its opposite."""
 
     @property
     def meant(self) -> FloatArray | None:
@@ -245,18 +219,18 @@ def find_axes(window: Window, knowledge: Knowledge = Knowledge()) -> AxesFound |
             window.angular_rate,
         )
     )
-    if most_turned(stretch) < TUNING.least_turn:
+    if stretch is None or most_turned(stretch) < TUNING.least_turn:
         return None
     # Axes and their opposites explain the same turn, with the opposite field and hard iron.
     every = signed_permutations()
     proper = np.array([axes for axes in every if not is_mirrored(axes)])
     found = align(stretch, proper, FIT.after_rest(window.bias_sigma))
     dip = knowledge.reference.inclination
-    pulls = np.array(
+    by_inclination = np.array(
         [[inclination_misfit(found, k, s, dip) for k in range(24)] for s in (1.0, -1.0)]
     )
     axes = np.concatenate([proper, -proper])
-    misfit = np.concatenate([found.misfit, found.misfit]) + pulls.ravel()
+    misfit = np.concatenate([found.misfit, found.misfit]) + by_inclination.ravel()
     misfit -= misfit.min()
     rms = np.concatenate([found.rms, found.rms])
     return _decide(axes, misfit, rms, found.tilt_spread > TUNING.lift, knowledge)

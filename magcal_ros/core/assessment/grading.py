@@ -45,43 +45,29 @@ SITS_OTHERWISE = (
 
 @dataclass(frozen=True)
 class Bound:
-    """The bounds of the grades for one figure; only its absolute value counts.
-
-    Parameters
-    ----------
-    figure : Figure
-        What is graded.
-    good, warn : float
-        Worst values of these grades, in the unit people see; beyond `warn` it is refused.
-    words : str
-        What the figure is.
-    remedy : str
-        What to do if it is not good enough.
-    excellent : float or None
-        Worst value of this grade; None where nothing is better than good.
-    unit : str
-        Unit people see: "°", "%", "σ", "" ...
-    aspect : Aspect
-        Quality or confidence.
-    at_least : bool
-        Whether more is better; usually less is.
-    after_full : str
-        What to do instead where the full circle was seen already; empty where that is the same.
-    when_refused : str
-        What to do instead beyond `warn`; empty where that is the same.
-    """
+    """The bounds of the grades for one figure; only its absolute value counts."""
 
     figure: Figure
+    """What is graded."""
     good: float
     warn: float
+    """Worst values of these grades, in the unit people see; beyond `warn` it is refused."""
     words: str
+    """What the figure is."""
     remedy: str
+    """What to do if it is not good enough."""
     excellent: float | None = None
+    """Worst value of this grade; None where nothing is better than good."""
     unit: str = "°"
+    """Unit people see: "°", "%", "σ", "" ..."""
     aspect: Aspect = Aspect.QUALITY
+    """Quality or confidence."""
     at_least: bool = False
+    """Whether more is better; usually less is."""
     after_full: str = ""
+    """What to do instead where the full circle was seen already; empty where that is the same."""
     when_refused: str = ""
+    """What to do instead beyond `warn`; empty where that is the same."""
 
     @property
     def scale(self) -> float:
@@ -147,31 +133,21 @@ def shown_beside(value: float, limit: float) -> str:
 
 @dataclass(frozen=True)
 class Check:
-    """One figure, graded and put into words.
-
-    Parameters
-    ----------
-    figure : Figure or Reason
-        What was looked at; of a refusal its reason.
-    aspect : Aspect
-        Which grade it belongs to.
-    grade : Grade
-        How good it is.
-    words : str
-        The same in words, with what to do if it is not good enough.
-    value, before : float, optional
-        The figure in the unit people see, and what it was in the raw field.
-    bound : Bound, optional
-        What it was graded by.
-    """
+    """One figure, graded and put into words."""
 
     figure: Figure | Reason
+    """What was looked at; of a refusal its reason."""
     aspect: Aspect
+    """Which grade it belongs to."""
     grade: Grade
+    """How good it is."""
     words: str
+    """The same in words, with what to do if it is not good enough."""
     value: float | None = None
     before: float | None = None
+    """The figure in the unit people see, and what it was in the raw field."""
     bound: Bound | None = None
+    """What it was graded by."""
 
     @property
     def name(self) -> str:

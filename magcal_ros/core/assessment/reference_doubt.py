@@ -21,24 +21,16 @@ from magcal_ros.core.knowledge import Knowledge
 
 @dataclass(frozen=True)
 class DoubtTuning:
-    """When a hard iron along the axis makes the reference doubtful.
-
-    Parameters
-    ----------
-    noticeable : float
-        Strengths of the field; a smaller one is what robots have, whatever the other sign says.
-    several : float
-        Times that it must be larger than with the other sign of the inclination.
-    field : float
-        Strengths of the field from which it is doubtful in any case.
-    shown : float
-        Sigmas by which the wobble of the turn must contradict the other sign to exclude it.
-    """
+    """When a hard iron along the axis makes the reference doubtful."""
 
     noticeable: float = 0.4
+    """Strengths of the field; a smaller one is what robots have, whatever the other sign says."""
     several: float = 3.0
+    """Times that it must be larger than with the other sign of the inclination."""
     field: float = 1.0
+    """Strengths of the field from which it is doubtful in any case."""
     shown: float = 10.0
+    """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 
 
 TUNING = DoubtTuning()

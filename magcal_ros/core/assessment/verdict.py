@@ -38,64 +38,44 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class VerdictTuning:
-    """Limits and allowances of a verdict, from simulation and about ten recordings.
-
-    Parameters
-    ----------
-    chance, chance_with_soft_iron : float
-        Heading sigmas of the whole turn by which its halves may differ; a half hardly shows
-        iron.
-    allowed_sigmas : float
-        Sigmas of the reference field by which its radius may be off before that counts.
-    several : float
-        Times the heading's sigma from which soft iron that was not shown is mentioned.
-    rough : float
-        Radians of heading sigma from which a calibration is called rough. In a car full of steel it
-        may be the best possible, and the first words of the summary should say so.
-    nearly_full : float
-        Radians of arc from which a steady sideways acceleration can be told from a slope.
-    mostly_pull : float
-        Share of the heading's variance from which an acceleration that nothing shows is the main
-        cause.
-    weighed_pull_deg : float
-        Degrees of sideways acceleration that are no warning where the fit has weighed what it may
-        be, and the heading's sigma includes what it could not determine.
-    one_axis : float
-        Share of the gyro's squares about one axis from which a turn has one; a sensor that is
-        turned over by hand has none, and what counts is how it usually lies.
-    on_its_side : float
-        Radians that a turn's axis leans from the body's z, from which that is the cause.
-    costly : float
-        Radians of heading on a slope, and times the level's, from which an axial hard iron that
-        was not shown is mentioned.
-    earths_field_ut : tuple of float
-        Outside of these a strength is no Earth's: a warning that names the likely unit.
-    guessed : float
-        Times by which a strength may be out of them that only the turn tells.
-    beyond_iron_ut : tuple of float
-        Outside of these it is none that iron on the robot could make of it either: refused.
-    gravity_misfits : tuple of float
-        How far the accelerometer's length may be off gravity: excellent, good; beyond it warns.
-    reasons : int
-        How many reasons a summary names.
-    """
+    """Limits and allowances of a verdict, from simulation and about ten recordings."""
 
     chance: float = 3.0
     chance_with_soft_iron: float = 8.0
+    """Heading sigmas of the whole turn by which its halves may differ; a half hardly shows iron."""
     allowed_sigmas: float = 2.0
+    """Sigmas of the reference field by which its radius may be off before that counts."""
     several: float = 2.0
+    """Times the heading's sigma from which soft iron that was not shown is mentioned."""
     rough: float = math.radians(5.0)
+    """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
+    may be the best possible, and the first words of the summary should say so."""
     nearly_full: float = math.radians(300.0)
+    """Radians of arc from which a steady sideways acceleration can be told from a slope."""
     mostly_pull: float = 0.5
+    """Share of the heading's variance from which an acceleration that nothing shows is the main
+    cause."""
     weighed_pull_deg: float = 5.0
+    """Degrees of sideways acceleration that are no warning where the fit has weighed what it may
+    be, and the heading's sigma includes what it could not determine."""
     one_axis: float = 0.7
+    """Share of the gyro's squares about one axis from which a turn has one; a sensor that is turned
+    over by hand has none, and what counts is how it usually lies."""
     on_its_side: float = math.radians(45.0)
+    """Radians that a turn's axis leans from the body's z, from which that is the cause."""
     costly: tuple[float, float] = (math.radians(0.5), 2.0)
+    """Radians of heading on a slope, and times the level's, from which an axial hard iron that was
+    not shown is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
+    """Outside of these a strength is no Earth's: a warning that names the likely unit."""
     guessed: float = 1.5
+    """Times by which a strength may be out of them that only the turn tells."""
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
+    """Outside of these it is none that iron on the robot could make of it either: refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
+    """How far the accelerometer's length may be off gravity: excellent, good; beyond it warns."""
     reasons: int = 2
+    """How many reasons a summary names."""
 
 
 TUNING = VerdictTuning()
@@ -103,21 +83,14 @@ TUNING = VerdictTuning()
 
 @dataclass(frozen=True)
 class Verdict:
-    """The judgement on one estimate.
-
-    Parameters
-    ----------
-    checks : tuple of Check
-        Everything that was looked at.
-    not_shown : tuple of str
-        What this turn could not show.
-    summary : str
-        One sentence.
-    """
+    """The judgement on one estimate."""
 
     checks: tuple[Check, ...]
+    """Everything that was looked at."""
     not_shown: tuple[str, ...]
+    """What this turn could not show."""
     summary: str
+    """One sentence."""
 
     @property
     def quality(self) -> Grade:
@@ -191,21 +164,7 @@ NO_REFERENCE = "the size of the field: the reference field is not known"
 
 
 def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None) -> Verdict:
-    """Judge an estimate.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        What a method found.
-    knowledge : Knowledge
-        What was known beforehand.
-    window : Window, optional
-        The samples; without them gravity is not checked.
-
-    Returns
-    -------
-    Verdict
-    """
+    """Judge an estimate."""
     figures = judged_figures(estimate)
     has_gyro = window is not None and window.angular_rate is not None
     if window is not None and has_gyro:
@@ -258,6 +217,12 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
         pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
         if pull**2 > TUNING.mostly_pull * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
+        if Figure.LOCAL_SIGMA in figures:
+            # No calibration takes away what the field along the way adds.
+            local = figures[Figure.LOCAL_SIGMA]
+            own = math.sqrt(max(figure**2 - local**2, 0.0))
+            note = f", {shown(own * DEGREES)}° of it by the calibration"
+            return bound.check(figure, excess=own, note=note)
     if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
         bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
@@ -306,7 +271,7 @@ def _check_strength(strength: float, knowledge: Knowledge) -> Check:
         least, most = TUNING.beyond_iron_ut
         grade = grade if least <= microtesla <= most else Grade.REFUSED
         hint = likely_field_unit(strength)
-        words += f" is not the Earth's ({low:g} to {high:g} µT){': ' + hint if hint else ''}"
+        words += f" is not the Earth's ({low:.0f} to {high:.0f} µT){': ' + hint if hint else ''}"
     return Check(Figure.STRENGTH, Aspect.QUALITY, grade, words)
 
 
@@ -364,8 +329,14 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
     if not verdict.accepted:
         return f"Refused ({grades}): {_reasons(verdict, Grade.REFUSED)}."
     x, y, z = (float(value) * 1e6 for value in estimate.correction.hard_iron)
+    level, local = figures[Figure.HEADING_SIGMA], figures.get(Figure.LOCAL_SIGMA, 0.0)
+    own = math.sqrt(max(level**2 - local**2, 0.0))
+    apart = (
+        f"of which the calibration makes ±{own * DEGREES:.2f}° and local magnetic disturbances"
+        f" along the way ±{local * DEGREES:.2f}°, "
+    )
     words = (
-        f"{grades}: heading ±{figures[Figure.HEADING_SIGMA] * DEGREES:.2f}° on the level, "
+        f"{grades}: heading ±{level * DEGREES:.2f}° on the level, {apart if local else ''}"
         f"±{figures[Figure.HEADING_SIGMA_TILTED] * DEGREES:.2f}° at 10° of tilt (1σ); "
         f"hard iron ({x:.1f}, {y:.1f}, {z:.1f}) µT"
     )
@@ -376,7 +347,7 @@ def _summary(verdict: Verdict, estimate: Estimate, figures: Mapping[Figure, floa
             yaw, sigma = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
             words += f", yaw {yaw * DEGREES:.2f}° ±{sigma * DEGREES:.2f}°"
     warnings = _reasons(verdict, Grade.WARN)
-    rough = " roughly" if figures[Figure.HEADING_SIGMA] > TUNING.rough else ""
+    rough = " roughly" if own > TUNING.rough else ""
     return f"Calibrated{rough}{where}, {words}.{' But ' + warnings + '.' if warnings else ''}"
 
 

@@ -20,9 +20,11 @@ from magcal_ros.core.calibration.figure import (
 )
 from magcal_ros.core.calibration.heading_sigma import (
     arc_sigma,
+    calibration_sigma,
     common_figures,
     heading_jacobian,
     headings_apart,
+    local_sigma,
     predicted_heading_sigma,
     rms_apart,
     sideways_pull,
@@ -37,6 +39,6 @@ from magcal_ros.core.calibration.motors import (
 __all__ = [
     "AT_REST", "PARAMETERS", "Calibration", "Correction", "Estimate", "Evidence", "Figure",
     "GyroSwing", "Installation", "MotorField", "MotorInput", "Running", "along", "arc_sigma",
-    "common_figures", "heading_jacobian", "headings_apart",
+    "calibration_sigma", "common_figures", "heading_jacobian", "headings_apart", "local_sigma",
     "predicted_heading_sigma", "rms_apart", "sideways_pull", "yaw_jacobian",
 ]  # fmt: skip

@@ -16,33 +16,23 @@ from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why a calibration is believed, as it is stored beside the twelve numbers.
-
-    Parameters
-    ----------
-    method : str
-        Name of the method that found it.
-    quality, confidence : str
-        The verdict's two grades.
-    summary : str
-        The verdict in one sentence.
-    reasons, not_shown : tuple of str
-        The verdict's reasons, and what the turn could not show.
-    accepted_by_user : bool
-        Whether a person put it in force against the verdict.
-    figures : mapping of str to float
-        What the method measured, SI units, by the names of `Figure`; a file of another version
-        of the package may hold others.
-    """
+    """Why a calibration is believed, as it is stored beside the twelve numbers."""
 
     method: str
+    """Name of the method that found it."""
     quality: str
     confidence: str
+    """The verdict's two grades."""
     summary: str
+    """The verdict in one sentence."""
     reasons: tuple[str, ...] = ()
     not_shown: tuple[str, ...] = ()
+    """The verdict's reasons, and what the turn could not show."""
     accepted_by_user: bool = False
+    """Whether a person put it in force against the verdict."""
     figures: Mapping[str, float] = field(default_factory=dict)
+    """What the method measured, SI units, by the names of `Figure`; a file of another version of
+    the package may hold others."""
 
     def figure(self, name: Figure, default: float) -> float:
         """Return a figure, or `default` where it was not measured."""
@@ -51,34 +41,23 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A correction with its certainty.
-
-    Parameters
-    ----------
-    correction : Correction
-        The twelve numbers.
-    covariance : array_like, shape (12, 12)
-        Of A row by row, then h in tesla.
-    noise_field : float
-        Tesla per axis, standard deviation of one raw field sample.
-    noise_up : float
-        Radians per axis, standard deviation of one accelerometer tilt.
-    strength, inclination : float
-        The reference field as found, tesla and radians.
-    evidence : Evidence
-        Why it is believed.
-    motors : MotorField or None
-        What the motors add while they run; None where nothing has shown it.
-    """
+    """A correction with its certainty."""
 
     correction: Correction
+    """The twelve numbers."""
     covariance: FloatArray
+    """Of A row by row, then h in tesla. Shape (12, 12)."""
     noise_field: float
+    """Tesla per axis, standard deviation of one raw field sample."""
     noise_up: float
+    """Radians per axis, standard deviation of one accelerometer tilt."""
     strength: float
     inclination: float
+    """The reference field as found, tesla and radians."""
     evidence: Evidence
+    """Why it is believed."""
     motors: MotorField | None = None
+    """What the motors add while they run; None where nothing has shown it."""
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)

@@ -17,13 +17,6 @@ PARAMETERS = 12
 class Correction:
     """Takes the raw field to the field in body axes, `A (m_raw - h)`.
 
-    Parameters
-    ----------
-    matrix : array_like, shape (3, 3)
-        A, dimensionless; must be invertible and keep handedness.
-    hard_iron : array_like, shape (3,)
-        h in tesla, in the magnetometer's own axes.
-
     Raises
     ------
     ValueError
@@ -31,7 +24,9 @@ class Correction:
     """
 
     matrix: FloatArray
+    """A, dimensionless; must be invertible and keep handedness. Shape (3, 3)."""
     hard_iron: FloatArray
+    """h in tesla, in the magnetometer's own axes. Shape (3,)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matrix", frozen_array(self.matrix, (3, 3), "correction matrix"))

@@ -41,76 +41,52 @@ class Installation:
 
 @dataclass(frozen=True, eq=False)
 class GyroSwing:
-    """How the compass swings against the gyro over a turn: what is judged, and what is drawn.
-
-    Parameters
-    ----------
-    heading : ndarray, shape (s,)
-        ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians.
-    deviation : ndarray, shape (s,)
-        Compass less gyro there, radians; what is the gyro's own taken off.
-    rms : float
-        Of the deviation, less what the noise of single samples leaves in means, radians.
-    """
+    """How the compass swings against the gyro over a turn: what is judged, and what is drawn."""
 
     heading: FloatArray
+    """ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians. Shape
+    (s,)."""
     deviation: FloatArray
+    """Compass less gyro there, radians; what is the gyro's own taken off. Shape (s,)."""
     rms: float
+    """Of the deviation, less what the noise of single samples leaves in means, radians."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The result of one method on one window.
-
-    Parameters
-    ----------
-    method : str
-        Name of the method.
-    correction : Correction
-        The twelve numbers.
-    covariance : ndarray, shape (12, 12)
-        Of the twelve numbers (A row by row, then h in tesla), what the turn could not show
-        included. It is singular where a direction is fixed by convention.
-    installation : Installation or None
-        Installation error, where the method knows one.
-    axis : ndarray, shape (3,)
-        The turn's axis in body axes, unit, upwards.
-    arc : float
-        Radians of the turn that were seen.
-    strength, inclination : float
-        Of the reference field as the method believes it after the fit: tesla, radians.
-    noise_field, noise_up : float
-        Standard deviations found in the samples: tesla per axis, radians of tilt per axis.
-    inliers : ndarray of bool, shape (n,)
-        Samples that the fit believed.
-    residual : ndarray, shape (n, 3)
-        Raw field minus the model's, tesla.
-    figures : mapping of Figure to float
-        Everything else the method measured; SI units.
-    message : str
-        Why it stopped.
-    swing : GyroSwing or None
-        What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared.
-    motors : MotorField or None
-        What the motors add while they run, where the method tells.
-    """
+    """The result of one method on one window."""
 
     method: str
+    """Name of the method."""
     correction: Correction
+    """The twelve numbers."""
     covariance: FloatArray
+    """Of the twelve numbers (A row by row, then h in tesla), what the turn could not show included.
+    It is singular where a direction is fixed by convention. Shape (12, 12)."""
     installation: Installation | None
+    """Installation error, where the method knows one."""
     axis: FloatArray
+    """The turn's axis in body axes, unit, upwards. Shape (3,)."""
     arc: float
+    """Radians of the turn that were seen."""
     strength: float
     inclination: float
+    """Of the reference field as the method believes it after the fit: tesla, radians."""
     noise_field: float
     noise_up: float
+    """Standard deviations found in the samples: tesla per axis, radians of tilt per axis."""
     inliers: BoolArray
+    """Samples that the fit believed. Shape (n,)."""
     residual: FloatArray
+    """Raw field minus the model's, tesla. Shape (n, 3)."""
     figures: Mapping[Figure, float] = field(default_factory=dict)
+    """Everything else the method measured; SI units."""
     message: str = ""
+    """Why it stopped."""
     swing: GyroSwing | None = None
+    """What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared."""
     motors: MotorField | None = None
+    """What the motors add while they run, where the method tells."""
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)
@@ -159,10 +135,6 @@ def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArr
     correction : Correction
     field_body, gradient : ndarray, shape (..., 3)
         Corrected field, and the gradient there, body axes.
-
-    Returns
-    -------
-    ndarray, shape (..., 12)
     """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]

@@ -13,7 +13,10 @@ class Figure(str, Enum):
     __str__ = str.__str__
 
     HEADING_SIGMA = "heading_sigma"
-    """Predicted standard deviation of the heading on the level, radians."""
+    """Predicted standard deviation of the heading on the level, radians; after a drive with what
+    local magnetic disturbances along such a way add."""
+    LOCAL_SIGMA = "local_sigma"
+    """The part of it that the local disturbances make; only of drives."""
     HEADING_SIGMA_TILTED = "heading_sigma_tilted"
     """The same on slopes of 10 degrees to all sides."""
     HEADING_SIGMA_SOFT_IRON = "heading_sigma_soft_iron"
@@ -162,6 +165,9 @@ class Figure(str, Enum):
     """Metres of a drive; absent where nobody measured the speed."""
     STREET = "street"
     """Disturbance of the field along a drive that changes with the place, tesla per axis."""
+    LOCAL_FIELD = "local_field"
+    """By how much the field deviates along a drive, with what motors add unsteadily: tesla per
+    axis, standard deviation."""
     LEVEL_PULL = "level_pull"
     """Level field of a drive less the one believed, in sigmas of the belief; absent where that is
     exact or unknown."""

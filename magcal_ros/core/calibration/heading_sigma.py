@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -25,8 +25,9 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
     Returns
     -------
     dict of Figure to float
-        heading_sigma, heading_sigma_tilted : rad, predicted from the covariance, root mean square
-        over all headings on the level and on slopes of 10°;
+        heading_sigma, heading_sigma_tilted : rad, predicted, root mean square over all headings
+        on the level and on slopes of 10°;
+        local_sigma : rad, the part of it by local disturbances, of a drive;
         residual_ratio : rms residual of the believed samples over the level field;
         outlier_share : share of the samples that was not believed;
         installation_angle : rad, where the method knows one;
@@ -42,6 +43,8 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
         Figure.RESIDUAL_RATIO: rms / max(estimate.circle_radius, 1e-12),
         Figure.OUTLIER_SHARE: 1.0 - float(np.mean(estimate.inliers)),
     }
+    if Figure.LOCAL_FIELD in estimate.figures:
+        figures[Figure.LOCAL_SIGMA] = local_sigma(estimate)
     if estimate.installation is not None:
         figures[Figure.INSTALLATION_ANGLE] = estimate.installation.angle
     if Figure.RADIUS_RATIO in estimate.figures:
@@ -52,11 +55,11 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's standard deviation from the covariance of the twelve numbers.
+    """Return the yaw's standard deviation: of the calibration, and of the field where it drove.
 
     Parameters
     ----------
-    estimate : Estimate
+    estimate : Estimate or Calibration
         What was found.
     tilt : float
         Radians. Zero for the level; otherwise over slopes to all four sides.
@@ -66,9 +69,37 @@ def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0)
     float
         Radians, root mean square over 24 headings.
     """
+    return math.hypot(calibration_sigma(estimate, tilt), local_sigma(estimate, tilt))
+
+
+def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
+    """Return the yaw's standard deviation from the covariance of the twelve numbers.
+
+    Parameters and unit as of `predicted_heading_sigma`.
+    """
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, tilt)
     return rms_sigma(jacobian, estimate.covariance)
+
+
+def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
+    """Return the yaw's standard deviation by local disturbances along the way that was driven.
+
+    Parameters and unit as of `predicted_heading_sigma`. Zero where no drive has shown any.
+    """
+    size = local_field(estimate)
+    if size == 0.0:
+        return 0.0
+    reference = field_in_enu(estimate.strength, estimate.inclination)
+    by_field = heading_jacobian(estimate.correction, reference, tilt)[:, PARAMETERS - 3 :]
+    return size * math.sqrt(float(np.mean(np.sum(by_field**2, axis=1))))
+
+
+def local_field(estimate: Estimate | Calibration) -> float:
+    """Return by how much the field deviates where it was driven (`Figure.LOCAL_FIELD`), tesla."""
+    if isinstance(estimate, Calibration):
+        return estimate.evidence.figure(Figure.LOCAL_FIELD, 0.0)
+    return estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
 
 
 def arc_sigma(estimate: Estimate) -> float:
@@ -99,10 +130,6 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
         The Earth's field, tesla.
     tilt : float
         Radians. Zero for the level; otherwise over slopes to all four sides.
-
-    Returns
-    -------
-    ndarray, shape (24, 12), or (96, 12) on slopes
     """
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])

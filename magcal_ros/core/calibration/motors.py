@@ -34,27 +34,18 @@ INPUTS = tuple(MotorInput)
 
 
 class Running(NamedTuple):
-    """What a robot does at a moment, as far as its motors are concerned.
-
-    Parameters
-    ----------
-    moving : float
-        Probability that it moves.
-    turn_rate : float
-        rad/s about the body's z; NaN where it is unknown, as of the others.
-    speed : float
-        m/s, negative backwards.
-    current : float
-        Amperes, by any sign that stays the same.
-    side : float
-        One while it turns left, minus one to the right, and between where it hardly turns.
-    """
+    """What a robot does at a moment, as far as its motors are concerned."""
 
     moving: float = 0.0
+    """Probability that it moves."""
     turn_rate: float = 0.0
+    """rad/s about the body's z; NaN where it is unknown, as of the others."""
     speed: float = 0.0
+    """m/s, negative backwards."""
     current: float = 0.0
+    """Amperes, by any sign that stays the same."""
     side: float = 0.0
+    """One while it turns left, minus one to the right, and between where it hardly turns."""
 
 
 AT_REST = Running()
@@ -62,31 +53,21 @@ AT_REST = Running()
 
 @dataclass(frozen=True, eq=False)
 class MotorField:
-    """The field of the motors, `K u` beside the hard iron, with its certainty.
-
-    Parameters
-    ----------
-    inputs : tuple of MotorInput
-        What u holds.
-    gain : array_like, shape (n, 3)
-        K by inputs: tesla per unit of each, in the magnetometer's own axes.
-    covariance : array_like, shape (3 n, 3 n)
-        Of the gains, input by input, tesla² per units.
-    beside : array_like, shape (12, 3 n)
-        Covariance with the twelve numbers of the calibration.
-    ripple : float
-        Tesla per axis that the field deviates by while the robot moves, beside K u.
-    usual : tuple of float
-        Root mean square of each input while the robot moves: what is expected of an input that
-        nobody tells.
-    """
+    """The field of the motors, `K u` beside the hard iron, with its certainty."""
 
     inputs: tuple[MotorInput, ...]
+    """What u holds."""
     gain: FloatArray
+    """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
     covariance: FloatArray
+    """Of the gains, input by input, tesla² per units. Shape (3 n, 3 n)."""
     beside: FloatArray
+    """Covariance with the twelve numbers of the calibration. Shape (12, 3 n)."""
     ripple: float
+    """Tesla per axis that the field deviates by while the robot moves, beside K u."""
     usual: tuple[float, ...]
+    """Root mean square of each input while the robot moves: what is expected of an input that
+    nobody tells."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)
@@ -140,11 +121,6 @@ class MotorField:
 
         Turns to one side do not tell a step with motion from one that changes side: either may be
         all of it.
-
-        Parameters
-        ----------
-        side : float
-            Of the turns: positive to the left.
         """
         at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
         split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))

@@ -35,21 +35,14 @@ TOLD_OTHERWISE = (
 
 @dataclass(frozen=True)
 class BlameTuning:
-    """When sensors are called wrong.
-
-    Parameters
-    ----------
-    remains : float
-        Chi-square up to which an explanation remains.
-    wrong : float
-        Chi-square from which the axes as given are called wrong.
-    most_named : int
-        Explanations that are written out for one sensor.
-    """
+    """When sensors are called wrong."""
 
     remains: float = 20.0
+    """Chi-square up to which an explanation remains."""
     wrong: float = 40.0
+    """Chi-square from which the axes as given are called wrong."""
     most_named: int = 3
+    """Explanations that are written out for one sensor."""
 
 
 TUNING = BlameTuning()
@@ -57,38 +50,20 @@ TUNING = BlameTuning()
 
 @dataclass(frozen=True, eq=False)
 class Blame:
-    """Which sensors err.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        One for each sensor whose axes err or may err, or one that all agree.
-    chosen : int
-        The explanation that is taken.
-    axes : AxesFound or None
-        Of the magnetometer; None where it is not known.
-    explained : bool
-        Whether the explanation explains the movement.
-    """
+    """Which sensors err."""
 
     findings: tuple[Finding, ...]
+    """One for each sensor whose axes err or may err, or one that all agree."""
     chosen: int
+    """The explanation that is taken."""
     axes: AxesFound | None
+    """Of the magnetometer; None where it is not known."""
     explained: bool
+    """Whether the explanation explains the movement."""
 
 
 def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:
-    """Name the sensors whose axes err, or may err.
-
-    Parameters
-    ----------
-    explanations : Explanations
-        All ways that were weighed.
-    knowledge : Knowledge
-        For the mounting that is known, and whether the inclination is.
-    answers : UserAnswers
-        What a person did: an explanation that says otherwise is none.
-    """
+    """Name the sensors whose axes err, or may err."""
     best = explanations.best
     if explanations.rms[best] > AXES.worst_fit:
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)

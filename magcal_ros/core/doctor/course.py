@@ -23,21 +23,14 @@ LONGER = "drive farther, to several sides, straight and at more than walking pac
 
 @dataclass(frozen=True)
 class AxesYawTuning:
-    """When a course decides on the yaw of axes.
-
-    Parameters
-    ----------
-    vague : float
-        Radians of sigma beyond which it does not.
-    near : float
-        Radians that may be left beside a multiple of 90°, for a declination that is not known.
-    iron : float
-        Sigma of the hard iron over the level field beyond which there is no compass to compare.
-    """
+    """When a course decides on the yaw of axes."""
 
     vague: float = math.radians(12.0)
+    """Radians of sigma beyond which it does not."""
     near: float = math.radians(35.0)
+    """Radians that may be left beside a multiple of 90°, for a declination that is not known."""
     iron: float = 0.3
+    """Sigma of the hard iron over the level field beyond which there is no compass to compare."""
 
 
 TUNING = AxesYawTuning()
@@ -45,39 +38,27 @@ TUNING = AxesYawTuning()
 
 @dataclass(frozen=True)
 class CourseSeen:
-    """What a drive shows of the compass, radians; NaN where it does not.
-
-    Parameters
-    ----------
-    gap, sigma : float
-        Yaw of the compass less course, less declination, less the yaw of the IMU where it is known.
-    imu_yaw, imu_sigma : float
-        Of the IMU in the vehicle, to the left, by the vehicle's own acceleration.
-    """
+    """What a drive shows of the compass, radians; NaN where it does not."""
 
     gap: float = math.nan
     sigma: float = math.nan
+    """Yaw of the compass less course, less declination, less the yaw of the IMU where it is
+    known."""
     imu_yaw: float = math.nan
     imu_sigma: float = math.nan
+    """Of the IMU in the vehicle, to the left, by the vehicle's own acceleration."""
 
 
 @dataclass(frozen=True, eq=False)
 class AxesInUse:
-    """The magnetometer's axes by which the page goes, and the compass that they make.
-
-    Parameters
-    ----------
-    axes : ndarray, shape (3, 3)
-        Rows in the body's, after the mounting that is known.
-    pose : ndarray, shape (3, 3)
-        The mounting that is known.
-    compass : Calibration
-        Good enough to be compared with a course.
-    """
+    """The magnetometer's axes by which the page goes, and the compass that they make."""
 
     axes: FloatArray
+    """Rows in the body's, after the mounting that is known. Shape (3, 3)."""
     pose: FloatArray
+    """The mounting that is known. Shape (3, 3)."""
     compass: Calibration
+    """Good enough to be compared with a course."""
 
 
 def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> AxesInUse | None:
@@ -97,11 +78,11 @@ def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> Axe
     )
     if not np.array_equal(explanations.gyro[k], np.eye(3)) or is_mirrored(axes):
         return None
-    up = explanations.part.stretch.up[0]
+    up = explanations.part.up[0]
     level = float(np.linalg.norm(np.cross(state[FIELD], up)))
     if not float(sigma[IRON].max()) < TUNING.iron * level:
         return None
-    size = explanations.part.stretch.size
+    size = explanations.part.size
     to_axes = axes.T @ knowledge.mounting.to_body
     soft = np.eye(3) + state[SOFT].reshape(3, 3)
     compass = Calibration(

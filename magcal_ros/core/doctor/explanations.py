@@ -16,53 +16,40 @@ import numpy as np
 
 from magcal_ros.core.assessment.axes import TUNING as AXES
 from magcal_ros.core.assessment.axes import inclination_misfit, most_turned
-from magcal_ros.core.doctor.gravity_turns import gravity_misfit
-from magcal_ros.core.doctor.log_stretch import LogStretch, stretch_of_log
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations
+from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning
-from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog
 
 WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
 
 
 @dataclass(frozen=True)
 class ExplanationTuning:
-    """What is believed of sensors that may be faulty, and when an explanation is dropped.
-
-    Parameters
-    ----------
-    fit : AlignmentTuning
-        Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a
-        second of latency.
-    pruned : float
-        Chi-square beyond which a way is not fitted.
-    most : int
-        Ways that are fitted.
-    doubtful : float
-        Chi-square at most that field or gravity count for where soft iron or linear acceleration
-        could explain it.
-    good_fit : float
-        Residual over the changing field up to which small differences of the fit are believed.
-    settled : float
-        Seconds of latency that need no further look.
-    looks : int
-        At the latency.
-    least_turn : float
-        Radians between the first and some later attitude.
-    """
+    """What is believed of sensors that may be faulty, and when an explanation is dropped."""
 
     fit: AlignmentTuning = WIDE
+    """Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second
+    of latency."""
     pruned: float = 80.0
+    """Chi-square beyond which a way is not fitted."""
     most: int = 32
+    """Ways that are fitted."""
     doubtful: float = 12.0
+    """Chi-square at most that field or gravity count for where soft iron or linear acceleration
+    could explain it."""
     good_fit: float = 0.06
+    """Residual over the changing field up to which small differences of the fit are believed."""
     settled: float = 0.02
+    """Seconds of latency that need no further look."""
     looks: int = 4
+    """At the latency."""
     least_turn: float = math.radians(40.0)
+    """Radians between the first and some later attitude."""
 
 
 TUNING = ExplanationTuning()
@@ -70,35 +57,27 @@ TUNING = ExplanationTuning()
 
 @dataclass(frozen=True, eq=False)
 class Explanations:
-    """What became of every way that was weighed.
-
-    Parameters
-    ----------
-    gyro, field : ndarray, shape (k, 3, 3)
-        Axes of the two sensors in the accelerometer's.
-    cost : ndarray, shape (k,)
-        Chi-square in independent samples, above that of the best without an inclination.
-    base : ndarray, shape (k / 2,)
-        The same without the inclination, which alone tells the field from its opposite.
-    rms : ndarray, shape (k,)
-        Typical residual of the field over the size of its changing part.
-    parameters, sigma : ndarray, shape (k, 23)
-        What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
-    part : LogStretch
-        What was fitted.
-    found : Alignment
-        The fit, which does not know the field from its opposite.
-    """
+    """What became of every way that was weighed."""
 
     gyro: FloatArray
     field: FloatArray
+    """Axes of the two sensors in the accelerometer's. Shape (k, 3, 3)."""
     cost: FloatArray
+    """Chi-square in independent samples, above that of the best without an inclination. Shape
+    (k,)."""
     base: FloatArray
+    """The same without the inclination, which alone tells the field from its opposite. Shape (k /
+    2,)."""
     rms: FloatArray
+    """Typical residual of the field over the size of its changing part. Shape (k,)."""
     parameters: FloatArray
     sigma: FloatArray
-    part: LogStretch
+    """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
+    Shape (k, 23)."""
+    part: Stretch
+    """What was fitted."""
     found: Alignment
+    """The fit, which does not know the field from its opposite."""
 
     @property
     def misfit(self) -> FloatArray:
@@ -136,7 +115,7 @@ class Explanations:
 
     def turned(self, k: int) -> float:
         """Return the angle that a way says was turned about the accelerometer's up, radians."""
-        stretch = self.part.stretch
+        stretch = self.part
         up = stretch.up[:-1] / np.linalg.norm(stretch.up[:-1], axis=1, keepdims=True)
         rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
         rate = rate - self.parameters[k, BIAS] * stretch.seconds[:, None]
@@ -146,32 +125,23 @@ class Explanations:
 def explain(
     log: SensorLog, inclination: Belief, tuning: ExplanationTuning = TUNING
 ) -> Explanations | None:
-    """Weigh the ways in which axes may lie; None where too little moves.
-
-    Parameters
-    ----------
-    log : SensorLog
-        Finite numbers, increasing stamps, a gyro.
-    inclination : Belief
-        Of the field; it tells a magnetometer from its opposite.
-    tuning : ExplanationTuning, optional
-    """
+    """Weigh the ways in which axes may lie; None where too little moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part.stretch) < tuning.least_turn:
+    if part is None or most_turned(part) < tuning.least_turn:
         return None
-    senses = _against_the_field(part.stretch, proper, tuning.fit)
+    senses = _against_the_field(part, proper, tuning.fit)
     for _ in range(tuning.looks):
         more = float(senses.parameters[senses.best, LAG])
         nearer = stretch_of_log(log, lag + more) if abs(more) > tuning.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _against_the_field(part.stretch, proper, tuning.fit)
-    ways = _remaining(part.stretch, senses, every, proper, tuning)
+        senses = _against_the_field(part, proper, tuning.fit)
+    ways = _remaining(part, senses, every, proper, tuning)
     gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
-    found = align(part.stretch, field, tuning.fit, gyro)
+    found = align(part, field, tuning.fit, gyro)
     base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
@@ -238,11 +208,11 @@ def _signed(
     found: Alignment,
     inclination: Belief,
     lag: float,
-    part: LogStretch,
+    part: Stretch,
 ) -> Explanations:
     """Let the inclination weigh each field against its opposite, which turns alike."""
     count = len(field)
-    pulls = [
+    by_inclination = [
         inclination_misfit(found, k, sign, inclination)
         for sign in (1.0, -1.0)
         for k in range(count)
@@ -254,7 +224,7 @@ def _signed(
     return Explanations(
         gyro[twice],
         np.concatenate([field, -field]),
-        base[twice] + np.array(pulls),
+        base[twice] + np.array(by_inclination),
         base,
         found.rms[twice],
         parameters,
@@ -262,3 +232,89 @@ def _signed(
         part,
         found,
     )
+
+
+@dataclass(frozen=True)
+class GravityTurnsTuning:
+    """How changes of gravity are compared with the gyro's turns."""
+
+    span: float = 0.6
+    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
+    bias: float = math.radians(6.0)
+    scale: float = 0.2
+    """Standard deviations of what the gyro may err by, rad/s and relative."""
+    lever: float = 1.0
+    """Metres, standard deviation of how far the sensor is from the point about which it turns: a
+    hand swings it around an elbow, a vehicle turns about its rear axle."""
+    floor: float = math.radians(0.5)
+    """Radians of noise that is believed at least."""
+    rounds: int = 3
+    """Of robust weights."""
+
+
+GRAVITY = GravityTurnsTuning()
+
+
+def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Weigh how each way explains gravity's changes.
+
+    Return chi-square (k,) above the best's, and the typical residual, radians (k,).
+
+    A body that turns by a small angle d sees up change by -d x up, and at a distance r from the
+    point about which it turns it is accelerated by what r and the gyro tell. Other accelerations
+    change the size of what is felt, which no turn does, and lean it as much.
+
+    Parameters
+    ----------
+    stretch : Stretch
+        The movement.
+    ways : ndarray, shape (k, 3, 3)
+        Rows are the gyro's axes in the accelerometer's.
+    """
+    seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
+    last = np.searchsorted(seconds, seconds + GRAVITY.span)
+    first = np.flatnonzero(last < len(seconds))
+    last = last[first]
+    if len(first) < 4:
+        return np.zeros(len(ways)), np.zeros(len(ways))
+    size = np.linalg.norm(stretch.up, axis=1, keepdims=True)
+    uneven = float(np.median(np.abs(size[last] - size[first]))) / 0.6745
+    up = stretch.up / np.maximum(size, 1e-9)
+    middle = skews(0.5 * (up[last] + up[first]))
+    seen = up[last] - up[first]
+    turned = (angle[last] - angle[first]) @ ways
+    # seen = middle x (turned (1 + scale) - bias seconds) + swung r
+    count, n = len(ways), len(first)
+    moved = np.einsum("nij,knj->kni", middle, turned)
+    drift = -middle * (seconds[last] - seconds[first])[:, None, None]
+    swung = _accelerated(stretch.rate @ ways, seconds)
+    swung = -middle @ middle @ (swung[:, last] - swung[:, first])
+    drifted = np.broadcast_to(drift, (count, n, 3, 3))
+    design = np.concatenate([drifted, moved[..., None], swung], axis=3)
+    target = seen - moved
+    sizes = np.array([GRAVITY.bias] * 3 + [GRAVITY.scale] + [GRAVITY.lever] * 3)
+    prior = np.diag(sizes**-2.0)
+    repeated = max(float(np.mean(last - first)), 1.0)
+    sigma, left = math.radians(5.0), np.zeros((count, n))
+    for _ in range(GRAVITY.rounds):
+        weight = 7.0 / (4.0 + left / sigma**2) / sigma**2 / repeated
+        rows = design * weight[..., None, None]
+        normal = np.einsum("knia,knib->kab", rows, design) + prior
+        found = np.linalg.solve(normal, np.einsum("knia,kni->ka", rows, target)[..., None])[..., 0]
+        left = np.sum((target - np.einsum("knia,ka->kni", design, found)) ** 2, axis=2)
+        typical = np.sqrt(np.median(left, axis=1) / 2.37)
+        cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
+        sigma = max(float(typical[np.argmin(cost)]), uneven, GRAVITY.floor)
+    cost = 7.0 * np.log1p(left / 4.0 / sigma**2).sum(axis=1) / repeated
+    cost = cost + np.einsum("ka,ab,kb->k", found, prior, found)
+    return np.asarray(cost - cost.min()), np.asarray(np.maximum(typical, GRAVITY.floor))
+
+
+def _accelerated(rate: FloatArray, seconds: FloatArray) -> FloatArray:
+    """Return how a metre of lever arm is accelerated by rates (k, n, 3), in g, (k, n, 3, 3)."""
+    turns, gains = (
+        skews(values.reshape(-1, 3)).reshape(*values.shape, 3)
+        for values in (rate, np.gradient(rate, seconds, axis=1))
+    )
+    return np.asarray((gains + turns @ turns) / STANDARD_GRAVITY)

@@ -15,49 +15,36 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import SensorLog
 
 
 @dataclass(frozen=True)
 class PlaceTuning:
-    """When the field is called another than the reference's, and the motors' one is.
-
-    Parameters
-    ----------
-    strength : float
-        Relative difference.
-    inclination : float
-        Radians.
-    sigmas : float
-        So many standard deviations it must be, too.
-    vague : float
-        Relative standard deviation of the strength beyond which it is not shown.
-    motors : float
-        Tesla by which the field steps when the robot sets off.
-    turned_too_far, scatter_too_large : float
-        Degrees of heading of that step, and by which it differs from one time to another, from
-        which moving the sensor is the better cure: half the level field, where a tenth of it in
-        the motors' current is three degrees, and the largest error that may stay unsaid.
-    still, moves : float
-        rad/s below which it stands, and above which it turns.
-    late : float
-        Seconds of a latency that is not shown, up to which it does not matter.
-    before, after : tuple of float
-        Seconds from and to, around the moment in which it sets off or stops.
-    """
+    """When the field is called another than the reference's, and the motors' one is."""
 
     strength: float = 0.2
+    """Relative difference."""
     inclination: float = math.radians(8.0)
+    """Radians."""
     sigmas: float = 3.0
+    """So many standard deviations it must be, too."""
     vague: float = 0.1
+    """Relative standard deviation of the strength beyond which it is not shown."""
     motors: float = 1.5e-6
+    """Tesla by which the field steps when the robot sets off."""
     turned_too_far: float = 25.0
     scatter_too_large: float = 5.0
+    """Degrees of heading of that step, and by which it differs from one time to another, from which
+    moving the sensor is the better cure: half the level field, where a tenth of it in the motors'
+    current is three degrees, and the largest error that may stay unsaid."""
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
+    """rad/s below which it stands, and above which it turns."""
     late: float = 0.05
+    """Seconds of a latency that is not shown, up to which it does not matter."""
     before: tuple[float, float] = (-0.6, -0.1)
     after: tuple[float, float] = (0.3, 0.8)
+    """Seconds from and to, around the moment in which it sets off or stops."""
 
 
 TUNING = PlaceTuning()
@@ -73,7 +60,7 @@ def reference_findings(
     up_is_down: bool | None = False,
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
-    size = explanations.part.stretch.size
+    size = explanations.part.size
     state, sigma = explanations.parameters[k], explanations.sigma[k]
     vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
     strength = float(np.linalg.norm(vector)) * size
@@ -144,7 +131,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
     field = log.field @ explanations.field[k]
     time = log.field_time - lag
-    iron = state[IRON] * explanations.part.stretch.size
+    iron = state[IRON] * explanations.part.size
     up = unit(np.median(log.force, axis=0))
     steps, spread, level = [], [], []
     for moment, sign in _starts_and_stops(log, rate):

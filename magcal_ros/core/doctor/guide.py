@@ -44,36 +44,24 @@ class GuideStepState(str, Enum):
 
 @dataclass(frozen=True)
 class GuideTuning:
-    """When a stage is seen.
-
-    Parameters
-    ----------
-    block : float
-        Seconds that are averaged.
-    stand : float
-        Seconds of standing still at first.
-    rest : float
-        Seconds of standing that end a turn or a lift.
-    still : tuple of float
-        Radians by which gravity, and share of its size by which the field, may move at rest.
-    angle : float
-        Radians of turn that the gyro must read.
-    swing : float
-        Share of its size by which the field must move where the gyro reads no turn.
-    lift : float
-        Radians by which gravity must lean.
-    patience : float
-        Seconds after which a stage is given up.
-    """
+    """When a stage is seen."""
 
     block: float = 0.25
+    """Seconds that are averaged."""
     stand: float = 4.0
+    """Seconds of standing still at first."""
     rest: float = 1.0
+    """Seconds of standing that end a turn or a lift."""
     still: tuple[float, float] = (math.radians(2.0), 0.06)
+    """Radians by which gravity, and share of its size by which the field, may move at rest."""
     angle: float = math.radians(75.0)
+    """Radians of turn that the gyro must read."""
     swing: float = 0.4
+    """Share of its size by which the field must move where the gyro reads no turn."""
     lift: float = math.radians(8.0)
+    """Radians by which gravity must lean."""
     patience: float = 45.0
+    """Seconds after which a stage is given up."""
 
 
 TUNING = GuideTuning()

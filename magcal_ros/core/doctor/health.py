@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,38 +13,32 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
+from magcal_ros.core.samples.window import SensorLog
 
 
 @dataclass(frozen=True)
 class HealthTuning:
-    """Where a stream's fault begins.
-
-    Parameters
-    ----------
-    jitter : float
-        RMS deviation of the gaps over the usual gap that is worth a look.
-    repeats : float
-        Share of samples with the values of the one before.
-    coarse : float
-        Tesla, step of the field's numbers.
-    lattice : float
-        Share of a step by which numbers on a grid may be off it.
-    saturated : tuple of float
-        Places along the other two axes, in twentieths of the field's size, at which one axis must
-        stand at its extreme; and how many times those just below the extreme.
-    gravity : float
-        Misfit of the usual acceleration.
-    fewest : int
-        Samples below which nothing is said of a stream.
-    """
+    """Where a stream's fault begins."""
 
     jitter: float = 0.5
+    """RMS deviation of the gaps over the usual gap that is worth a look."""
     repeats: float = 0.05
+    """Share of samples with the values of the one before."""
     coarse: float = 0.5e-6
+    """Tesla, step of the field's numbers."""
     lattice: float = 0.05
+    """Share of a step by which numbers on a grid may be off it."""
     saturated: tuple[int, float] = (5, 1.5)
+    """Places along the other two axes, in twentieths of the field's size, at which one axis must
+    stand at its extreme; and how many times those just below the extreme."""
     gravity: float = 0.15
+    """Misfit of the usual acceleration."""
     fewest: int = 50
+    """Samples below which nothing is said of a stream."""
+    field_noise: float = 3e-6
+    rate_noise: float = 0.3
+    """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
+    shakes a good gyro by a tenth."""
 
 
 TUNING = HealthTuning()
@@ -120,7 +115,7 @@ def field_findings(field: FloatArray, tuning: HealthTuning = TUNING) -> list[Fin
     full = [axis for axis in range(3) if saturated(field, axis, tuning).any()]
     largest = float(np.abs(field).max()) * 1e6
     words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
-    evidence = f"at most {largest:.3g} µT"
+    evidence = f"at most {largest:.3g} µT on an axis"
     if full:
         found.append(wrong("saturation", "field: range", evidence, words))
     else:
@@ -199,3 +194,43 @@ def _step(values: FloatArray, tuning: HealthTuning) -> float:
     off = np.abs(near - np.rint(near))
     on_grid = len(near) > 0.5 * len(gaps) and float((off < tuning.lattice).mean()) > 0.97
     return step if on_grid else 0.0
+
+
+def white_noise(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of each column (n, d) about a smooth course.
+
+    Second differences of white noise have six times its variance, and nearly nothing of a slow
+    movement.
+    """
+    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / math.sqrt(6.0))
+
+
+def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
+    """Look at the scatter of both sensors; each stream has three samples or more.
+
+    Parameters
+    ----------
+    log : SensorLog
+        The cleaned streams.
+    factor : float
+        What makes rad/s of the gyro's numbers.
+    """
+    field = float(white_noise(log.field).max())
+    words = (
+        "the field is noisy: average in the driver, and move the sensor away from motors and their "
+        "wires"
+    )
+    evidence = f"{field * 1e6:.2f} µT per sample"
+    found = [
+        looked_at("field_noise", "field: noise", evidence, words * (field > TUNING.field_noise))
+    ]
+    if log.has_gyro:
+        rate = factor * float(white_noise(log.rate).max())
+        force = float(white_noise(log.force).max())
+        words = "the gyro is noisy: look at its range, its low-pass filter and how it is mounted"
+        evidence = f"gyro {math.degrees(rate):.2f} °/s, accelerometer {force:.3f} m/s² per sample"
+        found.append(
+            looked_at("imu_noise", "IMU: noise", evidence, words * (rate > TUNING.rate_noise))
+        )
+    return found

@@ -16,13 +16,13 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.log_stretch import LogStretch, LogStretchTuning, stretch_of_log
-from magcal_ros.core.doctor.noise import white_noise
+from magcal_ros.core.doctor.health import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.stretch import Stretch, StretchTuning, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog
 
 OF_FIELD = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
@@ -30,44 +30,30 @@ OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, har
 
 @dataclass(frozen=True)
 class LatencyTuning:
-    """How the latency of a sensor is fitted.
-
-    Parameters
-    ----------
-    most : int
-        Samples; more are averaged.
-    field, force : AlignmentTuning
-        What is believed of the magnetometer and of the accelerometer, whose offset counts in the
-        changing part of gravity.
-    lever : float
-        Metres, standard deviation of how far the accelerometer sits off the turn's axis.
-    walk_step : float
-        Seconds between the steps of the gyro's random walk at least.
-    walk_steps : int
-        Of them at most.
-    walk : float
-        Radians in a second that a gyro without noise walks.
-    shaken : float
-        Seconds over which the noise is taken together.
-    least : float
-        Seconds, standard deviation of the stamps' own habits.
-    rounds : int
-        Of robust weights.
-    steps : int
-        Of the fit between two estimates of the noise.
-    """
+    """How the latency of a sensor is fitted."""
 
     most: int = 1500
+    """Samples; more are averaged."""
     field: AlignmentTuning = OF_FIELD
     force: AlignmentTuning = OF_FORCE
+    """What is believed of the magnetometer and of the accelerometer, whose offset counts in the
+    changing part of gravity."""
     lever: float = 0.3
+    """Metres, standard deviation of how far the accelerometer sits off the turn's axis."""
     walk_step: float = 1.0
+    """Seconds between the steps of the gyro's random walk at least."""
     walk_steps: int = 40
+    """Of them at most."""
     walk: float = math.radians(0.01)
+    """Radians in a second that a gyro without noise walks."""
     shaken: float = 1.5
+    """Seconds over which the noise is taken together."""
     least: float = 1e-3
+    """Seconds, standard deviation of the stamps' own habits."""
     rounds: int = 3
+    """Of robust weights."""
     steps: int = 4
+    """Of the fit between two estimates of the noise."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +65,7 @@ class Latency:
 
 
 TUNING = LatencyTuning()
-EACH_SAMPLE = LogStretchTuning(fewest=TUNING.most, most=TUNING.most)
+EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 
 
 def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
@@ -100,9 +86,9 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     if part is None:
         return None
     state[:, LAG] = 0.0
-    state[:, FIELD.start : IRON.stop] *= explanations.part.stretch.size / part.stretch.size
+    state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
     axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    fit = AlignmentFit(part.stretch, axes, TUNING.field, gyro)
+    fit = AlignmentFit(part, axes, TUNING.field, gyro)
     found = _fitted(fit, state, part, log, None)
     return Latency(before + found.lag, found.sigma)
 
@@ -119,11 +105,11 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         part = stretch_of_log(gravity, before, EACH_SAMPLE)
         if part is None:
             break
-        fit = AlignmentFit(part.stretch, np.eye(3)[None], TUNING.force, gyro, with_up=False)
+        fit = AlignmentFit(part, np.eye(3)[None], TUNING.force, gyro, with_up=False)
         state = fit.descend(fit.start(), TUNING.force.start_noise, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
-        more = _fitted(fit, state, part, log, TUNING.lever / part.stretch.size * lever)
+        more = _fitted(fit, state, part, log, TUNING.lever / part.size * lever)
         found = Latency(before + more.lag, more.sigma)
         if abs(more.lag) < WEIGHED.settled:
             break
@@ -134,7 +120,7 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
 def _fitted(
     fit: AlignmentFit,
     state: FloatArray,
-    part: LogStretch,
+    part: Stretch,
     log: SensorLog,
     lever: FloatArray | None,
 ) -> Latency:
@@ -152,7 +138,7 @@ def _fitted(
     count = design.shape[2]
     prior = np.eye(count)
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
-    pull = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
+    slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
     for _ in range(TUNING.rounds):
         variance = _noise_around(left, part.time)
@@ -160,7 +146,7 @@ def _fitted(
         weight /= inefficiency(left / np.sqrt(variance)[:, None])
         rows = (design * weight[:, None, None]).reshape(-1, count)
         information = rows.T @ design.reshape(-1, count) + prior
-        step = np.linalg.solve(information, rows.T @ residual.ravel() - pull)
+        step = np.linalg.solve(information, rows.T @ residual.ravel() - slope)
         left = residual - design @ step
     covariance = np.linalg.inv(information)
     off = math.hypot(math.sqrt(float(covariance[LAG, LAG])), TUNING.least)

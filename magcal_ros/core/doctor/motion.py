@@ -13,7 +13,6 @@ from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain
 from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
-from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.prepared import CleanLog
 from magcal_ros.core.doctor.quiet import Rest, longest_rest
 from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
@@ -22,13 +21,15 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
-from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.streams import slow_words
+from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
+from magcal_ros.core.samples.window import SensorLog
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that shows everything."""
 
 FULL_TURN = "stand still, then turn a full circle"
+FASTER = "it needs faster samples of the IMU"
 NO_BURSTS = "the stamps must not come in bursts"
 STARTS = "start and stop while you turn, at 20 °/s or more"
 LEANS = "lift the nose by 20° within a second or two"
@@ -40,40 +41,27 @@ NO_GYRO = (
 
 @dataclass(frozen=True)
 class MotionTuning:
-    """Where an error between the sensors is worth a word.
-
-    Parameters
-    ----------
-    bias : float
-        rad/s of the gyro's bias.
-    scale : float
-        Relative error of the gyro's scale.
-    at_rest : float
-        rad/s, standard deviation of a bias that was read at rest.
-    borne_out : float
-        Share of the bias by which the rate at rest may be another.
-    alike : float
-        Times the least residual with which rad/s are preferred to a known slip.
-    lag : float
-        Seconds between the sensors' stamps.
-    sigmas : float
-        So many standard deviations it must be, too.
-    vague : tuple of float
-        Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
-        beyond which it is not shown.
-    largest_noise : float
-        Usual change between neighbours, over the whole changing part, that is no noise at rest.
-    """
+    """Where an error between the sensors is worth a word."""
 
     bias: float = math.radians(0.8)
+    """rad/s of the gyro's bias."""
     scale: float = 0.03
+    """Relative error of the gyro's scale."""
     at_rest: float = math.radians(0.1)
+    """rad/s, standard deviation of a bias that was read at rest."""
     borne_out: float = 0.4
+    """Share of the bias by which the rate at rest may be another."""
     alike: float = 1.2
+    """Times the least residual with which rad/s are preferred to a known slip."""
     lag: float = 0.015
+    """Seconds between the sensors' stamps."""
     sigmas: float = 3.0
+    """So many standard deviations it must be, too."""
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
+    """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
+    beyond which it is not shown."""
     largest_noise: float = 0.25
+    """Usual change between neighbours, over the whole changing part, that is no noise at rest."""
 
 
 TUNING = MotionTuning()
@@ -81,60 +69,39 @@ TUNING = MotionTuning()
 
 @dataclass(frozen=True, eq=False)
 class MotionFound:
-    """What was found, and by which explanation.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        The lines.
-    axes : AxesFound or None
-        Of the magnetometer, where it is the one that errs; None where nothing was shown.
-    explanations : Explanations or None
-        What was weighed.
-    chosen : int
-        The explanation that is taken.
-    factor : float
-        What makes rad/s of the gyro's numbers.
-    up_is_down : bool or None
-        Whether gravity's sign is what errs; None where that is not decided.
-    explained : bool
-        Whether the explanation explains the movement.
-    """
+    """What was found, and by which explanation."""
 
     findings: tuple[Finding, ...]
+    """The lines."""
     axes: AxesFound | None = None
+    """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
     explanations: Explanations | None = None
+    """What was weighed."""
     chosen: int = 0
+    """The explanation that is taken."""
     factor: float = 1.0
+    """What makes rad/s of the gyro's numbers."""
     up_is_down: bool | None = False
+    """Whether gravity's sign is what errs; None where that is not decided."""
     explained: bool = False
+    """Whether the explanation explains the movement."""
 
 
 def compare(
     prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
 ) -> MotionFound:
-    """Compare accelerometer, gyro and field.
-
-    Parameters
-    ----------
-    prepared : CleanLog
-        The cleaned streams.
-    knowledge : Knowledge
-        Its mounting is taken off; its inclination helps.
-    answers : UserAnswers
-        What a person did.
-    """
+    """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
         return MotionFound((found, *upright(log, None, None, answers).findings))
     body = replace(log, field=log.field @ knowledge.mounting.to_body.T)
     part = stretch_of_log(body)
-    if part is None or not _field_moves(part.stretch):
+    if part is None or not _field_moves(part):
         return _nothing_shown(log, None, answers)
     rest = longest_rest(body)
-    factors = rate_factors(part.stretch)
-    stands_still = rest is not None and rest.is_certain and not _turns_beside(part.stretch, rest)
+    factors = rate_factors(part)
+    stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
     given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, answers)
@@ -202,14 +169,15 @@ def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
 
 def _nothing_shown(log: SensorLog, rest: Rest | None, answers: UserAnswers) -> MotionFound:
     """Return that the sensors were not compared; a rest still shows the gyro's bias."""
-    bias = not_shown("gyro_bias", "gyro: bias", FULL_GUIDE)
+    why = FASTER if slow_words(float(np.median(np.diff(log.imu_time)))) else FULL_GUIDE
+    bias = not_shown("gyro_bias", "gyro: bias", why)
     if rest is not None:
         bias = _bias(rest.rate, TUNING.at_rest, 1.0)
     findings = (
-        not_shown("axes", "axes", FULL_GUIDE),
+        not_shown("axes", "axes", why),
         bias,
-        not_shown("rate_scale", "gyro: scale", FULL_GUIDE),
-        not_shown("latency", "field: latency", FULL_GUIDE),
+        not_shown("rate_scale", "gyro: scale", why),
+        not_shown("latency", "field: latency", why),
     )
     return MotionFound((*findings, *upright(log, None, None, answers).findings))
 
@@ -285,7 +253,7 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     Linear acceleration and a field that is bent change what one of them tells.
     """
     alone = align(
-        explanations.part.stretch,
+        explanations.part,
         explanations.field[chosen : chosen + 1],
         WEIGHED.fit,
         explanations.gyro[chosen : chosen + 1],

@@ -12,14 +12,13 @@ from magcal_ros.core.assessment.grading import Grade, worst
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
 from magcal_ros.core.doctor.finding import Finding
+from magcal_ros.core.doctor.health import noise_findings
 from magcal_ros.core.doctor.motion import MotionFound, compare
-from magcal_ros.core.doctor.noise import noise_findings
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import known_habits
 from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import SensorLog, Window
 
 PAIRED = ("bursts", "stamps", "repeats")
 """Lines of which paired samples show nothing."""
@@ -27,22 +26,15 @@ PAIRED = ("bursts", "stamps", "repeats")
 
 @dataclass(frozen=True)
 class Page:
-    """What was found.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        All lines.
-    mount_rpy_deg : tuple of int, or None
-        The mounting that alone mends the magnetometer's axes; None where none does, or where none
-        has to.
-    used : AxesInUse or None
-        What a drive's course can be compared with.
-    """
+    """What was found."""
 
     findings: tuple[Finding, ...]
+    """All lines."""
     mount_rpy_deg: tuple[int, int, int] | None = None
+    """The mounting that alone mends the magnetometer's axes; None where none does, or where none
+    has to."""
     used: AxesInUse | None = None
+    """What a drive's course can be compared with."""
 
     @property
     def misleads(self) -> bool:
@@ -74,17 +66,7 @@ class Page:
 def examine(
     log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
 ) -> Page:
-    """Look at everything that a log shows of its sensors.
-
-    Parameters
-    ----------
-    log : SensorLog
-        As published; at best of a robot that stands, turns once and lifts its nose.
-    knowledge : Knowledge, optional
-        Mounting and reference field.
-    answers : UserAnswers, optional
-        What a person did.
-    """
+    """Look at everything that a log shows of its sensors."""
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:

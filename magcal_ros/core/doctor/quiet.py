@@ -8,35 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, runs
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import SensorLog
 
 
 @dataclass(frozen=True)
 class QuietTuning:
-    """When a robot is called at rest.
-
-    Parameters
-    ----------
-    block : float
-        Seconds that are averaged.
-    blocks : int
-        So many in a row.
-    rate : float
-        rad/s by which the gyro's means may differ from one to the next.
-    lean : float
-        Share of gravity by which its means may differ.
-    field : float
-        Share of its size by which the field's may, on top of their noise.
-    wanders : float
-        Share of what a turn would move the field by that it may wander by at rest.
-    """
+    """When a robot is called at rest."""
 
     block: float = 0.5
+    """Seconds that are averaged."""
     blocks: int = 3
+    """So many in a row."""
     rate: float = math.radians(0.6)
+    """rad/s by which the gyro's means may differ from one to the next."""
     lean: float = 0.015
+    """Share of gravity by which its means may differ."""
     field: float = 0.008
+    """Share of its size by which the field's may, on top of their noise."""
     wanders: float = 0.1
+    """Share of what a turn would move the field by that it may wander by at rest."""
 
 
 TUNING = QuietTuning()
@@ -44,18 +34,12 @@ TUNING = QuietTuning()
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """The longest rest.
-
-    Parameters
-    ----------
-    rate : ndarray, shape (3,)
-        What the gyro read, rad/s.
-    is_certain : bool
-        Whether a turn at that rate would have moved the field, which did not move.
-    """
+    """The longest rest."""
 
     rate: FloatArray
+    """What the gyro read, rad/s. Shape (3,)."""
     is_certain: bool
+    """Whether a turn at that rate would have moved the field, which did not move."""
 
 
 def longest_rest(log: SensorLog) -> Rest | None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.sensor_log import SensorLog
 from magcal_ros.core.samples.units import FIELD_UNITS
+from magcal_ros.core.samples.window import SensorLog
 
 WRAP = 2.0**32 * 1e-6
 """Seconds after which a clock of 32 bits that counts microseconds begins anew."""
@@ -33,28 +33,19 @@ FIELD_POINTS_UP = (
 
 @dataclass(frozen=True)
 class Quirk:
-    """A habit of a driver.
-
-    Parameters
-    ----------
-    driver : str
-        Who has it.
-    habit : str
-        What it publishes.
-    remedy : str
-        What to change.
-    line : str
-        Which line of the page names it; empty where a log of field and IMU cannot show it.
-    shows : callable, optional
-        Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
-        err; None where the line that finds the fault names the driver itself.
-    """
+    """A habit of a driver."""
 
     driver: str
+    """Who has it."""
     habit: str
+    """What it publishes."""
     remedy: str
+    """What to change."""
     line: str = "driver"
+    """Which line of the page names it; empty where a log of field and IMU cannot show it."""
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
+    """Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
+    err; None where the line that finds the fault names the driver itself."""
 
 
 def _every_other_is_void(log: SensorLog, _: FloatArray | None) -> bool:

@@ -23,26 +23,18 @@ KNOWN: tuple[tuple[float, str], ...] = (
 
 @dataclass(frozen=True)
 class RateUnitTuning:
-    """When the gyro is taken to count in another unit.
-
-    Parameters
-    ----------
-    plain : float
-        Times too large or too small from which no scale error can be meant.
-    span : float
-        Seconds over which field and gyro are compared.
-    moved : float
-        Share of its size by which the field must move in that time to take part.
-    below, above : float
-        Times by which a known factor may be below and above the rough one: short arcs and noise
-        make that too large.
-    """
+    """When the gyro is taken to count in another unit."""
 
     plain: float = 5.0
+    """Times too large or too small from which no scale error can be meant."""
     span: float = 0.5
+    """Seconds over which field and gyro are compared."""
     moved: float = 0.15
+    """Share of its size by which the field must move in that time to take part."""
     below: float = 8.0
     above: float = 2.2
+    """Times by which a known factor may be below and above the rough one: short arcs and noise make
+    that too large."""
 
 
 TUNING = RateUnitTuning()

@@ -46,6 +46,11 @@ def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
     )
 
 
+def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
+    return saturated_field(window) or wrong_gyro(window, knowledge)
+
+
 def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
 
@@ -67,7 +72,8 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
-    if rate_factors(stretch_of(window)):
+    stretch = stretch_of(window)
+    if stretch is not None and rate_factors(stretch):
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None
@@ -123,22 +129,15 @@ def _by_the_page(window: Window, knowledge: Knowledge, lines: tuple[str, ...] = 
 
 @dataclass(frozen=True)
 class GyroSignsTuning:
-    """When a gyro is said to contradict the accelerometer.
-
-    Parameters
-    ----------
-    span : float
-        Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias.
-    contradicts : float
-        Share of gravity's changes that a gyro at odds with them leaves at least: it makes more
-        of them than there was.
-    explained : float
-        Share that other signs may leave at most; the rest is a hand's acceleration.
-    """
+    """When a gyro is said to contradict the accelerometer."""
 
     span: float = 0.5
+    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
     contradicts: float = 1.5
+    """Share of gravity's changes that a gyro at odds with them leaves at least: it makes more of
+    them than there was."""
     explained: float = 0.6
+    """Share that other signs may leave at most; the rest is a hand's acceleration."""
 
 
 def gyro_contradicts(window: Window, tuning: GyroSignsTuning = GyroSignsTuning()) -> bool:

@@ -11,26 +11,19 @@ from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import DIRECTIONS
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import SensorLog
 
 
 @dataclass(frozen=True)
 class UprightTuning:
-    """When gravity is called upright or upside down.
-
-    Parameters
-    ----------
-    least_upright : float
-        Share of gravity on z from which z points up.
-    clear : float
-        Chi-square between an explanation and another that decides.
-    least_turn : float
-        Turn whose sense is believed.
-    """
+    """When gravity is called upright or upside down."""
 
     least_upright: float = 0.5
+    """Share of gravity on z from which z points up."""
     clear: float = 12.0
+    """Chi-square between an explanation and another that decides."""
     least_turn: float = math.radians(30.0)
+    """Turn whose sense is believed."""
 
 
 TUNING = UprightTuning()
@@ -50,15 +43,10 @@ TELLS_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is 
 
 @dataclass(frozen=True)
 class UserAnswers:
-    """What the user answered about the motion.
-
-    Parameters
-    ----------
-    turned_left : bool or None
-        Whether the robot turned to the left; None where it was not asked.
-    """
+    """What the user answered about the motion."""
 
     turned_left: bool | None = None
+    """Whether the robot turned to the left; None where it was not asked."""
 
     @property
     def opposite(self) -> UserAnswers:
@@ -68,34 +56,18 @@ class UserAnswers:
 
 @dataclass(frozen=True)
 class Upright:
-    """What was found of gravity's direction.
-
-    Parameters
-    ----------
-    findings : tuple of Finding
-        One line.
-    sign_wrong : bool or None
-        Whether gravity's sign is what errs; None where that or the IMU's axes do.
-    """
+    """What was found of gravity's direction."""
 
     findings: tuple[Finding, ...]
+    """One line."""
     sign_wrong: bool | None = False
+    """Whether gravity's sign is what errs; None where that or the IMU's axes do."""
 
 
 def upright(
     log: SensorLog, given: Explanations | None, other: Explanations | None, answers: UserAnswers
 ) -> Upright:
-    """Look at which way gravity points.
-
-    Parameters
-    ----------
-    log : SensorLog
-        The cleaned streams.
-    given, other : Explanations or None
-        With the inclination as it is, and as it seems where gravity has the wrong sign.
-    answers : UserAnswers
-        What a person did.
-    """
+    """Look at which way gravity points."""
     usual = np.median(log.force, axis=0)
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"

@@ -9,38 +9,27 @@ from typing import NamedTuple
 
 from magcal_ros.core.driving.course_tuning import ChordTuning
 from magcal_ros.core.driving.gyro_frame import Tick
-from magcal_ros.core.samples.travel_samples import PositionSample, VelocitySample
+from magcal_ros.core.samples.streams import PositionSample, VelocitySample
 
 
 class Chord(NamedTuple):
-    """A straight piece of way.
-
-    Parameters
-    ----------
-    stamp : float
-        Its end, on the clock of the fixes, seconds.
-    east, north : float
-        Its middle, metres.
-    course : float
-        ENU, radians, where the vehicle went.
-    gap : float
-        Yaw of the compass less course, radians, unwrapped by nobody.
-    gyro_gap : float
-        The same of the gyro's yaw, whose zero is anywhere.
-    sigma : float
-        Of the course, radians.
-    metres : float
-        Its length.
-    """
+    """A straight piece of way."""
 
     stamp: float
+    """Its end, on the clock of the fixes, seconds."""
     east: float
     north: float
+    """Its middle, metres."""
     course: float
+    """ENU, radians, where the vehicle went."""
     gap: float
+    """Yaw of the compass less course, radians, unwrapped by nobody."""
     gyro_gap: float
+    """The same of the gyro's yaw, whose zero is anywhere."""
     sigma: float
+    """Of the course, radians."""
     metres: float
+    """Its length."""
 
     @property
     def backwards(self) -> Chord:
@@ -65,11 +54,6 @@ class _Looked(NamedTuple):
 
 class Chords:
     """Makes chords of fixes and yaws.
-
-    Parameters
-    ----------
-    tuning : ChordTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------

@@ -58,42 +58,26 @@ class _Cell:
 
 @dataclass(frozen=True, eq=False)
 class CellTable:
-    """Cells in arrays, one row each.
-
-    Parameters
-    ----------
-    gap : ndarray, shape (n,)
-        Mean yaw of the compass less course, radians.
-    course : ndarray, shape (n,)
-        Mean course, ENU, radians.
-    place : ndarray, shape (n, 2)
-        Mean place, metres.
-    variance : ndarray, shape (n,)
-        Of a chord's course, radians squared.
-    count : ndarray, shape (n,)
-        Chords.
-    metres : ndarray, shape (n,)
-        Way.
-    first : ndarray, shape (n,)
-        Number of its first chord.
-    """
+    """Cells in arrays, one row each."""
 
     gap: FloatArray
+    """Mean yaw of the compass less course, radians. Shape (n,)."""
     course: FloatArray
+    """Mean course, ENU, radians. Shape (n,)."""
     place: FloatArray
+    """Mean place, metres. Shape (n, 2)."""
     variance: FloatArray
+    """Of a chord's course, radians squared. Shape (n,)."""
     count: FloatArray
+    """Chords. Shape (n,)."""
     metres: FloatArray
+    """Way. Shape (n,)."""
     first: FloatArray
+    """Number of its first chord. Shape (n,)."""
 
 
 class CourseCells:
     """A grid of bounded size over places and courses; it is coarsened whenever it is full.
-
-    Parameters
-    ----------
-    tuning : CourseTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------
@@ -149,34 +133,23 @@ class CourseCells:
 
 @dataclass(frozen=True, eq=False)
 class CourseOffset:
-    """What course shows of the compass.
-
-    Parameters
-    ----------
-    offset, sigma : float
-        Radians: yaw of the compass less course, as a constant.
-    harmonics : ndarray, shape (4,)
-        cos psi, sin psi, cos 2psi, sin 2psi, radians.
-    covariance : ndarray, shape (5, 5)
-        Of offset and harmonics.
-    street : float
-        Radians by which streets bend the heading.
-    cells : int
-        Places and courses seen.
-    metres : float
-        Straight way driven.
-    sectors : int
-        Courses seen, of eight.
-    """
+    """What course shows of the compass."""
 
     offset: float
     sigma: float
+    """Radians: yaw of the compass less course, as a constant."""
     harmonics: FloatArray
+    """cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,)."""
     covariance: FloatArray
+    """Of offset and harmonics. Shape (5, 5)."""
     street: float
+    """Radians by which streets bend the heading."""
     cells: int
+    """Places and courses seen."""
     metres: float
+    """Straight way driven."""
     sectors: int
+    """Courses seen, of eight."""
 
     def swing(self, order: int) -> tuple[float, float]:
         """Return the amplitude of the first or second harmonic, radians, and its significance.
@@ -190,15 +163,7 @@ class CourseOffset:
 
 
 def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | None:
-    """Fit the offset; None before enough places were seen.
-
-    Parameters
-    ----------
-    cells : CellTable
-        Up to some hundreds of rows.
-    tuning : CourseTuning
-        What is taken for granted.
-    """
+    """Fit the offset; None before enough places were seen."""
     if len(cells.gap) < tuning.fewest:
         return None
     start = _cluster(cells)

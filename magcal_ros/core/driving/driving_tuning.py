@@ -24,47 +24,33 @@ class SpeedSource(str, Enum):
 
 @dataclass(frozen=True)
 class SpeedTuning:
-    """How speeds are read.
-
-    Parameters
-    ----------
-    largest : float
-        m/s. No vehicle this is for is faster.
-    largest_acceleration : float
-        m/s². A speed that changes faster is no speed.
-    step : float
-        m/s by which it may change besides: noise, and the steps of an encoder.
-    odometry_gap, receiver_gap : float
-        Seconds between two samples that are interpolated between.
-    seldom : float
-        Seconds between samples from which wheels count as a receiver in this.
-    receiver_delay : float
-        Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen.
-    remembered : int
-        Samples kept of a source: ten minutes of ten a second.
-    spacing : float
-        Seconds between samples that are kept for minutes.
-    shortest : float
-        Seconds between samples that are read; of a faster source the others are passed over.
-    newest, fewest : int
-        Samples that are looked at for their speed now and for jumps; and from which these are told.
-    silent : float
-        Seconds after which another source takes its place.
-    """
+    """How speeds are read."""
 
     largest: float = 100.0
+    """m/s. No vehicle this is for is faster."""
     largest_acceleration: float = 15.0
+    """m/s². A speed that changes faster is no speed."""
     step: float = 0.5
+    """m/s by which it may change besides: noise, and the steps of an encoder."""
     odometry_gap: float = 0.6
     receiver_gap: float = 2.2
+    """Seconds between two samples that are interpolated between."""
     seldom: float = 0.3
+    """Seconds between samples from which wheels count as a receiver in this."""
     receiver_delay: float = 0.5
+    """Seconds by which a receiver's stamps are late, until it is measured; .4 to .8 were seen."""
     remembered: int = 6000
+    """Samples kept of a source: ten minutes of ten a second."""
     spacing: float = 0.09
+    """Seconds between samples that are kept for minutes."""
     shortest: float = 0.045
+    """Seconds between samples that are read; of a faster source the others are passed over."""
     newest: int = 512
     fewest: int = 20
+    """Samples that are looked at for their speed now and for jumps; and from which these are
+    told."""
     silent: float = 3.0
+    """Seconds after which another source takes its place."""
 
     def largest_change(self, seconds: Span) -> Span:
         """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
@@ -73,54 +59,20 @@ class SpeedTuning:
 
 @dataclass(frozen=True)
 class TickTuning:
-    """How IMU messages are gathered.
-
-    Parameters
-    ----------
-    seconds : float
-        Of messages that make a tick: short against a start or a bend.
-    levelling : float
-        Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
-        against starts and stops.
-    steepest : float
-        A body whose x is closer to upright than this (sine) has no heading.
-    """
+    """How IMU messages are gathered."""
 
     seconds: float = 0.25
+    """Of messages that make a tick: short against a start or a bend."""
     levelling: float = 60.0
+    """Seconds over which the frame that the gyro keeps is levelled by the accelerometer; long
+    against starts and stops."""
     steepest: float = 0.05
+    """A body whose x is closer to upright than this (sine) has no heading."""
 
 
 @dataclass(frozen=True)
 class OwnAccelerationTuning:
-    """When and how the vehicle's own acceleration is taken off.
-
-    Parameters
-    ----------
-    spans : mapping of SpeedSource to int
-        Ticks over which a change of speed is taken: long against the noise of wheels, and as long
-        as a receiver averages.
-    slow : mapping of SpeedSource to float
-        m/s below which a source may be standing.
-    oldest : float
-        Seconds by which a matched tick may be late; up is propagated by the gyro over them.
-    pause : float
-        Seconds for which nothing is taken off once it could not be.
-    latest : float
-        Seconds by which a speed may be late to be of use.
-    watched : int
-        Ticks over which it is tried whether the speed explains the force: 15 s.
-    fewest : int
-        Ticks that must have been tried before anything is taken off.
-    gain, rough_gain : float
-        What is left of the force's variance where the speed explains it, at most, and where the
-        speed is that of mere fixes.
-    pulling : float
-        Share of the changes of velocity that must be starts and stops, where the speed is that
-        of mere fixes.
-    quiet : float
-        m/s². Scatter of the force below which nothing is to be explained.
-    """
+    """When and how the vehicle's own acceleration is taken off."""
 
     spans: Mapping[SpeedSource, int] = field(
         default_factory=lambda: {
@@ -129,6 +81,8 @@ class OwnAccelerationTuning:
             SpeedSource.FIXES: 8,
         }
     )
+    """Ticks over which a change of speed is taken: long against the noise of wheels, and as long as
+    a receiver averages."""
     slow: Mapping[SpeedSource, float] = field(
         default_factory=lambda: {
             SpeedSource.ODOMETRY: 0.05,
@@ -136,15 +90,26 @@ class OwnAccelerationTuning:
             SpeedSource.FIXES: 0.6,
         }
     )
+    """m/s below which a source may be standing."""
     oldest: float = 4.5
+    """Seconds by which a matched tick may be late; up is propagated by the gyro over them."""
     pause: float = 5.0
+    """Seconds for which nothing is taken off once it could not be."""
     latest: float = 2.5
+    """Seconds by which a speed may be late to be of use."""
     watched: int = 60
+    """Ticks over which it is tried whether the speed explains the force: 15 s."""
     fewest: int = 12
+    """Ticks that must have been tried before anything is taken off."""
     gain: float = 0.3
     rough_gain: float = 0.5
+    """What is left of the force's variance where the speed explains it, at most, and where the
+    speed is that of mere fixes."""
     pulling: float = 0.25
+    """Share of the changes of velocity that must be starts and stops, where the speed is that of
+    mere fixes."""
     quiet: float = 0.3
+    """m/s². Scatter of the force below which nothing is to be explained."""
 
 
 @dataclass(frozen=True)
@@ -234,52 +199,35 @@ class MountingYawTuning:
 
 @dataclass(frozen=True)
 class TripTuning:
-    """Forwards or backwards, from the force.
-
-    Parameters
-    ----------
-    clear : float
-        Sigmas that decide.
-    correlated : float
-        By how much errors of the force last longer than the smoothing.
-    standing : float
-        m/s of a speed that has no sign; a receiver's wanders.
-    crawling : float
-        m/s below which it may have stood meanwhile, unseen by a receiver that speaks once a second.
-    longest : float
-        Seconds since standing that are looked at.
-    """
+    """Forwards or backwards, from the force."""
 
     clear: float = 3.0
+    """Sigmas that decide."""
     correlated: float = 4.0
+    """By how much errors of the force last longer than the smoothing."""
     standing: float = 0.5
+    """m/s of a speed that has no sign; a receiver's wanders."""
     crawling: float = 1.5
+    """m/s below which it may have stood meanwhile, unseen by a receiver that speaks once a
+    second."""
     longest: float = 40.0
+    """Seconds since standing that are looked at."""
 
 
 @dataclass(frozen=True)
 class FrontTuning:
-    """When a sensor counts as misaligned.
-
-    Parameters
-    ----------
-    clear : float
-        Sigmas beyond which compass and accelerations contradict each other.
-    near : float
-        Sigmas within which the contradiction is twice the declination.
-    smallest : float
-        Radians that nobody need hear of.
-    useful : float
-        Radians of sigma below which an offset may be applied.
-    lost : float
-        Radians of sigma of course beyond which it is not used.
-    """
+    """When a sensor counts as misaligned."""
 
     clear: float = 3.0
+    """Sigmas beyond which compass and accelerations contradict each other."""
     near: float = 2.0
+    """Sigmas within which the contradiction is twice the declination."""
     smallest: float = math.radians(3.0)
+    """Radians that nobody need hear of."""
     useful: float = math.radians(2.0)
+    """Radians of sigma below which an offset may be applied."""
     lost: float = math.radians(10.0)
+    """Radians of sigma of course beyond which it is not used."""
 
 
 @dataclass(frozen=True)

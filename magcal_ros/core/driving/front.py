@@ -12,19 +12,13 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 
 @dataclass(frozen=True)
 class VehicleYaw:
-    """The yaw of the IMU in the vehicle.
-
-    Parameters
-    ----------
-    offset, sigma : float
-        Radians: heading of the IMU less heading of the vehicle, counter-clockwise positive.
-    source : str
-        What showed it: accelerations, course, or both.
-    """
+    """The yaw of the IMU in the vehicle."""
 
     offset: float
     sigma: float
+    """Radians: heading of the IMU less heading of the vehicle, counter-clockwise positive."""
     source: str
+    """What showed it: accelerations, course, or both."""
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset) and 0.0 <= self.sigma < math.inf):
@@ -56,23 +50,16 @@ class Declination:
 
 @dataclass(frozen=True)
 class Front:
-    """What drives have told so far.
-
-    Parameters
-    ----------
-    yaw : VehicleYaw or None
-        Of the IMU in the vehicle, where it can be told.
-    compass_gap, compass_sigma : float
-        Radians: what the compass is off in the IMU's axes, against course; NaN where it cannot
-        be told.
-    suspicion : str
-        Which is misaligned beside the IMU, in words; empty if nothing is.
-    """
+    """What drives have told so far."""
 
     yaw: VehicleYaw | None = None
+    """Of the IMU in the vehicle, where it can be told."""
     compass_gap: float = math.nan
     compass_sigma: float = math.nan
+    """Radians: what the compass is off in the IMU's axes, against course; NaN where it cannot be
+    told."""
     suspicion: str = ""
+    """Which is misaligned beside the IMU, in words; empty if nothing is."""
 
     @property
     def words(self) -> str:

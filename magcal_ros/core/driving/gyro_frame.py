@@ -14,25 +14,17 @@ Axes = tuple[Triple, Triple, Triple]
 
 
 class Tick(NamedTuple):
-    """A quarter of a second of the IMU.
-
-    Parameters
-    ----------
-    stamp, seconds : float
-        Its end, and how long it took.
-    force : tuple of float
-        Mean specific force in the frame, m/s².
-    yaw : float
-        Of the body's x in the frame at its end, radians.
-    turn_rate : float
-        Mean about the frame's up, rad/s.
-    """
+    """A quarter of a second of the IMU."""
 
     stamp: float
     seconds: float
+    """Its end, and how long it took."""
     force: Triple
+    """Mean specific force in the frame, m/s²."""
     yaw: float
+    """Of the body's x in the frame at its end, radians."""
     turn_rate: float
+    """Mean about the frame's up, rad/s."""
 
     @property
     def level_force(self) -> complex:
@@ -42,11 +34,6 @@ class Tick(NamedTuple):
 
 class GyroFrame:
     """Keeps a level frame by the gyro and sums the force in it.
-
-    Parameters
-    ----------
-    tuning : TickTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------

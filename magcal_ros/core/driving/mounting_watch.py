@@ -56,13 +56,6 @@ class Judged(NamedTuple):
 class MountingWatch:
     """Keeps the ticks of some minutes and fits them now and then.
 
-    Parameters
-    ----------
-    speedometer : Speedometer
-        Who tells the speeds; sources that are found wrong are distrusted there.
-    tuning : DrivingTuning, optional
-        What is taken for granted.
-
     Attributes
     ----------
     found : MountingYaw or None
@@ -254,17 +247,7 @@ def _last(table: TickTable, count: int) -> TickTable:
 
 
 def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:
-    """Say what is wrong with a speed, and what to do.
-
-    Parameters
-    ----------
-    topic : str
-        Where it comes from.
-    fault : SpeedFault
-        What was found.
-    fitted : MountingYaw
-        By what fit.
-    """
+    """Say what is wrong with a speed, and what to do."""
     if fault is SpeedFault.SCALE:
         times = 1.0 / max(fitted.scale, 1e-6)
         unit = next((name for k, name in UNITS.items() if abs(times / k - 1.0) < 0.12), "")

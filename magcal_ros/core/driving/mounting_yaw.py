@@ -27,40 +27,27 @@ ComplexArray = npt.NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class MountingYaw:
-    """How the IMU sits in the vehicle, and how well the speed fits its force.
-
-    Parameters
-    ----------
-    yaw, sigma : float
-        Radians, counter-clockwise from the vehicle's x to the IMU's x.
-    scale : float
-        Force over change of velocity: one, if the speed is in m/s and in time.
-    delay : float
-        Seconds by which the speed's stamps are late.
-    explained : float
-        Share of the force's changes that the speed explains.
-    energy : float
-        m²/s³ of changes of velocity that were seen.
-    force_energy : float
-        The same of the force.
-    seconds : float
-        Of driving that were fitted.
-    noise : float
-        m/s² that the force departs by.
-    is_rough : bool
-        Whether the speed is a receiver's, whose noise makes the scale less than one.
-    """
+    """How the IMU sits in the vehicle, and how well the speed fits its force."""
 
     yaw: float
     sigma: float
+    """Radians, counter-clockwise from the vehicle's x to the IMU's x."""
     scale: float
+    """Force over change of velocity: one, if the speed is in m/s and in time."""
     delay: float
+    """Seconds by which the speed's stamps are late."""
     explained: float
+    """Share of the force's changes that the speed explains."""
     energy: float
+    """m²/s³ of changes of velocity that were seen."""
     force_energy: float
+    """The same of the force."""
     seconds: float
+    """Of driving that were fitted."""
     noise: float
+    """m/s² that the force departs by."""
     is_rough: bool = False
+    """Whether the speed is a receiver's, whose noise makes the scale less than one."""
 
     def is_usable(self, tuning: MountingYawTuning) -> bool:
         """Whether it is good enough to take the vehicle's own acceleration off."""
@@ -83,29 +70,20 @@ class MountingYaw:
 
 @dataclass(frozen=True, eq=False)
 class TickTable:
-    """Ticks of a drive in arrays, with the speed at the end of each.
-
-    Parameters
-    ----------
-    stamp, seconds : ndarray, shape (n,)
-        End and length of each tick.
-    force : ndarray of complex, shape (n,)
-        m/s² across up in the gyro's frame.
-    yaw, turn_rate : ndarray, shape (n,)
-        Of the IMU in the frame, radians and rad/s.
-    speed : ndarray, shape (n,)
-        m/s; NaN where it is not known.
-    is_signed : bool
-        Whether backwards is negative.
-    """
+    """Ticks of a drive in arrays, with the speed at the end of each."""
 
     stamp: FloatArray
     seconds: FloatArray
+    """End and length of each tick. Shape (n,)."""
     force: ComplexArray
+    """m/s² across up in the gyro's frame. Shape (n,)."""
     yaw: FloatArray
     turn_rate: FloatArray
+    """Of the IMU in the frame, radians and rad/s. Shape (n,)."""
     speed: FloatArray
+    """m/s; NaN where it is not known. Shape (n,)."""
     is_signed: bool = True
+    """Whether backwards is negative."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,13 +26,7 @@ class Tried(NamedTuple):
 
 
 class SpeedTrial:
-    """The newest forces and changes of velocity, and how they scatter.
-
-    Parameters
-    ----------
-    most : int
-        How many are looked at.
-    """
+    """The newest forces and changes of velocity, and how they scatter."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -146,11 +140,6 @@ class OwnAcceleration:
     Over the last half second that the speed is known for, the mean force less the change of
     velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
     of the moment. So neither a late speed nor one that comes once a second does harm.
-
-    Parameters
-    ----------
-    tuning : DrivingTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------

@@ -10,34 +10,30 @@ import numpy as np
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import Drop, StampGuard
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import (
+    Drop,
+    PositionSample,
+    SpeedSample,
+    StampGuard,
+    VelocitySample,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedRecord:
-    """What one source said, frozen.
-
-    Parameters
-    ----------
-    kept : ndarray, shape (n, 2)
-        Stamps and speeds of some minutes, thinned.
-    wild_share : float
-        Share of the newest samples to which the speed jumps as no vehicle can.
-    delay, gap : float
-        Seconds by which the stamps are late, and that are interpolated over.
-    is_signed : bool
-        Whether backwards is negative.
-    tuning : SpeedTuning
-        What is taken for granted.
-    """
+    """What one source said, frozen."""
 
     kept: FloatArray
+    """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
     wild_share: float
+    """Share of the newest samples to which the speed jumps as no vehicle can."""
     delay: float
     gap: float
+    """Seconds by which the stamps are late, and that are interpolated over."""
     is_signed: bool
+    """Whether backwards is negative."""
     tuning: SpeedTuning
+    """What is taken for granted."""
 
     def along(self, stamps: FloatArray, delay: float) -> FloatArray:
         """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
@@ -55,13 +51,6 @@ class SpeedRecord:
 
 class SpeedTrack:
     """What one source said lately.
-
-    Parameters
-    ----------
-    tuning : SpeedTuning
-        What is taken for granted.
-    source : SpeedSource
-        Who it is.
 
     Attributes
     ----------
@@ -178,13 +167,7 @@ class SpeedTrack:
 
 
 class Speedometer:
-    """Listens to wheels and receiver.
-
-    Parameters
-    ----------
-    tuning : SpeedTuning, optional
-        What is taken for granted.
-    """
+    """Listens to wheels and receiver."""
 
     def __init__(self, tuning: SpeedTuning | None = None) -> None:
         self._tuning = tuning or SpeedTuning()

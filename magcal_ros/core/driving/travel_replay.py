@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator
 
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, Streams, TravelSample
 from magcal_ros.core.up import UpFollower
 
 NOTHING: Triple = (0.0, 0.0, 0.0)
@@ -17,13 +16,6 @@ NOTHING: Triple = (0.0, 0.0, 0.0)
 
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
-
-    Parameters
-    ----------
-    travel : iterable
-        Samples of receiver and wheels, by stamp.
-    streams : Streams, optional
-        Drop what they do, as a node would.
 
     Attributes
     ----------

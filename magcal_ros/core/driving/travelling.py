@@ -19,8 +19,8 @@ from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
 from magcal_ros.core.driving.speedometer import Speedometer
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.streams import ImuSample
-from magcal_ros.core.samples.travel_samples import (
+from magcal_ros.core.samples.streams import (
+    ImuSample,
     PositionSample,
     SpeedSample,
     TravelSample,
@@ -43,11 +43,6 @@ class _Seen(NamedTuple):
 
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
-
-    Parameters
-    ----------
-    tuning : CourseTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------

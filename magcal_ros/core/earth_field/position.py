@@ -6,30 +6,22 @@ import math
 from dataclasses import dataclass
 
 from magcal_ros.core.earth_field.wmm import VALIDITY, Place
-from magcal_ros.core.samples.travel_samples import PositionSample
+from magcal_ros.core.samples.streams import PositionSample
 
 
 @dataclass(frozen=True)
 class PositionTuning:
-    """When a place counts as another.
-
-    Attributes
-    ----------
-    moved : float
-        Metres after which the field is looked up again: in that way it changes by less than 0.1°
-        and 0.1 µT at most places.
-    confirmed : int
-        Fixes in a row that must agree on a new place: one alone may be wild.
-    far : float
-        Metres from where the robot is said to be, or was at first, that are worth a word.
-    altitude_unknown : float
-        Metres that are taken for it: a hundred change the strength by 0.005%.
-    """
+    """When a place counts as another."""
 
     moved: float = 10_000.0
+    """Metres after which the field is looked up again: in that way it changes by less than 0.1° and
+    0.1 µT at most places."""
     confirmed: int = 3
+    """Fixes in a row that must agree on a new place: one alone may be wild."""
     far: float = 50_000.0
+    """Metres from where the robot is said to be, or was at first, that are worth a word."""
     altitude_unknown: float = 0.0
+    """Metres that are taken for it: a hundred change the strength by 0.005%."""
 
 
 TUNING = PositionTuning()
@@ -43,23 +35,16 @@ NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
 
 @dataclass(frozen=True)
 class Fix:
-    """What a receiver says.
-
-    Parameters
-    ----------
-    has_fix : bool
-        Its own word on it.
-    latitude_deg, longitude_deg, altitude : float
-        Degrees and metres; the altitude may be NaN.
-    stamp : float
-        Seconds.
-    """
+    """What a receiver says."""
 
     has_fix: bool
+    """Its own word on it."""
     latitude_deg: float
     longitude_deg: float
     altitude: float
+    """Degrees and metres; the altitude may be NaN."""
     stamp: float
+    """Seconds."""
 
 
 def place_of(fix: Fix) -> Place | str:
@@ -121,13 +106,7 @@ class Fixes:
         return len(self._candidates) >= TUNING.confirmed
 
     def complaints(self, given: Place | None) -> list[str]:
-        """Say what is wrong with the fixes; empty if nothing is.
-
-        Parameters
-        ----------
-        given : Place or None
-            Where the robot is by the user's word, which wins.
-        """
+        """Say what is wrong with the fixes; empty if nothing is."""
         if self.place is None:
             return [
                 f"gps/fix: no place yet, its messages {fault}" for fault in sorted(self._faults)

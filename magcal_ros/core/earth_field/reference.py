@@ -46,38 +46,25 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Local:
-    """What crust, buildings and iron near by add to the Earth's field (1 σ).
-
-    Parameters
-    ----------
-    strength : float
-        Tesla.
-    inclination, declination : float
-        Radians.
-    """
+    """What crust, buildings and iron near by add to the Earth's field (1 σ)."""
 
     strength: float = STRENGTH_SIGMA_UT * 1e-6
+    """Tesla."""
     inclination: float = math.radians(INCLINATION_SIGMA_DEG)
     declination: float = math.radians(DECLINATION_SIGMA_DEG)
+    """Radians."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The reference field in use.
-
-    Parameters
-    ----------
-    field : ReferenceField
-        The numbers.
-    source : str
-        Where they come from, in words.
-    complaints : tuple of str
-        What the user should know about it.
-    """
+    """The reference field in use."""
 
     field: ReferenceField
+    """The numbers."""
     source: str
+    """Where they come from, in words."""
     complaints: tuple[str, ...] = ()
+    """What the user should know about it."""
 
     @property
     def north(self) -> str:

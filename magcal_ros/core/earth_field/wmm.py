@@ -37,18 +37,12 @@ class Term(NamedTuple):
 
 @dataclass(frozen=True)
 class Harmonics:
-    """A model of the main field.
-
-    Parameters
-    ----------
-    epoch : float
-        Decimal year for which g and h hold.
-    terms : tuple of Term
-        Schmidt semi-normalised.
-    """
+    """A model of the main field."""
 
     epoch: float
+    """Decimal year for which g and h hold."""
     terms: tuple[Term, ...]
+    """Schmidt semi-normalised."""
 
     @classmethod
     def parse(cls, text: str) -> Harmonics:
@@ -136,39 +130,27 @@ def _legendre(highest: int, sine: float, cosine: float) -> list[list[tuple[float
 
 @dataclass(frozen=True)
 class Validity:
-    """Where and for how long a model holds.
-
-    Attributes
-    ----------
-    altitudes : tuple[float, float]
-        Metres between which the model holds (WMM2025 Technical Report).
-    first_year : float
-        Begin of the oldest model that is shipped; a clock that was never set is earlier still.
-    life : float
-        Years for which a model is made.
-    most_years_late : float
-        Years after the end of its life during which a model is still used, with grown sigmas.
-    drift_strength : float
-        Tesla that a model loses each year after its life, per component: WMM2010, 2015 and 2020
-        carried on for five to ten years differ from their successors by 24 to 28 nT and 0.03 to
-        0.05° a year (RMS over the globe).
-    drift_inclination : float
-        Radians of the same.
-    blackout : float
-        Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
-        zone).
-    caution : float
-        Tesla of level field below which it is to be doubted (caution zone).
-    """
+    """Where and for how long a model holds."""
 
     altitudes: tuple[float, float] = (-1000.0, 850_000.0)
+    """Metres between which the model holds (WMM2025 Technical Report)."""
     first_year: float = 2015.0
+    """Begin of the oldest model that is shipped; a clock that was never set is earlier still."""
     life: float = 5.0
+    """Years for which a model is made."""
     most_years_late: float = 5.0
+    """Years after the end of its life during which a model is still used, with grown sigmas."""
     drift_strength: float = 30e-9
+    """Tesla that a model loses each year after its life, per component: WMM2010, 2015 and 2020
+    carried on for five to ten years differ from their successors by 24 to 28 nT and 0.03 to 0.05° a
+    year (RMS over the globe)."""
     drift_inclination: float = math.radians(0.05)
+    """Radians of the same."""
     blackout: float = 2000e-9
+    """Tesla of level field below which a compass is of no use (WMM2025 Technical Report, blackout
+    zone)."""
     caution: float = 6000e-9
+    """Tesla of level field below which it is to be doubted (caution zone)."""
 
 
 VALIDITY = Validity()
@@ -180,20 +162,14 @@ NANO = 1e-9
 
 @dataclass(frozen=True)
 class Errors:
-    """The published error model (1 σ) of a World Magnetic Model.
-
-    Parameters
-    ----------
-    strength_nt, inclination_deg : float
-        Everywhere the same.
-    declination_deg, declination_nt_deg : float
-        √(declination_deg² + (declination_nt_deg / level field in nT)²).
-    """
+    """The published error model (1 σ) of a World Magnetic Model."""
 
     strength_nt: float
     inclination_deg: float
+    """Everywhere the same."""
     declination_deg: float
     declination_nt_deg: float
+    """√(declination_deg² + (declination_nt_deg / level field in nT)²)."""
 
 
 ERRORS = {
@@ -210,19 +186,13 @@ class NoModel(MagcalError):
 
 @dataclass(frozen=True)
 class Place:
-    """A place on Earth (WGS 84).
-
-    Parameters
-    ----------
-    latitude_deg, longitude_deg : float
-        Degrees, positive north and east.
-    altitude : float
-        Metres above the ellipsoid or the sea, which is all the same to the field.
-    """
+    """A place on Earth (WGS 84)."""
 
     latitude_deg: float
     longitude_deg: float
+    """Degrees, positive north and east."""
     altitude: float = 0.0
+    """Metres above the ellipsoid or the sea, which is all the same to the field."""
 
     def __post_init__(self) -> None:
         low, high = VALIDITY.altitudes
@@ -249,24 +219,17 @@ class Place:
 
 @dataclass(frozen=True)
 class ModelField:
-    """What the model says, with its own uncertainty.
-
-    Parameters
-    ----------
-    strength, inclination, declination : Belief
-        Tesla and radians, signs as everywhere in this package. The sigmas are those of the
-        model's published error model, which holds for the open air anywhere on Earth.
-    model : str
-        Which one, in words.
-    years_late : float
-        By how much the date lies after the model's life, years; zero inside it.
-    """
+    """What the model says, with its own uncertainty."""
 
     strength: Belief
     inclination: Belief
     declination: Belief
+    """Tesla and radians, signs as everywhere in this package. The sigmas are those of the model's
+    published error model, which holds for the open air anywhere on Earth."""
     model: str
+    """Which one, in words."""
     years_late: float = 0.0
+    """By how much the date lies after the model's life, years; zero inside it."""
 
     @property
     def level(self) -> float:

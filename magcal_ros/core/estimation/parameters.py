@@ -127,14 +127,3 @@ class Globals:
             return self.strength, self.inclination + steeper
         ahead, aside = self.strength + longer, self.strength * steeper
         return math.hypot(ahead, aside), self.inclination + math.atan2(aside, ahead)
-
-    def step_to(self, other: Globals) -> FloatArray:
-        """Return the step (18,) that leads to other shared numbers, to first order; axes stay."""
-        step = np.zeros(COUNT)
-        step[ROLL], step[PITCH] = other.roll - self.roll, other.pitch - self.pitch
-        step[HARD_IRON] = other.hard_iron - self.hard_iron
-        step[STRENGTH] = other.strength - self.strength
-        step[INCLINATION] = other.inclination - self.inclination
-        step[SOFT_IRON] = other.soft_iron - self.soft_iron
-        step[YAW] = other.yaw - self.yaw
-        return step

@@ -123,16 +123,6 @@ PROPAGATING = Schedule(
 )
 """From any start to the trimmed refit with gyro-propagated attitudes."""
 
-JOINING = Schedule(
-    rounds=30,
-    steps=4,
-    damping=1e-6,
-    first_inefficiency=math.inf,
-    noise_change=1.3,
-    lagged=False,
-)
-"""The trimmed refit of several turns, each under the inefficiency factor of its own fit."""
-
 
 @dataclass(frozen=True)
 class Limit:
@@ -158,8 +148,6 @@ COMPARE = Limit(6, 1e-3)
 """Enough to compare two models that are worlds apart in chi-square."""
 NEAR = Limit(6, 0.1)
 """Enough to begin from."""
-MEET = Limit(25, 1e-4)
-"""Several turns from a common first guess."""
 
 
 @dataclass(frozen=True)

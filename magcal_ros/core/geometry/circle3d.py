@@ -16,21 +16,14 @@ ROBUST_ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """A circle in space.
-
-    Parameters
-    ----------
-    centre : ndarray, shape (3,)
-        In the unit of the points.
-    basis : ndarray, shape (3, 3)
-        Rows: two axes in the plane and the normal, unit, right-handed.
-    radius : float
-        In the unit of the points.
-    """
+    """A circle in space."""
 
     centre: FloatArray
+    """In the unit of the points. Shape (3,)."""
     basis: FloatArray
+    """Rows: two axes in the plane and the normal, unit, right-handed. Shape (3, 3)."""
     radius: float
+    """In the unit of the points."""
 
     @property
     def normal(self) -> FloatArray:
@@ -57,10 +50,6 @@ def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
         In any unit.
     upwards : ndarray, shape (3,)
         The side to which the normal shall point.
-
-    Returns
-    -------
-    Circle
 
     Raises
     ------

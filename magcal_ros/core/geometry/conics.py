@@ -21,18 +21,12 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 @dataclass(frozen=True)
 class ConicTuning:
-    """What is no curve but a line.
-
-    Parameters
-    ----------
-    thinnest : float
-        Points narrower than this share of their length are a line.
-    largest_radius : float
-        Radii beyond this many times the points' own size are a line, too.
-    """
+    """What is no curve but a line."""
 
     thinnest: float = 1e-6
+    """Points narrower than this share of their length are a line."""
     largest_radius: float = 1e4
+    """Radii beyond this many times the points' own size are a line, too."""
 
 
 CONICS = ConicTuning()
@@ -40,21 +34,14 @@ CONICS = ConicTuning()
 
 @dataclass(frozen=True, eq=False)
 class Conic:
-    """A circle or an ellipse.
-
-    Parameters
-    ----------
-    centre : ndarray, shape (2,)
-        In the points' unit.
-    radii : ndarray, shape (2,)
-        Half axes; the first lies at `angle`, the second 90° further.
-    angle : float
-        Radians from x to the first half axis, in (-pi/2, pi/2].
-    """
+    """A circle or an ellipse."""
 
     centre: FloatArray
+    """In the points' unit. Shape (2,)."""
     radii: FloatArray
+    """Half axes; the first lies at `angle`, the second 90° further. Shape (2,)."""
     angle: float
+    """Radians from x to the first half axis, in (-pi/2, pi/2]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))

@@ -22,25 +22,17 @@ class FrameTrouble(MagcalError):
 
 @dataclass(frozen=True, eq=False)
 class FrameJoint:
-    """One frame in another.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    kind : str
-        `FIXED`, or how it moves.
-    parent, child : str
-        Frames.
-    pose : array_like, shape (3, 3)
-        Takes vectors from the child's axes to the parent's.
-    """
+    """One frame in another."""
 
     name: str
+    """What to call it."""
     kind: str
+    """`FIXED`, or how it moves."""
     parent: str
     child: str
+    """Frames."""
     pose: FloatArray = field(default_factory=lambda: np.eye(3))
+    """Takes vectors from the child's axes to the parent's. Shape (3, 3)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", frozen_array(self.pose, (3, 3), "pose of a joint"))
@@ -154,24 +146,18 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class SensorPoses:
-    """How the sensors sit.
-
-    Parameters
-    ----------
-    magnetometer : ndarray, shape (3, 3)
-        Nominal pose of the magnetometer in the IMU's frame, sensor axes to IMU axes.
-    is_described : bool
-        Whether the robot's description tells it; otherwise it was given by hand, or is nothing.
-    imu : ndarray, shape (3, 3), or None
-        Pose of the IMU in the base, IMU axes to base axes; None while it is not known.
-    complaints : tuple of str
-        What is missing, in words.
-    """
+    """How the sensors sit."""
 
     magnetometer: FloatArray
+    """Nominal pose of the magnetometer in the IMU's frame, sensor axes to IMU axes. Shape (3,
+    3)."""
     is_described: bool
+    """Whether the robot's description tells it; otherwise it was given by hand, or is nothing."""
     imu: FloatArray | None
+    """Pose of the IMU in the base, IMU axes to base axes; None while it is not known. Shape (3,
+    3)."""
     complaints: tuple[str, ...] = ()
+    """What is missing, in words."""
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
         """Say that gravity contradicts the description; empty if it does not.

@@ -18,18 +18,12 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 @dataclass(frozen=True)
 class PlaneTuning:
-    """Which clouds have no plane.
-
-    Parameters
-    ----------
-    smallest : float
-        Clouds smaller than this share of their distance from the origin are one point.
-    thinnest : float
-        Clouds narrower than this share of their length are a line.
-    """
+    """Which clouds have no plane."""
 
     smallest: float = 1e-9
+    """Clouds smaller than this share of their distance from the origin are one point."""
     thinnest: float = 1e-6
+    """Clouds narrower than this share of their length are a line."""
 
 
 PLANES = PlaneTuning()
@@ -37,24 +31,16 @@ PLANES = PlaneTuning()
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane through a cloud.
-
-    Parameters
-    ----------
-    normal : ndarray, shape (3,)
-        Unit, of either sign.
-    centre : ndarray, shape (3,)
-        Mean of the points, which lies on the plane.
-    scatter : ndarray, shape (3, 3)
-        Mean outer product of the centred points, in the points' unit squared.
-    count : int
-        Number of points.
-    """
+    """A plane through a cloud."""
 
     normal: FloatArray
+    """Unit, of either sign. Shape (3,)."""
     centre: FloatArray
+    """Mean of the points, which lies on the plane. Shape (3,)."""
     scatter: FloatArray
+    """Mean outer product of the centred points, in the points' unit squared. Shape (3, 3)."""
     count: int
+    """Number of points."""
 
     def __post_init__(self) -> None:
         for name, shape in (("normal", (3,)), ("centre", (3,)), ("scatter", (3, 3))):
@@ -150,10 +136,6 @@ class PlaneFit(str, Enum):
         ----------
         points : ndarray, shape (n, 3)
             The cloud, in any unit.
-
-        Returns
-        -------
-        Plane
 
         Raises
         ------

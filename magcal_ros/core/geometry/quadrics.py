@@ -19,18 +19,12 @@ from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
 @dataclass(frozen=True)
 class QuadricTuning:
-    """Which clouds have no ellipsoid.
-
-    Parameters
-    ----------
-    thinnest : float
-        Clouds thinner than this share of their length lie on a plane, a line or a point.
-    largest_radius : float
-        Radii beyond this many times the cloud's own size are a plane, too.
-    """
+    """Which clouds have no ellipsoid."""
 
     thinnest: float = 1e-6
+    """Clouds thinner than this share of their length lie on a plane, a line or a point."""
     largest_radius: float = 1e3
+    """Radii beyond this many times the cloud's own size are a plane, too."""
 
 
 QUADRICS = QuadricTuning()
@@ -46,21 +40,15 @@ class QuadricFit(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """An ellipsoid.
-
-    Parameters
-    ----------
-    centre : ndarray, shape (3,)
-        In the points' unit.
-    radii : ndarray, shape (3,)
-        Half axes.
-    axes : ndarray, shape (3, 3)
-        A rotation; its columns are the directions of the half axes, in the order of `radii`.
-    """
+    """An ellipsoid."""
 
     centre: FloatArray
+    """In the points' unit. Shape (3,)."""
     radii: FloatArray
+    """Half axes. Shape (3,)."""
     axes: FloatArray
+    """A rotation; its columns are the directions of the half axes, in the order of `radii`. Shape
+    (3, 3)."""
 
     def __post_init__(self) -> None:
         for name, shape in (("centre", (3,)), ("radii", (3,)), ("axes", (3, 3))):
@@ -86,10 +74,6 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
         In any unit.
     shape : QuadricFit
         Q with six free elements, diagonal, or a multiple of one.
-
-    Returns
-    -------
-    Ellipsoid
 
     Raises
     ------

@@ -91,25 +91,17 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class DescribedPoseTuning:
-    """When a yaw found by driving corrects the described one.
-
-    Attributes
-    ----------
-    useful : float
-        Sigma below which a yaw found by driving is applied.
-    far_off : float
-        Radians between a described and a found yaw: the description is wrong, which a person must
-        see.
-    clear : float
-        Sigmas by which a yaw contradicts one given by hand.
-    smallest : float
-        Radians. Contradictions below this are not worth a word.
-    """
+    """When a yaw found by driving corrects the described one."""
 
     useful: float = math.radians(2.0)
+    """Sigma below which a yaw found by driving is applied."""
     far_off: float = math.radians(15.0)
+    """Radians between a described and a found yaw: the description is wrong, which a person must
+    see."""
     clear: float = 3.0
+    """Sigmas by which a yaw contradicts one given by hand."""
     smallest: float = math.radians(3.0)
+    """Radians. Contradictions below this are not worth a word."""
 
 
 TUNING = DescribedPoseTuning()

@@ -14,6 +14,7 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.motors import INPUTS, MotorField, Running
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
@@ -99,6 +100,9 @@ class Compass:
         self._now: MotorsNow | None = None
         self._gains: tuple[tuple[int, float, float, float], ...] = ()
         self._noise = calibration.noise_field**2 * np.asarray(a @ a.T)
+        self._local = calibration.evidence.figure(Figure.LOCAL_FIELD, 0.0) ** 2 * np.asarray(
+            a @ a.T
+        )
         self._tilt_variance = calibration.noise_up**2
         self.use_motors(calibration.motors)
 
@@ -217,8 +221,8 @@ class Compass:
         tilt = self._tilt_variance if tilt_variance is None else tilt_variance
         variance = tilt * (by_east * by_east + by_north * by_north)
         gradient = (ex / level, ey / level, ez / level)
-        lasting, noise, from_motors = self._field_variances(gradient, field, motors)
-        variance += lasting + noise + from_motors
+        lasting, noise, passing = self._field_variances(gradient, field, motors)
+        variance += lasting + noise + passing
         cosine, sine = math.cos(yaw), math.sin(yaw)
         roll_yaw = tilt * (by_east * cosine + by_north * sine) / math.sqrt(forward)
         pitch_yaw = tilt * (by_north * cosine - by_east * sine)
@@ -227,11 +231,11 @@ class Compass:
     def _field_variances(
         self, gradient: Triple, field: Triple, motors: FloatArray | None
     ) -> tuple[float, float, float]:
-        """Return the yaw variances, rad²: from calibration, which lasts, field noise and motors."""
+        """Return the yaw variances, rad²: from calibration, field noise, and place and motors."""
         g, q = np.array(gradient), np.array((field[0], field[1], field[2], -1.0))
         v = (g[:, None] * q).ravel()
-        from_motors = 0.0 if motors is None else float(g @ motors @ g)
-        return float(v @ self._certainty @ v), float(g @ self._noise @ g), from_motors
+        passing = self._local if motors is None else self._local + motors
+        return float(v @ self._certainty @ v), float(g @ self._noise @ g), float(g @ passing @ g)
 
 
 def field_variance(calibration: Calibration) -> float:

@@ -28,28 +28,19 @@ class Trust(str, Enum):
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A spell in which the field was not the expected one.
-
-    Parameters
-    ----------
-    since, until : float
-        Stamps, seconds.
-    yaw : float
-        Where the robot looked when it began, radians, ENU to magnetic north.
-    strength : float
-        Largest departure of the strength, as a share of the expected one.
-    dip : float
-        Largest departure of the inclination, radians.
-    is_accepted : bool
-        Whether it lasted for so long that the new field was taken for the expected one.
-    """
+    """A spell in which the field was not the expected one."""
 
     since: float
     until: float
+    """Stamps, seconds."""
     yaw: float
+    """Where the robot looked when it began, radians, ENU to magnetic north."""
     strength: float
+    """Largest departure of the strength, as a share of the expected one."""
     dip: float
+    """Largest departure of the inclination, radians."""
     is_accepted: bool = False
+    """Whether it lasted for so long that the new field was taken for the expected one."""
 
     @property
     def in_words(self) -> str:
@@ -226,13 +217,6 @@ class FieldDoubt:
     Strength and dip show two of three parts of what is wrong with the field; the third, across
     north, turns the yaw and is taken to be as large. A wrong calibration shows it at some
     headings and hides it at others, so what was seen before counts as well.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force.
-    tuning : DisturbanceTuning, optional
-        By how much good fields vary.
     """
 
     def __init__(self, calibration: Calibration, tuning: DisturbanceTuning | None = None) -> None:

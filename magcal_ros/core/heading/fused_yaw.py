@@ -18,7 +18,7 @@ from magcal_ros.core.geometry.vec3 import Triple, between, cross, dot, length, p
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, field_variance
 from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
 from magcal_ros.core.heading.fusion_tuning import FusionTuning
-from magcal_ros.core.heading.yaw_filter import YawFilter
+from magcal_ros.core.heading.yaw_filter import GyroLoss, YawFilter
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up import GyroBias, Up
 
@@ -60,9 +60,10 @@ class FusedYaw:
         self, calibration: Calibration, patience: float, tuning: FusionTuning | None = None
     ) -> None:
         self.tuning = tuning or FusionTuning()
-        self.use(calibration, patience)
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
-        self._filter = YawFilter()
+        self._filter, self._loss = YawFilter(), GyroLoss(self.tuning)
+        self._lasting = 0.0
+        self.use(calibration, patience)
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
@@ -75,6 +76,7 @@ class FusedYaw:
             field_variance(calibration),
             self.tuning.disturbance,
         )
+        self._filter.use_another_calibration(self._lasting)
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
 
@@ -84,14 +86,15 @@ class FusedYaw:
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
-        self._shift = self._lasting = self._unlearnt = 0.0
+        self._shift = self._lasting = self._unlearnt = self._drift = self._lost = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
         self._filter.begin(0.0, self.tuning.bias_sigma**2, 0.0)
         self._is_at_rest = False
-        self._corrected = self._begun = self._told = -math.inf
-        self._share = 1.0
+        self._corrected = self._begun = self._told = self._told_since = -math.inf
         self.last_told_gap = 0.0
         self._overruled = 0.0
+        self._told_ahead: list[float] = []
+        self._loss.begin()
         self._path.clear()
 
     def propagate(
@@ -140,7 +143,9 @@ class FusedYaw:
         self._path.append(_Moment(stamp, level, self._shift))
         tuning = self.tuning
         lost = (tuning.angle_walk**2 + tuning.turn_error**2 * length(rate)) * seconds
-        self._filter.propagate(seconds, lost, tuning.bias_walk**2 * seconds)
+        self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
+        self._drift += (b + dot(self._known.rate, up.direction)) * seconds
+        self._lost += lost
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep what is known of the whole bias when the part taken off the rate has changed."""
@@ -174,7 +179,7 @@ class FusedYaw:
             return
         detector = self.detector
         is_new = detector.add(stamp, field, up.direction, up.variance, heading.yaw)
-        self._lasting = heading.lasting_variance
+        self._lasting = math.sqrt(heading.lasting_variance)
         if self._north is None:
             self._begin(seen, heading)
             return
@@ -184,11 +189,15 @@ class FusedYaw:
         since = min(stamp - self._corrected, STREAMS.longest_gyro_step)
         self._corrected = stamp
         ahead = yaw_ahead(then.north, seen, up.direction)
-        innovation = wrapped(ahead - (self._shift - then.shift))
+        error = self._filter.error * self._lasting
+        innovation = wrapped(ahead - (self._shift - then.shift) - error)
         self._unlearnt += since
         if self._unlearnt >= self.tuning.learning_step:
             self._move_on(self._unlearnt, innovation, heading)
             self._unlearnt = 0.0
+        if self.is_told:
+            # A compass that headings calibrate tells nothing beside them.
+            return
         if is_new:
             self._filter.doubt_yaw(innovation**2)
         elif detector.trust is Trust.IGNORED:
@@ -231,16 +240,24 @@ class FusedYaw:
         east = cross(north, self._up.direction)
         own = math.atan2(dot(north, forward), dot(east, forward))
         innovation = self.last_told_gap = wrapped(yaw - own)
-        # The compass's lasting error is in the yaw that it has corrected.
-        lasting = self._share * self._lasting
-        missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + lasting + variance)
+        own = self._filter.own_error_variance(self._lasting)
+        missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + own + variance)
         if missed > self.tuning.told_gate:
             return missed
-        self._filter.doubt_yaw(lasting)
-        self._share = 0.0
         noise = variance * self.tuning.heading_tau / since
-        self._turn(self._north, self._filter.observe_yaw(innovation, noise))
+        self._learn_loss(stamp, innovation, variance, since)
+        self._turn(self._north, self._filter.observe_yaw(innovation, noise, self._lasting))
         return missed
+
+    def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
+        """Learn what the gyro loses from how far headings are ahead of the gyro alone."""
+        if since >= self.tuning.heading_tau:
+            self._told_ahead, self._told_since = [], -math.inf
+        self._told_ahead.append(innovation + self._shift - self._drift)
+        if stamp - self._told_since >= self.tuning.heading_tau:
+            ahead = sum(self._told_ahead) / len(self._told_ahead)
+            self._loss.add(stamp, ahead, variance, self._lost)
+            self._told_ahead, self._told_since, self._lost = [], stamp, 0.0
 
     @property
     def is_told(self) -> bool:
@@ -255,7 +272,7 @@ class FusedYaw:
         east = cross(north, up)
         yaw = math.atan2(north[0], east[0])
         roll, pitch = math.atan2(up[1], up[2]), math.atan2(-up[0], math.hypot(up[1], up[2]))
-        variance = self._filter.yaw_variance + self._share * self._lasting
+        variance = self._filter.yaw_variance + self._filter.own_error_variance(self._lasting)
         return Heading(roll, pitch, yaw, self._up.variance, variance, 0.0, 0.0)
 
     def north_at(self, stamp: float) -> Triple | None:
@@ -311,7 +328,9 @@ class FusedYaw:
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
         by_noise = heading.noise_variance + tuning.small_iron * bent
-        doubt = innovation**2 / (tuning.gate**2 * following.spread(by_tilt + by_noise))
+        doubt = innovation**2 / (
+            tuning.gate**2 * following.spread(by_tilt + by_noise, self._lasting)
+        )
         is_good = self.detector.trust is Trust.GOOD
         clear = min(doubt - 1.0, tuning.beyond_doubt) / tuning.beyond_doubt
         self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
@@ -331,11 +350,8 @@ class FusedYaw:
             following.follow(share, momentary)
             turned = share * innovation
         else:
-            turned = following.observe(innovation, noise)
+            turned = following.observe(innovation, noise, self._lasting)
         self._turn(north, turned)
-        if self._share < 1.0 and innovation:
-            # What the compass corrects brings its lasting error with it.
-            self._share += (1.0 - self._share) * min(max(turned / innovation, 0.0), 1.0)
 
     def _turn(self, north: Triple, angle: float) -> None:
         x, y, z = self._up.direction

@@ -60,8 +60,15 @@ class FusionTuning:
         Radians per root second that a gyro loses.
     turn_error : float
         Share of a turn that the gyro's scale gets wrong, per root radian.
-    bias_sigma, bias_walk : float
-        rad/s about up that the up filter left, at the least, and rad/s per root second.
+    bias_sigma : float
+        rad/s about up that the up filter left, at the least.
+    bias_walk, walk_spread : float
+        Median of how much a gyro's bias walks, rad/s per root second, and standard deviation of
+        its natural logarithm: cheap gyros drift in a minute by a thousandth to a hundredth of a
+        degree per second.
+    loss_spread : float
+        Standard deviation of the natural logarithm of the share of `angle_walk` and `turn_error`,
+        squared, that a gyro has.
     tilt_tau : float
         Seconds over which errors by tilt are correlated: more samples do not tell more.
     noise_tau : float
@@ -95,7 +102,9 @@ class FusionTuning:
     angle_walk: float = 1e-3
     turn_error: float = 0.005
     bias_sigma: float = 0.001
-    bias_walk: float = 5e-5
+    bias_walk: float = 1.8e-5
+    walk_spread: float = 1.0
+    loss_spread: float = 1.5
     tilt_tau: float = 3.0
     noise_tau: float = 0.5
     small_iron: float = 0.3

@@ -27,41 +27,28 @@ EYE = np.eye(3)
 
 @dataclass(frozen=True)
 class PlaceFieldTuning:
-    """How the field of a place changes in the axes of a robot.
-
-    Parameters
-    ----------
-    field : float
-        µT of the Earth's field and all around it: what is believed of a place before the first
-        sample.
-    longest : float
-        Seconds without a sample after which the field of the place is unknown.
-    street, street_length : float
-        µT per axis by which places differ, and metres over which they are alike.
-    passing : float
-        µT per root second by which the field changes while the robot stands.
-    walk : float
-        rad per root second of the gyro's random walk.
-    turn_error : float
-        Share of an angle by which the gyro is off, as a random walk over radians.
-    latency : float
-        Seconds by which gyro and field may be apart.
-    beside : float
-        Metres of the magnetometer from the pivot.
-    unknown_speed : float
-        m/s of a robot that moves and does not tell its speed.
-    """
+    """How the field of a place changes in the axes of a robot."""
 
     field: float = 100.0
+    """µT of the Earth's field and all around it: what is believed of a place before the first
+    sample."""
     longest: float = 1.0
+    """Seconds without a sample after which the field of the place is unknown."""
     street: float = 2.0
     street_length: float = 30.0
+    """µT per axis by which places differ, and metres over which they are alike."""
     passing: float = 0.03
+    """µT per root second by which the field changes while the robot stands."""
     walk: float = 0.002
+    """rad per root second of the gyro's random walk."""
     turn_error: float = 0.01
+    """Share of an angle by which the gyro is off, as a random walk over radians."""
     latency: float = 0.01
+    """Seconds by which gyro and field may be apart."""
     beside: float = 0.15
+    """Metres of the magnetometer from the pivot."""
     unknown_speed: float = 0.3
+    """m/s of a robot that moves and does not tell its speed."""
 
     def way(self, speed: float, rate: Triple) -> float:
         """Return the metres a second of the magnetometer at a speed (m/s or NaN) and turn rate."""
@@ -99,24 +86,16 @@ PLACE_FIELD = PlaceFieldTuning()
 
 @dataclass(frozen=True)
 class InputTuning:
-    """How well the inputs tell what the motors add.
-
-    Parameters
-    ----------
-    body_length : float
-        Seconds over which what no input tells is alike.
-    late_share : float
-        Of the time in which motors run and nothing shows it yet, or the other way round.
-    longest : float
-        Seconds that this lasts at most.
-    latency : float
-        Seconds by which a speed or a current may be late.
-    """
+    """How well the inputs tell what the motors add."""
 
     body_length: float = 4.0
+    """Seconds over which what no input tells is alike."""
     late_share: float = 0.03
+    """Of the time in which motors run and nothing shows it yet, or the other way round."""
     longest: float = 0.5
+    """Seconds that this lasts at most."""
     latency: float = 0.2
+    """Seconds by which a speed or a current may be late."""
 
 
 class _Answer(NamedTuple):
@@ -292,6 +271,9 @@ class MotorsNow:
             self.place.change(self._mean[PLACE], turned, faster, way, seconds)
             + self._iron * math.sqrt(float(turned @ turned)) * EYE
         )
+        # So large that in the latency it changes by as much as the inputs do.
+        late = 0.5 * self.input.body_length / self.input.latency * self._latency**2
+        level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
         covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
         covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
         self._covariance = covariance

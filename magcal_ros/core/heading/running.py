@@ -11,42 +11,28 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 
 @dataclass(frozen=True)
 class RunningTuning:
-    """When a robot moves.
-
-    Parameters
-    ----------
-    rate : float
-        rad/s from which it turns, as for the smoother (`Lengths.moving`).
-    speed : float
-        m/s from which it drives: below a step of a wheel's encoder.
-    turning : float
-        rad/s at which it surely turns to one side.
-    slow_rate, slow : float
-        rad/s and m/s below which it is about to stop.
-    edge, slowing : float
-        Seconds after a start or stop is seen, and after it got slow, in which nobody knows whether
-        the motors run.
-    settles, idle : float
-        Seconds at rest after which the current is that of rest, and over which that is averaged.
-    """
+    """When a robot moves."""
 
     rate: float = 0.03
+    """rad/s from which it turns, as for the smoother (`Lengths.moving`)."""
     speed: float = 0.01
+    """m/s from which it drives: below a step of a wheel's encoder."""
     turning: float = 0.1
+    """rad/s at which it surely turns to one side."""
     slow_rate: float = 0.06
     slow: float = 0.05
+    """rad/s and m/s below which it is about to stop."""
     edge: float = 0.1
     slowing: float = 0.3
+    """Seconds after a start or stop is seen, and after it got slow, in which nobody knows whether
+    the motors run."""
     settles: float = 0.7
     idle: float = 5.0
+    """Seconds at rest after which the current is that of rest, and over which that is averaged."""
 
 
 class MotionSense:
     """Follows whether a robot moves.
-
-    Parameters
-    ----------
-    tuning : RunningTuning, optional
 
     Attributes
     ----------
@@ -98,6 +84,9 @@ class MotionSense:
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
         side = max(-1.0, min(1.0, turn_rate / self.tuning.turning))
+        if is_edge and moves is False:
+            # Motors of a turn that has just ended may still run to its side.
+            side = self.newest.side
         beyond = self._beyond_rest(moves, seconds, current)
         self.newest = Running(share, turn_rate, driven, beyond, side)
         return self.newest

@@ -29,18 +29,12 @@ from magcal_ros.core.up import Up
 
 
 class Share(NamedTuple):
-    """How one magnetometer takes part in the heading.
-
-    Parameters
-    ----------
-    weight : float
-        0 to 1.
-    why : str
-        What is wrong with it, in words; empty if nothing is.
-    """
+    """How one magnetometer takes part in the heading."""
 
     weight: float
+    """0 to 1."""
     why: str = ""
+    """What is wrong with it, in words; empty if nothing is."""
 
 
 @dataclass
@@ -105,11 +99,6 @@ class _Member:
 
 class SeveralCompasses:
     """Joins the moments of several magnetometers.
-
-    Parameters
-    ----------
-    tuning : SeveralTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------

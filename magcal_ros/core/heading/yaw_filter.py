@@ -9,6 +9,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.heading.fusion_tuning import FusionTuning
+
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
@@ -20,7 +25,12 @@ class YawFilter:
     disturbance : float
         Radians by which the field of the place turns the compass.
     yaw_variance : float
-        rad².
+        Of the yaw apart from the calibration's error, rad².
+    share : float
+        Of the calibration's error that is in the yaw.
+    error, error_variance : float
+        Of the calibration's own heading, as far as headings from elsewhere show it, in its
+        sigmas.
     """
 
     def __init__(self) -> None:
@@ -44,6 +54,20 @@ class YawFilter:
         # The yaw is wrong by what the disturbance is.
         self._yaw_disturbance = -disturbance
         self._yaw_bias = self._bias_disturbance = 0.0
+        self._know_nothing_of_error(1.0)
+
+    def _know_nothing_of_error(self, share: float) -> None:
+        self.share, self._bias_share, self._disturbance_share = share, 0.0, 0.0
+        self.error, self.error_variance = 0.0, 1.0
+
+    def use_another_calibration(self, lasting: float) -> None:
+        """Go on where the calibration's sigma was `lasting`, radians; what it was stays in it."""
+        self.yaw_variance += self.own_error_variance(lasting)
+        self._know_nothing_of_error(0.0)
+
+    def own_error_variance(self, lasting: float) -> float:
+        """Return what the calibration adds to the yaw's variance at its sigma, radians."""
+        return (self.share * lasting) ** 2 * self.error_variance
 
     def propagate(self, seconds: float, lost: float, bias_lost: float) -> None:
         """Go on: the gyro loses so many rad² and (rad/s)² meanwhile."""
@@ -51,6 +75,7 @@ class YawFilter:
         self.yaw_variance += (bias_part - 2.0 * self._yaw_bias) * seconds + lost
         self._yaw_bias -= bias_part
         self._yaw_disturbance -= seconds * self._bias_disturbance
+        self.share += self._bias_share * seconds
         self._bias += bias_lost
 
     def move_on(self, share: float, variance: float) -> None:
@@ -66,15 +91,18 @@ class YawFilter:
         self.disturbance *= share
         self._yaw_disturbance *= share
         self._bias_disturbance *= share
+        self._disturbance_share *= share
         self._disturbance = share * share * self._disturbance + (1.0 - share * share) * variance
 
     def widen(self, ratio: float) -> None:
         """Disturbances turn out to have so many times the variance that was thought."""
-        self.yaw_variance *= ratio
-        self._yaw_disturbance *= ratio
-        self._disturbance *= ratio
         root = math.sqrt(ratio)
-        self._yaw_bias *= root
+        # As far as the yaw comes from the compass, it is wrong by them.
+        yaw = 1.0 + self.share * (root - 1.0)
+        self.yaw_variance *= yaw * yaw
+        self._yaw_disturbance *= yaw * root
+        self._disturbance *= ratio
+        self._yaw_bias *= yaw
         self._bias_disturbance *= root
 
     def doubt_yaw(self, variance: float) -> None:
@@ -83,7 +111,7 @@ class YawFilter:
 
     def know_bias(self, variance: float) -> None:
         """Somebody else knows the bias better, and has taken it off the rate."""
-        self.bias = self._yaw_bias = self._bias_disturbance = 0.0
+        self.bias = self._yaw_bias = self._bias_disturbance = self._bias_share = 0.0
         self._bias = variance
 
     @property
@@ -91,50 +119,148 @@ class YawFilter:
         """Variance of the bias, (rad/s)²."""
         return self._bias
 
-    def spread(self, noise: float) -> float:
-        """Return the variance of compass less propagated yaw, with so much noise, rad²."""
-        return self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance + noise
+    def spread(self, noise: float, lasting: float = 0.0) -> float:
+        """Return the variance of compass less propagated yaw, rad²; parameters as of `observe`."""
+        apart = (1.0 - self.share + self._disturbance_share) * lasting
+        own = self.yaw_variance + 2.0 * self._yaw_disturbance + self._disturbance
+        return own + noise + apart * apart * self.error_variance
 
-    def observe(self, innovation: float, noise: float) -> float:
+    def observe(self, innovation: float, noise: float, lasting: float) -> float:
         """Take compass less propagated yaw; returns by what to correct the yaw, radians.
 
         Parameters
         ----------
         innovation : float
-            Radians.
+            Radians, less what is known of the calibration's error.
         noise : float
-            Its variance beside that of the three, rad².
+            Its variance beside that of the four, rad².
+        lasting : float
+            Sigma of the calibration's error, radians.
         """
-        spread = self.spread(noise)
-        left = (innovation - self.disturbance) / spread
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
         by_disturbance = self._yaw_disturbance + self._disturbance
-        return self._correct(left, spread, by_yaw, by_bias, by_disturbance)
+        spread, apart = self.spread(noise), 1.0 - self.share + self._disturbance_share
+        left = innovation - self.disturbance
+        return self._correct(left, spread, (by_yaw, by_bias, by_disturbance), apart, lasting)
 
-    def observe_yaw(self, innovation: float, noise: float) -> float:
+    def observe_yaw(self, innovation: float, noise: float, lasting: float) -> float:
         """Take a yaw that no field disturbs less the propagated one; otherwise as `observe`."""
-        spread = self.yaw_variance + noise
-        left = innovation / spread
         gains = self.yaw_variance, self._yaw_bias, self._yaw_disturbance
-        return self._correct(left, spread, *gains)
+        return self._correct(innovation, self.yaw_variance + noise, gains, -self.share, lasting)
 
     def _correct(
-        self, left: float, spread: float, by_yaw: float, by_bias: float, by_disturbance: float
+        self,
+        left: float,
+        spread: float,
+        by: tuple[float, float, float],
+        apart: float,
+        lasting: float,
     ) -> float:
-        """Take an innovation over its variance, by the covariances of the three with it."""
+        """Take an innovation and its variance, by the covariances of yaw, bias and disturbance.
+
+        All three are estimated as if the calibration's error were known; `apart` is the share of
+        it in the innovation. From what is left then the error is estimated.
+        """
+        by_yaw, by_bias, by_disturbance = by[0] / spread, by[1] / spread, by[2] / spread
         self.bias += by_bias * left
         self.disturbance += by_disturbance * left
-        self.yaw_variance -= by_yaw * by_yaw / spread
-        self._bias -= by_bias * by_bias / spread
-        self._disturbance -= by_disturbance * by_disturbance / spread
-        self._yaw_bias -= by_yaw * by_bias / spread
-        self._yaw_disturbance -= by_yaw * by_disturbance / spread
-        self._bias_disturbance -= by_bias * by_disturbance / spread
-        return by_yaw * left
+        self.yaw_variance -= by[0] * by_yaw
+        self._bias -= by[1] * by_bias
+        self._disturbance -= by[2] * by_disturbance
+        self._yaw_bias -= by[0] * by_bias
+        self._yaw_disturbance -= by[0] * by_disturbance
+        self._bias_disturbance -= by[1] * by_disturbance
+        turned = by_yaw * left
+        if apart:
+            self.share += by_yaw * apart
+            self._bias_share -= by_bias * apart
+            self._disturbance_share -= by_disturbance * apart
+            shown = apart * lasting
+            gain = shown * self.error_variance / (spread + shown * shown * self.error_variance)
+            self.error_variance *= 1.0 - gain * shown
+            self.error += gain * left
+            error = gain * left * lasting
+            turned -= self.share * error
+            self.bias += self._bias_share * error
+            self.disturbance += self._disturbance_share * error
+        return turned
 
     def follow(self, share: float, variance: float) -> None:
         """Give up a share of the yaw for a compass whose variance is smaller, rad²."""
         self.yaw_variance += share * (variance - self.yaw_variance)
         self._yaw_disturbance -= share * (self._disturbance + self._yaw_disturbance)
         self._yaw_bias *= 1.0 - share
+        self.share += share * (1.0 - self.share + self._disturbance_share)
+
+
+class GyroLoss:
+    """How fast a gyro loses its angle and its bias, from headings that another device measures.
+
+    For each pair of sizes on a grid a Kalman filter follows by how much headings are ahead of the
+    gyro, and the bias. Their likelihoods and log-normal priors weigh the pairs.
+
+    Parameters
+    ----------
+    tuning : FusionTuning
+        The priors.
+
+    Attributes
+    ----------
+    share : float
+        Of the usual loss of angle, rad², that this gyro has; one on average.
+    walked : float
+        (rad/s)² a second by which its bias walks.
+    """
+
+    def __init__(self, tuning: FusionTuning) -> None:
+        walk, spread = tuning.bias_walk, tuning.loss_spread
+        first, second = np.meshgrid(np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7))
+        self._walks: FloatArray = (walk * np.exp(tuning.walk_spread * first.ravel())) ** 2
+        self._shares: FloatArray = np.exp(spread * second.ravel() - 0.5 * spread**2)
+        self._log_odds: FloatArray = -0.5 * (first**2 + second**2).ravel()
+        self._bias_variance = tuning.bias_sigma**2
+        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * tuning.walk_spread**2)
+        self.begin()
+
+    def begin(self) -> None:
+        """Follow gap and bias anew; the sizes are still known."""
+        self._stamp = math.nan
+        self._ahead = self._bias = self._both = self._own = self._by_bias = 0.0 * self._walks
+
+    def add(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
+        """Take a heading.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        ahead : float
+            Radians by which it is ahead of the yaw of the gyro alone.
+        variance : float
+            Of its error, which is another one than that of the heading before, rad².
+        lost : float
+            rad² that a gyro usually loses since that one, apart from its bias.
+        """
+        seconds, self._stamp = stamp - self._stamp, stamp
+        if not seconds > 0.0:
+            self.begin()
+            self._stamp = stamp
+            self._ahead = self._ahead + ahead
+            self._own = self._own + variance
+            self._by_bias = self._by_bias + self._bias_variance
+            return
+        walked = self._walks * seconds
+        spread = variance + lost * self._shares + self._own + walked * seconds**2 / 3.0
+        spread += seconds * (2.0 * self._both + seconds * self._by_bias)
+        both = self._both + seconds * self._by_bias + 0.5 * walked * seconds
+        left = ahead - self._ahead - seconds * self._bias
+        self._log_odds = self._log_odds - 0.5 * (np.log(spread) + left**2 / spread)
+        self._ahead = ahead - variance / spread * left
+        self._bias = self._bias + both / spread * left
+        self._own = variance * (1.0 - variance / spread)
+        self._both = both * variance / spread
+        self._by_bias = self._by_bias + walked - both**2 / spread
+        weights = np.exp(self._log_odds - self._log_odds.max())
+        weights = weights / weights.sum()
+        self.share, self.walked = float(weights @ self._shares), float(weights @ self._walks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -13,8 +13,9 @@ from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     HEADINGS,
+    calibration_sigma,
     headings_apart,
-    predicted_heading_sigma,
+    local_sigma,
 )
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
@@ -129,30 +130,35 @@ def candidate_of(
         covariance[9:, 9:] = twelve.covariance[9:, 9:]
     words = (
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
-        f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ)"
+        f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
     )
+    street = problem.sizes.street * problem.tuning.street / MICROTESLA
     figures = {
-        Figure.HEADING_SIGMA.value: sigma,
         Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
         Figure.DRIVING_TIME.value: fitted.seconds,
-        Figure.STREET.value: problem.sizes.street * problem.tuning.street / MICROTESLA,
+        Figure.STREET.value: street,
+        Figure.LOCAL_FIELD.value: street,
     }
     noise = problem.sizes.noise * problem.tuning.noise / MICROTESLA
     # The road was driven without the motors' field as it is known.
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()
+    calibration = Calibration(
+        twelve.correction,
+        covariance,
+        noise,
+        0.01 if before is None else before.noise_up,
+        strength,
+        math.asin(-float(twelve.field[2]) / strength),
+        Evidence(METHOD, "good", "good", words, figures=figures),
+        motors,
+    )
+    local = local_sigma(calibration)
+    figures[Figure.LOCAL_SIGMA.value] = local
+    figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, local)
     return DriveCandidate(
         kind,
-        Calibration(
-            twelve.correction,
-            covariance,
-            noise,
-            0.01 if before is None else before.noise_up,
-            strength,
-            math.asin(-float(twelve.field[2]) / strength),
-            Evidence(METHOD, "good", "good", words, figures=figures),
-            motors,
-        ),
+        replace(calibration, evidence=replace(calibration.evidence, figures=figures)),
         sigma,
         fitted.sectors,
         start,
@@ -175,13 +181,15 @@ def is_another(
 ) -> bool:
     """Whether a candidate differs from what is in force by more than both are uncertain."""
     apart = difference(in_force, candidate.calibration)
-    return apart > tuning.differs * math.hypot(candidate.sigma, predicted_heading_sigma(in_force))
+    return apart > tuning.differs * math.hypot(candidate.sigma, calibration_sigma(in_force))
 
 
 def known_sigma(calibration: Calibration) -> float:
     """Return the radians of heading to which a calibration says that it is known."""
     said = calibration.evidence.figures.get(Figure.HEADING_SIGMA.value)
-    return predicted_heading_sigma(calibration) if said is None else said
+    if said is None:
+        return calibration_sigma(calibration)
+    return math.sqrt(max(said**2 - calibration.evidence.figure(Figure.LOCAL_SIGMA, 0.0) ** 2, 0.0))
 
 
 def is_finer(

@@ -25,23 +25,15 @@ class Verb(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """One decision.
-
-    Parameters
-    ----------
-    clock : float
-        Seconds of movement since the drive began.
-    verb : Verb
-    words : str
-        What and why, one sentence.
-    calibration : Calibration or None
-        What is to be put in force, where something is.
-    """
+    """One decision."""
 
     clock: float
+    """Seconds of movement since the drive began."""
     verb: Verb
     words: str
+    """What and why, one sentence."""
     calibration: Calibration | None = None
+    """What is to be put in force, where something is."""
 
     @property
     def changes(self) -> bool:
@@ -59,33 +51,21 @@ class Mode(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The calibration before the one in force, still compared with it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    since : float
-        Clock from which road counts, seconds.
-    """
+    """The calibration before the one in force, still compared with it."""
 
     calibration: Calibration
     since: float
+    """Clock from which road counts, seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Probation:
-    """A candidate that has to prove itself.
-
-    Parameters
-    ----------
-    candidate : DriveCandidate
-        As it is known by now.
-    steps : tuple of Step
-        What it was at each look, for the road from there.
-    """
+    """A candidate that has to prove itself."""
 
     candidate: DriveCandidate
+    """As it is known by now."""
     steps: tuple[Step, ...]
+    """What it was at each look, for the road from there."""
 
     @staticmethod
     def of(candidate: DriveCandidate, before: Probation | None = None) -> Probation:

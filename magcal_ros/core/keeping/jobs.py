@@ -16,46 +16,28 @@ from magcal_ros.core.smoothing.log import DriveLog
 
 @dataclass(frozen=True)
 class Proof:
-    """What the road after a fit says of a new calibration against an old one.
-
-    Parameters
-    ----------
-    seconds : float
-        Of road.
-    turns : int
-        Turns that were compared.
-    turn_score, turn_gain : float
-        Sigmas by which turns are quieter under the new one, and the mean log ratio.
-    likelihood : float
-        Fall of minus log likelihood on all of the road, independent units.
-    halves : tuple of float
-        The same of its two halves.
-    elsewhere : float
-        What of it is left without the quarter of headings that speaks most for the new one: steel
-        on one side of the way speaks in one alone.
-    against : float
-        What the headings that speak against the new one say together: iron that came is seen at
-        nearly all, steel on one side of the way at a few.
-    """
+    """What the road after a fit says of a new calibration against an old one."""
 
     seconds: float = 0.0
+    """Of road."""
     turns: int = 0
+    """Turns that were compared."""
     turn_score: float = 0.0
     turn_gain: float = 0.0
+    """Sigmas by which turns are quieter under the new one, and the mean log ratio."""
     likelihood: float = 0.0
+    """Fall of minus log likelihood on all of the road, independent units."""
     halves: tuple[float, float] = (0.0, 0.0)
+    """The same of its two halves."""
     elsewhere: float = 0.0
+    """What of it is left without the quarter of headings that speaks most for the new one: steel on
+    one side of the way speaks in one alone."""
     against: float = 0.0
+    """What the headings that speak against the new one say together: iron that came is seen at
+    nearly all, steel on one side of the way at a few."""
 
     def stands(self, tuning: KeepingTuning = KEEPING, kind: Kind | None = None) -> str:
-        """Return in words by what the new one is proved better; empty if it is not.
-
-        Parameters
-        ----------
-        tuning : KeepingTuning
-        kind : Kind or None
-            Of the new one; None where it was in force before.
-        """
+        """Return in words by what the new one is proved better; empty if it is not."""
         enough = tuning.iron_proof if kind is Kind.IRON else tuning.likelihood_proof
         if kind is Kind.IRON and self.against > tuning.most_against:
             return ""
@@ -86,69 +68,43 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Two calibrations to be compared on road.
-
-    Parameters
-    ----------
-    name : str
-        Whose it is, to tell the answers apart.
-    old : Correction
-    new : tuple of Step
-        One after another, each for the road that it was not fitted to; what is before the first
-        does not count.
-    """
+    """Two calibrations to be compared on road."""
 
     name: str
+    """Whose it is, to tell the answers apart."""
     old: Correction
     new: tuple[Step, ...]
+    """One after another, each for the road that it was not fitted to; what is before the first does
+    not count."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveJob:
-    """One look at a drive; all that a worker needs, and it can be sent to one.
-
-    Parameters
-    ----------
-    log : DriveLog
-        The last minutes.
-    knowledge : Knowledge
-    in_force : Calibration or None
-    windows : tuple of float
-        Seconds of the newest road to which all twelve numbers are fitted.
-    not_before : float
-        Clock before which no window begins, seconds: something changed there.
-    changed : float
-        Clock of the change after which what is in force was fitted; minus infinity without one.
-    contests : tuple of Contest
-    """
+    """One look at a drive; all that a worker needs, and it can be sent to one."""
 
     log: DriveLog
+    """The last minutes."""
     knowledge: Knowledge
     in_force: Calibration | None
     windows: tuple[float, ...]
+    """Seconds of the newest road to which all twelve numbers are fitted."""
     not_before: float
+    """Clock before which no window begins, seconds: something changed there."""
     changed: float
+    """Clock of the change after which what is in force was fitted; minus infinity without one."""
     contests: tuple[Contest, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What came of a look.
-
-    Parameters
-    ----------
-    clock : float
-        Of the newest road, seconds.
-    candidates : tuple of DriveCandidate
-    since_change, finer : DriveCandidate or None
-        The hard iron of all road since a change that is suspected, and since the one that was
-        proved.
-    proofs : dict of str to Proof
-        By the contests' names.
-    """
+    """What came of a look."""
 
     clock: float
+    """Of the newest road, seconds."""
     candidates: tuple[DriveCandidate, ...]
     since_change: DriveCandidate | None
     finer: DriveCandidate | None
+    """The hard iron of all road since a change that is suspected, and since the one that was
+    proved."""
     proofs: dict[str, Proof]
+    """By the contests' names."""

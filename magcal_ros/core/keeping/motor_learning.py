@@ -24,6 +24,10 @@ MICROTESLA = 1e6
 PLACE, IRON, BODY = slice(0, 3), slice(3, 6), slice(6, 9)
 FIXED = 9
 """States before the gains: field of the place, error of the hard iron, coloured noise; µT."""
+GAINS = slice(FIXED, FIXED + 3 * len(INPUTS))
+LATE = GAINS.stop
+"""State: seconds by which the current is told late."""
+CURRENT = INPUTS.index(MotorInput.CURRENT)
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,8 @@ class LearningTuning:
         its natural logarithm, as of `motors_moving` (`smoother.unknowns`).
     most : float
         Largest such field, µT.
+    late, late_sigma : float
+        Seconds by which a current is told late.
     """
 
     place: PlaceFieldTuning = PLACE_FIELD
@@ -61,6 +67,8 @@ class LearningTuning:
     usual: float = 0.05
     spread: float = 2.0
     most: float = 30.0
+    late: float = 0.1
+    late_sigma: float = 0.1
 
 
 TUNING = LearningTuning()
@@ -104,13 +112,14 @@ class MotorLearning:
         self.heard: frozenset[MotorInput] = frozenset()
         self._calibration = calibration
         self._white = (calibration.noise_field * MICROTESLA) ** 2
-        size = FIXED + 3 * len(INPUTS)
+        size = LATE + 1
         self._mean = np.zeros(size)
         self._prior_mean, self._prior, self._known = _beginning(calibration, tuning)
         self._covariance = np.zeros((size, size))
-        rows = np.r_[IRON, FIXED:size]
+        rows = np.r_[IRON, GAINS]
         self._covariance[np.ix_(rows, rows)] = self._prior
-        self._mean[FIXED:] = self._prior_mean[3:]
+        self._mean[GAINS] = self._prior_mean[3:]
+        self._mean[LATE], self._covariance[LATE, LATE] = tuning.late, tuning.late_sigma**2
         motors = calibration.motors
         ripple = tuning.body if motors is None else motors.ripple * MICROTESLA
         self._ripple = max(ripple, tuning.body)
@@ -162,14 +171,14 @@ class MotorLearning:
         # Sensors and motors are late by some tenths: beside a start or stop no block is clear.
         before, self._before, self._block = self._before, block, None
         if before is not None:
-            self._take(before, self._was_clear and block.clear)
+            self._take(before, block, self._was_clear and block.clear)
             self._was_clear = before.clear
         return True
 
     @property
     def motors(self) -> MotorField:
         """What is known by now, with an input that explains nothing near zero."""
-        here = np.r_[IRON, FIXED : len(self._mean)]
+        here = np.r_[IRON, GAINS]
         which = [k for k, each in enumerate(INPUTS) if self._is_used(each)]
         rows = np.concatenate([np.arange(3), *(3 + 3 * k + np.arange(3) for k in which)])
         prior_mean = self._prior_mean[rows]
@@ -179,6 +188,11 @@ class MotorLearning:
         known = np.array([True] * 3 + [k in self._known for k in which for _ in range(3)])
         seen = _SeenGains(_positive(np.asarray(now - prior)), pull, prior, prior_mean, known)
         return self._in_sensor_axes(*seen.posterior(self._scales(seen, which)), which)
+
+    @property
+    def delay(self) -> tuple[float, float]:
+        """Seconds by which the current is told late, and their standard deviation."""
+        return float(self._mean[LATE]), math.sqrt(self._covariance[LATE, LATE])
 
     def _is_used(self, which: MotorInput) -> bool:
         return which in self.heard or INPUTS.index(which) in self._known
@@ -240,7 +254,7 @@ class MotorLearning:
         self._covariance[PLACE, PLACE] = self.tuning.place.field**2 * np.eye(3)
         self._covariance[BODY, BODY] = self.tuning.body**2 * np.eye(3)
 
-    def _take(self, block: _Interval, is_even: bool) -> None:
+    def _take(self, block: _Interval, after: _Interval, is_even: bool) -> None:
         """Go on by a block and take its means; not where the robot stops or starts beside it."""
         tuning, count = self.tuning, block.count
         u = np.asarray(block.inputs) / count
@@ -255,12 +269,16 @@ class MotorLearning:
             return
         raw = np.asarray(block.field) / count
         y = self._calibration.correction.apply(raw) * MICROTESLA
-        rows = np.concatenate([np.ones(3), u])
-        h = np.kron(rows, np.eye(3))
+        later = np.asarray(after.inputs)[CURRENT] / after.count - u[CURRENT]
+        faster = later / block.seconds if told[CURRENT] and math.isfinite(later) else 0.0
+        u[CURRENT] += self._mean[LATE] * faster
+        gain = self._mean[GAINS].reshape(-1, 3)[CURRENT]
+        h = np.column_stack([np.kron([1.0, 1.0, 1.0, *u], np.eye(3)), faster * gain])
         noise = self._white / count + 1e-4
         p_h = self._covariance @ h.T
         spread = h @ p_h + noise * np.eye(3)
-        off = y - h @ self._mean
+        # The last column is how the current's delay changes the sum.
+        off = y - h[:, :LATE] @ self._mean[:LATE]
         square = float(off @ np.linalg.solve(spread, off))
         weight = (tuning.freedom + 3.0) / (tuning.freedom + square)
         # A single odd block counts less; a large step that the gains may explain is none.

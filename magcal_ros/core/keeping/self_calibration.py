@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import (
     METHOD,
@@ -135,7 +135,7 @@ class SelfCalibration:
         self._generation += 1
         if old is not None:
             self._before.append(old)
-        self._promised = 0.0 if calibration is None else predicted_heading_sigma(calibration)
+        self._promised = 0.0 if calibration is None else calibration_sigma(calibration)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
         if last is not None and last.verb is Verb.REFINED and decided:
             self._before.pop()
@@ -345,7 +345,7 @@ class SelfCalibration:
         since = findings.since_change
         if since is None or Kind.IRON in self._on_probation or self._is_offered(since):
             return []
-        sigma = math.hypot(since.sigma, predicted_heading_sigma(in_force))
+        sigma = math.hypot(since.sigma, calibration_sigma(in_force))
         apart = difference(in_force, since.calibration)
         if since.sigma > self.tuning.notice_sigma or apart < self.tuning.notice_differs * sigma:
             return []
@@ -373,8 +373,7 @@ class SelfCalibration:
         waits = self.proposal
         if waits is None or is_another(candidate, waits, self.tuning):
             return False
-        known = waits.evidence.figures.get(Figure.HEADING_SIGMA.value, math.inf)
-        return candidate.sigma > self.tuning.much_better * known
+        return candidate.sigma > self.tuning.much_better * known_sigma(waits)
 
     def _is_worth_it(self, candidate: DriveCandidate, in_force: Calibration) -> bool:
         if is_another(candidate, in_force, self.tuning):

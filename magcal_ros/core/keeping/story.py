@@ -21,66 +21,53 @@ from magcal_ros.core.keeping.keeping_tuning import KEEPING
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import PositionSample, TravelSample
+from magcal_ros.core.samples.streams import (
+    STREAMS,
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    Streams,
+    TravelSample,
+)
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.tuning import TUNING
 
 
 @dataclass(frozen=True, eq=False)
 class DrivePath:
-    """Where was driven, and how the field was there under the last calibration.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds from the beginning.
-    place : ndarray, shape (n, 2)
-        Metres east and north of the beginning.
-    error : ndarray, shape (n,)
-        Radians by which a disturbance may turn the heading: one as large as level and upright
-        field are off the calibrated ones, and across the level field.
-    is_measured : bool
-        Whether a receiver told the places; else they are reckoned from the compass and the speed.
-    has_speed : bool
-        Whether a speed was measured; else it was guessed.
-    """
+    """Where was driven, and how the field was there under the last calibration."""
 
     time: FloatArray
+    """Seconds from the beginning. Shape (n,)."""
     place: FloatArray
+    """Metres east and north of the beginning. Shape (n, 2)."""
     error: FloatArray
+    """Radians by which a disturbance may turn the heading: one as large as level and upright field
+    are off the calibrated ones, and across the level field. Shape (n,)."""
     is_measured: bool
+    """Whether a receiver told the places; else they are reckoned from the compass and the speed."""
     has_speed: bool
+    """Whether a speed was measured; else it was guessed."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveStory:
-    """What became of a drive.
-
-    Parameters
-    ----------
-    decisions : tuple of (float, Decision)
-        Seconds from the beginning, and what was decided.
-    begun, ended : Calibration or None
-        What was in force at the beginning and at the end.
-    seconds, moved : float
-        How long the recording is, and how long the robot moved in it.
-    doing : str
-        What went on at the end, in words.
-    path : DrivePath or None
-        None where no calibration tells a heading.
-    course : str
-        How the compass goes against course at the end, in words; empty where nothing tells it.
-    """
+    """What became of a drive."""
 
     decisions: tuple[tuple[float, Decision], ...]
+    """Seconds from the beginning, and what was decided."""
     begun: Calibration | None
     ended: Calibration | None
+    """What was in force at the beginning and at the end."""
     seconds: float
     moved: float
+    """How long the recording is, and how long the robot moved in it."""
     doing: str
+    """What went on at the end, in words."""
     path: DrivePath | None
+    """None where no calibration tells a heading."""
     course: str = ""
+    """How the compass goes against course at the end, in words; empty where nothing tells it."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +79,7 @@ class _Point:
 
 
 class DriveReplay:
-    """Runs self-calibration on a recording, and keeps what it decided.
-
-    Parameters
-    ----------
-    knowledge : Knowledge
-    calibration : Calibration or None
-        In force at the beginning.
-    machine : SelfCalibration, optional
-        What decides.
-    """
+    """Runs self-calibration on a recording, and keeps what it decided."""
 
     def __init__(
         self,

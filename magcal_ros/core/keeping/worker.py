@@ -101,14 +101,6 @@ def prove(
 
     Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
     (prequential; Dawid, 1984), so that all road since the first fit counts.
-
-    Parameters
-    ----------
-    nodes : Nodes
-        That road, and more.
-    contest : Contest
-    knowledge : Knowledge
-    tuning : KeepingTuning
     """
     rows = np.flatnonzero(nodes.time > contest.new[0].since)
     if len(rows) < 4:

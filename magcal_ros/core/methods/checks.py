@@ -26,13 +26,6 @@ micro-g and millidegrees published as these."""
 def refuse_empty(window: Window, min_samples: int) -> None:
     """Refuse a window that says too little to begin with.
 
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    min_samples : int
-        Fewer are refused.
-
     Raises
     ------
     Refusal

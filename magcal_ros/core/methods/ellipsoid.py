@@ -29,24 +29,16 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class EllipsoidTuning:
-    """Which clouds are an ellipsoid.
-
-    Attributes
-    ----------
-    least_extent : float
-        Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
-    largest_ratio : float
-        Longest over shortest radius; no soft iron that leaves a compass usable does more.
-    rounds : int
-        Times that outliers are left out and the rest is fitted again.
-    least_share : float
-        Of the samples that the ellipsoid must explain.
-    """
+    """Which clouds are an ellipsoid."""
 
     least_extent: float = 0.9
+    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     largest_ratio: float = 3.0
+    """Longest over shortest radius; no soft iron that leaves a compass usable does more."""
     rounds: int = 4
+    """Times that outliers are left out and the rest is fitted again."""
     least_share: float = 0.5
+    """Of the samples that the ellipsoid must explain."""
 
 
 TUNING = EllipsoidTuning()
@@ -56,11 +48,6 @@ TUNING = EllipsoidTuning()
 class Options(TumblingOptions):
     """Choices of the ellipsoid method, besides those of `TumblingOptions`.
 
-    Parameters
-    ----------
-    shape : QuadricFit
-        "rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron.
-
     Raises
     ------
     ValueError
@@ -68,6 +55,7 @@ class Options(TumblingOptions):
     """
 
     shape: QuadricFit = QuadricFit.ROTATED
+    """"rotated" for any ellipsoid, "aligned" for one along the axes, "sphere" for no soft iron."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "shape", QuadricFit(self.shape))

@@ -30,22 +30,15 @@ FEW = 24
 
 @dataclass(frozen=True)
 class ContradictionTuning:
-    """When known headings contradict field and gyro.
-
-    Parameters
-    ----------
-    chance : float
-        Probability of a larger misfit by chance, below which they do.
-    odds : float
-        Minus twice the logarithm of the likelihood ratio by which another reading of the headings
-        must be better to be named: one in four hundred.
-    declination : float
-        Sigmas of the installation's yaw by which the declination must be seen to be named.
-    """
+    """When known headings contradict field and gyro."""
 
     chance: float = 1e-3
+    """Probability of a larger misfit by chance, below which they do."""
     odds: float = 12.0
+    """Minus twice the logarithm of the likelihood ratio by which another reading of the headings
+    must be better to be named: one in four hundred."""
     declination: float = 3.0
+    """Sigmas of the installation's yaw by which the declination must be seen to be named."""
 
 
 TUNING = ContradictionTuning()
@@ -69,14 +62,6 @@ READINGS: dict[str, tuple[float, float]] = {
 
 def fit(standings: Sequence[Standing], knowledge: Knowledge, place: Size = STANDING) -> Estimate:
     """Find the twelve numbers from known headings.
-
-    Parameters
-    ----------
-    standings : sequence of Standing
-        At least one.
-    knowledge : Knowledge
-    place : Size
-        The local disturbance, larger along streets than where a robot stands.
 
     Returns
     -------

@@ -30,30 +30,20 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class MinMaxTuning:
-    """What extremes are taken of.
-
-    Attributes
-    ----------
-    smallest_range : float
-        Smallest over largest range of an axis; below it one axis never met the field.
-    least_extent : float
-        Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
-    direction_cells : float
-        Half the number of cells along an edge of the cube on which directions are sorted.
-    space_cells : float
-        Number of cells along the range of an axis.
-    starting_quantile : float
-        Share of the places left out at either end of an axis to begin with.
-    most_rounds : int
-        Times that outliers are looked for.
-    """
+    """What extremes are taken of."""
 
     smallest_range: float = 0.5
+    """Smallest over largest range of an axis; below it one axis never met the field."""
     least_extent: float = 1.6
+    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     direction_cells: float = 4.0
+    """Half the number of cells along an edge of the cube on which directions are sorted."""
     space_cells: float = 12.0
+    """Number of cells along the range of an axis."""
     starting_quantile: float = 0.05
+    """Share of the places left out at either end of an axis to begin with."""
     most_rounds: int = 10
+    """Times that outliers are looked for."""
 
 
 TUNING = MinMaxTuning()
@@ -61,17 +51,12 @@ TUNING = MinMaxTuning()
 
 @dataclass(frozen=True)
 class Options(TumblingOptions):
-    """Choices of the min/max method, besides those of `TumblingOptions`.
-
-    Parameters
-    ----------
-    robust : bool
-        Whether to leave out samples that lie on no common sphere before taking the extremes. Plain
-        quantiles would do this, too, but they move towards wherever the sensor rested longest; so
-        samples are first sorted into cells of direction, each of which counts once.
-    """
+    """Choices of the min/max method, besides those of `TumblingOptions`."""
 
     robust: bool = False
+    """Whether to leave out samples that lie on no common sphere before taking the extremes. Plain
+    quantiles would do this, too, but they move towards wherever the sensor rested longest; so
+    samples are first sorted into cells of direction, each of which counts once."""
 
 
 def fit(
@@ -138,10 +123,6 @@ def believed_on_sphere(nominal: FloatArray) -> BoolArray:
     ----------
     nominal : ndarray, shape (n, 3)
         Field in nominal axes, tesla.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
     """
     low, high = _starting_range(nominal)
     kept = np.ones(len(nominal), dtype=np.bool_)

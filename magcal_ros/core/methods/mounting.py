@@ -23,24 +23,17 @@ LEAST_VARIANCE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class SeenMounting:
-    """A rotation of the corrected field against the IMU, as far as gravity shows it.
-
-    Parameters
-    ----------
-    cosine : float
-        Of the angle between the field and up.
-    rotation : ndarray, shape (3,)
-        Expectation of the rotation vector from the corrected field to the true one, radians.
-    covariance : ndarray, shape (3, 3)
-        Of `rotation`, rad².
-    scatter : float
-        Standard deviation of the cosine that is left.
-    """
+    """A rotation of the corrected field against the IMU, as far as gravity shows it."""
 
     cosine: float
+    """Of the angle between the field and up."""
     rotation: FloatArray
+    """Expectation of the rotation vector from the corrected field to the true one, radians. Shape
+    (3,)."""
     covariance: FloatArray
+    """Of `rotation`, rad². Shape (3, 3)."""
     scatter: float
+    """Standard deviation of the cosine that is left."""
 
     @property
     def angle(self) -> float:

@@ -146,6 +146,7 @@ def _figures(found: DriveFit, knowledge: Knowledge, log: DriveLog) -> dict[Figur
         Figure.HEADINGS_DRIVEN: float(found.sectors),
         Figure.DRIVING_TIME: found.seconds,
         Figure.STREET: sizes.street * tuning.street / MICROTESLA,
+        Figure.LOCAL_FIELD: sizes.street * tuning.street / MICROTESLA,
         Figure.NOT_CONVERGED: float(not found.smoothed.converged),
         Figure.ITERATIONS: float(found.smoothed.rounds),
         Figure.SOFT_IRON: 1.0,

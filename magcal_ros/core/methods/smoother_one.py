@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from magcal_ros.core.smoother.unknowns import (
     ON_THE_SPOT,
     ROLL_PITCH,
     SHIELDING,
+    TURNED,
     VELOCITY,
     YAW,
 )
@@ -60,7 +62,11 @@ WEAKENED = 0.1
 """Share of the level field that no gain of a sensor takes away."""
 
 
-def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
+def fit(
+    window: Window,
+    knowledge: Knowledge = Knowledge(),
+    told: Callable[[float], object] | None = None,
+) -> Estimate:
     """Find the twelve numbers of a window by the smoother.
 
     Parameters
@@ -68,6 +74,8 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     window : Window
         Paired samples. Without a gyro they are of a turn.
     knowledge : Knowledge
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1; without a gyro there is little.
 
     Returns
     -------
@@ -78,24 +86,46 @@ def fit(window: Window, knowledge: Knowledge = Knowledge()) -> Estimate:
     Refusal
         If the samples cannot carry a calibration.
     """
+    found = smoothed(window, knowledge, told)
+    estimate = estimate_of(found, window, knowledge)
+    check(found, estimate, window, knowledge)
+    return estimate
+
+
+def smoothed(
+    window: Window, knowledge: Knowledge, told: Callable[[float], object] | None = None
+) -> Smoothed:
+    """Return what the smoother makes of a window, before it is asked whether it can carry it.
+
+    Raises
+    ------
+    Refusal
+        If there is nothing to be found in the samples.
+    """
     refuse_empty(window, FEWEST_SAMPLES)
     _check_unit(window)
-    living = living_axes(window.angular_rate)
-    if living[2]:
-        found = smooth(window, knowledge)
-        stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
-        slow = None if stays else too_slow(window, knowledge)
-        if slow is not None:
-            raise slow
-        estimate = _estimate(found, window, knowledge)
-        if found.mode in DRIVES:
-            _check_drive(found, estimate, all(living))
-        return estimate
+    if living_axes(window.angular_rate)[2]:
+        return smooth(window, knowledge, too_slow(window, knowledge), told)
     check_window(window, knowledge)
-    found = smooth_by_field(window, knowledge)
-    estimate = _estimate(found, window, knowledge)
-    _check(found, estimate, knowledge)
-    return estimate
+    return smooth_by_field(window, knowledge)
+
+
+def check(found: Smoothed, estimate: Estimate, window: Window, knowledge: Knowledge) -> None:
+    """Refuse a window that can carry no calibration.
+
+    Raises
+    ------
+    Refusal
+    """
+    if found.nodes.tied_to is not None:
+        _check_turn_without_gyro(found, estimate, knowledge)
+        return
+    stays = found.mode not in DRIVES and gyro_is_usual(found.fit)
+    slow = None if stays else too_slow(window, knowledge)
+    if slow is not None:
+        raise slow
+    if found.mode in DRIVES:
+        _check_drive(found, estimate, all(living_axes(window.angular_rate)))
 
 
 def _check_unit(window: Window) -> None:
@@ -125,7 +155,7 @@ def _check_drive(found: Smoothed, estimate: Estimate, lives: bool) -> None:
         )
 
 
-def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
+def _check_turn_without_gyro(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     """Refuse a turn without a gyro that explains its samples only in appearance."""
     sizes, state = found.fit.point.sizes, found.fit.state
     deviation = math.hypot(sizes["field"], sizes["body_field"], sizes["motors_noise"]) / MICROTESLA
@@ -140,7 +170,8 @@ def _check(found: Smoothed, estimate: Estimate, knowledge: Knowledge) -> None:
     check_rival(rival_gap(found), knowledge, estimate.arc)
 
 
-def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate:
+    """Return the estimate of a window in the form that every method returns."""
     best, nodes = found.fit, found.nodes
     shared, posterior = best.state.shared, found.posterior
     part = best.weighted["field"]
@@ -160,7 +191,7 @@ def _estimate(found: Smoothed, window: Window, knowledge: Knowledge) -> Estimate
         method=METHOD,
         correction=posterior.correction,
         covariance=posterior.covariance,
-        installation=Installation(float(roll), float(pitch), float(shared[YAW])),
+        installation=Installation(float(roll), float(pitch), float(shared[YAW] + shared[TURNED])),
         axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
         arc=_arc(best.state.attitude, nodes.tied_to),
         strength=posterior.strength,
@@ -243,8 +274,10 @@ def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
     attitude = found.fit.state.attitude[course.moving > 0.0]
     yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
     sectors = np.unique(np.floor(np.mod(yaw, math.tau) * SECTORS / math.tau))
+    sizes = found.fit.point.sizes
     return {
         Figure.HEADINGS_DRIVEN: float(len(sectors)),
         Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
-        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
+        Figure.STREET: sizes["street"] / MICROTESLA,
+        Figure.LOCAL_FIELD: math.hypot(sizes["street"], sizes["motors_noise"]) / MICROTESLA,
     }

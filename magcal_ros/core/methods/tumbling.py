@@ -29,30 +29,20 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class CloudTuning:
-    """Which clouds of field samples a tumble can have left.
-
-    Attributes
-    ----------
-    thinnest_cloud : float
-        Smallest over largest standard deviation of a cloud; below it is a plane with noise.
-    least_motion : float
-        Standard deviation of the field over its size; below it nothing moved.
-    largest_residual : float
-        Root mean square of the distance from the sphere over its radius; beyond it is no sphere.
-    outlier_deviations : float
-        Robust standard deviations from the usual distance beyond which a sample is an outlier.
-    least_gate : float
-        Share of the radius within which a sample is always believed.
-    least_level_share : float
-        Of the field that is taken to be level where it is steeper than a compass can bear.
-    """
+    """Which clouds of field samples a tumble can have left."""
 
     thinnest_cloud: float = 0.15
+    """Smallest over largest standard deviation of a cloud; below it is a plane with noise."""
     least_motion: float = 0.02
+    """Standard deviation of the field over its size; below it nothing moved."""
     largest_residual: float = 0.15
+    """Root mean square of the distance from the sphere over its radius; beyond it is no sphere."""
     outlier_deviations: float = 5.0
+    """Robust standard deviations from the usual distance beyond which a sample is an outlier."""
     least_gate: float = 0.02
+    """Share of the radius within which a sample is always believed."""
     least_level_share: float = 0.1
+    """Of the field that is taken to be level where it is steeper than a compass can bear."""
 
 
 CLOUD = CloudTuning()
@@ -66,24 +56,16 @@ PROBES: FloatArray = unit(
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What a method found: where the cloud's centre is, and what makes it a sphere.
-
-    Parameters
-    ----------
-    centre : ndarray, shape (3,)
-        Tesla, in nominal body axes.
-    to_unit : ndarray, shape (3, 3)
-        Takes fields from the centre onto the unit sphere, per tesla.
-    radius : float
-        Tesla, the mean radius as the sensor reads it.
-    figures : mapping of Figure to float
-        What the method measured besides.
-    """
+    """What a method found: where the cloud's centre is, and what makes it a sphere."""
 
     centre: FloatArray
+    """Tesla, in nominal body axes. Shape (3,)."""
     to_unit: FloatArray
+    """Takes fields from the centre onto the unit sphere, per tesla. Shape (3, 3)."""
     radius: float
+    """Tesla, the mean radius as the sensor reads it."""
     figures: Mapping[Figure, float]
+    """What the method measured besides."""
 
     def on_sphere(self, nominal: FloatArray) -> FloatArray:
         """Return fields (n, 3) in nominal axes as points that should lie on the unit sphere."""
@@ -101,44 +83,29 @@ Solve = Callable[[Window, Knowledge], Shape]
 
 @dataclass(frozen=True, kw_only=True)
 class TumblingOptions:
-    """Choices that all methods for tumbled sensors have.
-
-    Parameters
-    ----------
-    min_samples : int
-        Fewer are refused.
-    jackknife_blocks : int
-        Pieces of time that the covariance leaves out one by one.
-    installation_sigma : float
-        Radians per axis that the magnetometer may be turned against the IMU, before gravity is
-        asked. Zero: it is known to be square.
-    """
+    """Choices that all methods for tumbled sensors have."""
 
     min_samples: int = 40
+    """Fewer are refused."""
     jackknife_blocks: int = 16
+    """Pieces of time that the covariance leaves out one by one."""
     installation_sigma: float = math.radians(3.0)
+    """Radians per axis that the magnetometer may be turned against the IMU, before gravity is
+    asked. Zero: it is known to be square."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What a method wants done by what all share.
-
-    Parameters
-    ----------
-    method : str
-        Its name.
-    least_extent : float
-        Extent of the unit sphere, 2 for all of it, that must be seen in every direction.
-    remedy : str
-        What to do when the samples lie on no sphere.
-    options : TumblingOptions
-        The user's.
-    """
+    """What a method wants done by what all share."""
 
     method: str
+    """Its name."""
     least_extent: float
+    """Extent of the unit sphere, 2 for all of it, that must be seen in every direction."""
     remedy: str
+    """What to do when the samples lie on no sphere."""
     options: TumblingOptions
+    """The user's."""
 
 
 def nominal_field(window: Window, knowledge: Knowledge) -> FloatArray:

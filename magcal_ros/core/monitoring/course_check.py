@@ -27,32 +27,19 @@ SWING_TWICE = Bound(
 
 @dataclass(frozen=True)
 class CourseCheckTuning:
-    """When the harmonics of compass against course show that a calibration is wrong.
-
-    Parameters
-    ----------
-    clear : float
-        Sigmas that count.
-    sectors : int
-        Courses, of eight, that must have been driven.
-    """
+    """When the harmonics of compass against course show that a calibration is wrong."""
 
     clear: float = 4.0
+    """Sigmas that count."""
     sectors: int = 4
+    """Courses, of eight, that must have been driven."""
 
 
 TUNING = CourseCheckTuning()
 
 
 def check_by_course(course: CourseOffset | None) -> tuple[Check, ...]:
-    """Grade a calibration by course; empty before enough courses were driven.
-
-    Parameters
-    ----------
-    course : CourseOffset or None
-        Compass against course under the calibration in force, of a vehicle that goes where it
-        looks.
-    """
+    """Grade a calibration by course; empty before enough courses were driven."""
     if course is None or course.sectors < TUNING.sectors:
         return ()
     checks = []

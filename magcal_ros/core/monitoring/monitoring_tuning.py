@@ -70,31 +70,21 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
 
 @dataclass(frozen=True)
 class RecheckTuning:
-    """How a recheck looks.
-
-    Parameters
-    ----------
-    bounds : tuple of Bound
-        The bounds of the grades.
-    bins : int
-        Sectors of heading over which a mean is taken: narrow against two swings a turn.
-    longest_piece : float
-        Seconds over which the gyro's drift is taken as steady.
-    visit : float
-        Seconds within which a robot that drives meets the same disturbance: streets are alike for
-        25 to 30 m.
-    own_share : float
-        Of the bound of what is stale: so much of a swing the calibration's own sigma explains.
-    steepest_nose : float
-        Squared share of up along body x (60°) beyond which yaw is not compared.
-    """
+    """How a recheck looks."""
 
     bounds: tuple[Bound, ...] = RECHECK_BOUNDS
+    """The bounds of the grades."""
     bins: int = 36
+    """Sectors of heading over which a mean is taken: narrow against two swings a turn."""
     longest_piece: float = 60.0
+    """Seconds over which the gyro's drift is taken as steady."""
     visit: float = 12.0
+    """Seconds within which a robot that drives meets the same disturbance: streets are alike for 25
+    to 30 m."""
     own_share: float = 0.25
+    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains."""
     steepest_nose: float = 0.75
+    """Squared share of up along body x (60°) beyond which yaw is not compared."""
 
 
 AGAIN = "calibrate again"
@@ -152,89 +142,60 @@ WATCH_BOUNDS: tuple[Bound, ...] = (
 
 @dataclass(frozen=True)
 class WatchTuning:
-    """How a drive is watched.
-
-    Parameters
-    ----------
-    bounds : tuple of Bound
-        The bounds of the grades.
-    memory : float
-        Seconds of driving that are looked at.
-    most_records : int
-        Visits that are kept at most.
-    aside : float
-        Radians; a robot that has turned so far from where a visit began looks to another heading.
-    longest_visit : float
-        Seconds after which a visit is recorded, though the robot has not turned away.
-    most_in_a_row : int
-        Records of one heading; the next one takes the place of the last.
-    sampling : float
-        Seconds between samples of a visit: more would only cost.
-    look_every : float
-        Seconds between two looks at the records.
-    confirm : float
-        Seconds for which every look must say the same before it is believed.
-    steepest_nose : float
-        Squared share of up along body x (60°) beyond which yaw is not compared.
-    longest_piece : float
-        Seconds over which the gyro's drift is taken as steady.
-    sectors, fewest_sectors : int
-        Sectors of heading, and how many must have been driven before swings can be told.
-    widest_hole : float
-        Radians of heading that may be missing in one stretch.
-    fewest_records : int
-        Before anything is judged.
-    shortest_span : float
-        Seconds that the records must span: a disturbance that passes is shorter.
-    clearly, few : float
-        A swing counts when it is `clearly (1 + few/n)` times its own standard deviation, of which
-        n independent stretches of driving know little when they are few.
-    promise : float
-        Standard deviations of what the calibration promised that are no change.
-    largest_promise : float
-        Radians; a calibration that promises less than this widens no bound any further.
-    correlation_time : float
-        Seconds over which the records' errors are taken to be alike, less and less.
-    huber : float
-        Scatters from which a record weighs less.
-    rounds : int
-        Of reweighting.
-    smallest_scatter : float
-        Of the field; records are never believed to agree better.
-    fastest_curve : float
-        s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
-        rad/s.
-    lost : float
-        Radians of compass against gyro, from which a compass that shows few headings is not to
-        be believed.
-    fewest_turned : float
-        Radians that the gyro must have turned to be compared with the compass.
-    """
+    """How a drive is watched."""
 
     bounds: tuple[Bound, ...] = WATCH_BOUNDS
+    """The bounds of the grades."""
     memory: float = 600.0
+    """Seconds of driving that are looked at."""
     most_records: int = 400
+    """Visits that are kept at most."""
     aside: float = math.radians(12.0)
+    """Radians; a robot that has turned so far from where a visit began looks to another heading."""
     longest_visit: float = 4.0
+    """Seconds after which a visit is recorded, though the robot has not turned away."""
     most_in_a_row: int = 3
+    """Records of one heading; the next one takes the place of the last."""
     sampling: float = 0.08
+    """Seconds between samples of a visit: more would only cost."""
     look_every: float = 15.0
+    """Seconds between two looks at the records."""
     confirm: float = 60.0
+    """Seconds for which every look must say the same before it is believed."""
     steepest_nose: float = RecheckTuning.steepest_nose
+    """Squared share of up along body x (60°) beyond which yaw is not compared."""
     longest_piece: float = RecheckTuning.longest_piece
+    """Seconds over which the gyro's drift is taken as steady."""
     sectors: int = 12
     fewest_sectors: int = 8
+    """Sectors of heading, and how many must have been driven before swings can be told."""
     widest_hole: float = math.radians(100.0)
+    """Radians of heading that may be missing in one stretch."""
     fewest_records: int = 40
+    """Before anything is judged."""
     shortest_span: float = 150.0
+    """Seconds that the records must span: a disturbance that passes is shorter."""
     clearly: float = 4.0
     few: float = 10.0
+    """A swing counts when it is `clearly (1 + few/n)` times its own standard deviation, of which n
+    independent stretches of driving know little when they are few."""
     promise: float = 3.0
+    """Standard deviations of what the calibration promised that are no change."""
     largest_promise: float = 0.1
+    """Radians; a calibration that promises less than this widens no bound any further."""
     correlation_time: float = 30.0
+    """Seconds over which the records' errors are taken to be alike, less and less."""
     huber: float = 1.5
+    """Scatters from which a record weighs less."""
     rounds: int = 8
+    """Of reweighting."""
     smallest_scatter: float = 0.002
+    """Of the field; records are never believed to agree better."""
     fastest_curve: float = 0.15
+    """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
+    rad/s."""
     lost: float = math.radians(20.0)
+    """Radians of compass against gyro, from which a compass that shows few headings is not to be
+    believed."""
     fewest_turned: float = 0.9 * math.tau
+    """Radians that the gyro must have turned to be compared with the compass."""

@@ -65,18 +65,12 @@ NO_YAW = "an error of the yaw that is the same at every heading"
 
 @dataclass(frozen=True, eq=False)
 class Recheck:
-    """What came of a recheck.
-
-    Parameters
-    ----------
-    verdict : Verdict
-        Its quality says whether the calibration holds, its confidence how much of it was seen.
-    estimate : Estimate
-        The old numbers with the fresh residuals, as a report shows them.
-    """
+    """What came of a recheck."""
 
     verdict: Verdict
+    """Its quality says whether the calibration holds, its confidence how much of it was seen."""
     estimate: Estimate
+    """The old numbers with the fresh residuals, as a report shows them."""
 
     @property
     def findings(self) -> tuple[Check, ...]:
@@ -297,18 +291,12 @@ CHANGE = Bound(
 
 @dataclass(frozen=True)
 class IronAddedTuning:
-    """When a drive shows iron that was added.
-
-    Parameters
-    ----------
-    largest_sigma : float
-        Of the iron, against the level field, beyond which a drive shows nothing of it.
-    chance : float
-        Its sigmas that chance may be.
-    """
+    """When a drive shows iron that was added."""
 
     largest_sigma: float = 0.06
+    """Of the iron, against the level field, beyond which a drive shows nothing of it."""
     chance: float = 2.0
+    """Its sigmas that chance may be."""
 
 
 TUNING = IronAddedTuning()

@@ -18,30 +18,22 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.monitoring.course_check import check_by_course
-from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import TravelSample
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedCourse:
-    """Compass against course over a recording.
-
-    Parameters
-    ----------
-    offset : CourseOffset
-    checks : tuple of Check
-        Of the calibration; empty where too few courses were driven, or nothing says that the
-        vehicle goes where it looks.
-    mounting : MountingYaw or None
-        How the IMU sits in the vehicle, where its acceleration shows it.
-    declination : float or None
-        Radians, positive east, of the place; it is part of the offset. None where nobody knows it.
-    """
+    """Compass against course over a recording."""
 
     offset: CourseOffset
     checks: tuple[Check, ...]
+    """Of the calibration; empty where too few courses were driven, or nothing says that the vehicle
+    goes where it looks."""
     mounting: MountingYaw | None = None
+    """How the IMU sits in the vehicle, where its acceleration shows it."""
     declination: float | None = None
+    """Radians, positive east, of the place; it is part of the offset. None where nobody knows
+    it."""
 
     @property
     def words(self) -> str:
@@ -118,21 +110,14 @@ def _north(offset: float, declination: float | None) -> str:
 
 @dataclass(frozen=True)
 class AgainstOwnYaw:
-    """Compass less an autopilot's own yaw.
-
-    Parameters
-    ----------
-    offset, scatter : float
-        Radians: median, and 1.48 median deviations from it.
-    samples : int
-    declination : float or None
-        Radians; taken off the compass where it is known.
-    """
+    """Compass less an autopilot's own yaw."""
 
     offset: float
     scatter: float
+    """Radians: median, and 1.48 median deviations from it."""
     samples: int
     declination: float | None
+    """Radians; taken off the compass where it is known."""
 
     @property
     def words(self) -> str:

@@ -27,33 +27,22 @@ from magcal_ros.core.samples.streams import STREAMS
 
 @dataclass(frozen=True)
 class Watched:
-    """What the last minutes of driving say.
-
-    Parameters
-    ----------
-    is_stale : bool
-        Whether the calibration no longer holds.
-    findings : tuple of Check
-        Everything measured at the last look; while stale, at the one that showed it.
-    minutes : float
-        Since when it does not hold, in minutes before the newest look; zero while it holds.
-    hard_iron : tuple of float
-        Change of the hard iron in the IMU's x and y, tesla.
-    was_judged : bool
-        Whether it could be judged at all since it is in force.
-    lacking : str
-        What has not been seen in the last minutes; empty if they were judged.
-    memory : float
-        Seconds of driving that are looked at.
-    """
+    """What the last minutes of driving say."""
 
     is_stale: bool = False
+    """Whether the calibration no longer holds."""
     findings: tuple[Check, ...] = ()
+    """Everything measured at the last look; while stale, at the one that showed it."""
     minutes: float = 0.0
+    """Since when it does not hold, in minutes before the newest look; zero while it holds."""
     hard_iron: tuple[float, float] = (0.0, 0.0)
+    """Change of the hard iron in the IMU's x and y, tesla."""
     was_judged: bool = False
+    """Whether it could be judged at all since it is in force."""
     lacking: str = "the robot has not driven yet"
+    """What has not been seen in the last minutes; empty if they were judged."""
     memory: float = WatchTuning.memory
+    """Seconds of driving that are looked at."""
 
     @property
     def summary(self) -> str:
@@ -79,14 +68,7 @@ class Watched:
 
 
 class Watch:
-    """Watches one calibration.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force, and what it promised.
-    tuning : WatchTuning
-    """
+    """Watches one calibration."""
 
     def __init__(self, calibration: Calibration, tuning: WatchTuning = WatchTuning()) -> None:
         self._calibration = calibration

@@ -76,10 +76,6 @@ def measure(
     calibration : Calibration
         What is in force.
     tuning : WatchTuning
-
-    Returns
-    -------
-    Measured
     """
     lacking = what_lacks(records, tuning)
     enough = len(records) >= tuning.fewest_records

@@ -1,115 +1,80 @@
-"""Whether one turn shows the same calibration as the others (doc/estimator.md, section 11).
+"""Whether a turn shows the same calibration as the others, by the evidence of the smoother's model.
 
-At the joint optimum let F be the information of one turn, G that of everything else, and g the
-turn's gradient there. Were both fitted alone, their costs would fall by `g F^-1 g` and `g G^-1 g`:
-the sum is the chi-square of their difference. In axes in which F + G is one and F diagonal (its
-values l), it is the sum of `g_i² / (l_i (1 - l_i))`, so directions of which only one side knows
-anything say nothing and are left out.
+Two explanations are weighed: one calibration for all turns, or one for the turn and another for
+the rest. Both are fitted, each with its own sizes of noises. Twice the logarithm of their
+likelihood ratio is the difference of the evidences.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtrc
 
-from magcal_ros.core.estimation import parameters as p
-from magcal_ros.core.estimation.solver import Fit
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.several import Together, fit_together
+from magcal_ros.core.smoother.unknowns import AT
 
-HARD_IRON_INDICES = np.arange(p.HARD_IRON.start, p.HARD_IRON.stop)
-
-
-@dataclass(frozen=True)
-class AgreementTuning:
-    """When turns are taken to agree.
-
-    Attributes
-    ----------
-    least_share : float
-        Of a direction's information that both sides must have.
-    certain : float
-        Probability of a chance disagreement below which it is none.
-    suspicious : float
-        Probability of a chance disagreement below which a turn is left out, and below which the
-        covariance grows by what the turns differ.
-    place_to_place : float
-        Field scales (0.15 µT of 50) by which hard iron may seem to differ between sound turns: no
-        two places have quite the same field. It widens what is tolerated, not the covariance.
-    """
-
-    least_share: float = 0.03
-    certain: float = 1e-6
-    suspicious: float = 1e-3
-    place_to_place: float = 0.003
-
-
-TUNING = AgreementTuning()
+LOOKED_AT = 2.0
+"""Misfit below which nobody asks whether a turn belongs to the others; it saves time only."""
+LEAST = 0.03
+"""Share of a turn's own variance that the others take away at least, or they tell it nothing."""
+IRON = AT["iron"]
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How one turn agrees with the others.
+    """How turns agree.
 
     Parameters
     ----------
-    chi_square : float
-        Of their difference against noise alone.
-    tolerant : float
-        The same against noise and what places may differ.
-    freedom : int
-        Directions in which both sides know something.
+    misfit : float
+        How many times as far as noise explains the hard iron of one is off that of all, at worst.
+    odd : int or None
+        The turn that most likely has another calibration than the rest; None if none has.
     """
 
-    chi_square: float
-    tolerant: float
-    freedom: int
-
-    @property
-    def chance(self) -> float:
-        """Probability that noise alone makes sound turns disagree so much."""
-        return float(chdtrc(self.freedom, self.chi_square)) if self.freedom else 1.0
-
-    @property
-    def is_broken(self) -> bool:
-        """Whether turn and others cannot belong together."""
-        return self.freedom > 0 and float(chdtrc(self.freedom, self.tolerant)) < TUNING.certain
-
-    @property
-    def misfit(self) -> float:
-        """How many times as far as noise explains the turn is off the others."""
-        return math.sqrt(self.chi_square / max(self.freedom, 1))
-
-    @property
-    def widening(self) -> float:
-        """By how much the covariance must grow to cover the disagreement, one or more."""
-        return 1.0 if self.chance > TUNING.suspicious else max(1.0, self.misfit**2)
+    misfit: float
+    odd: int | None = None
 
 
-def agreements(joint: Fit) -> list[Agreement]:
-    """Compare each turn with all others."""
-    return [_agreement(joint, index) for index in range(len(joint.blocks))]
+def agreement(alone: Sequence[Fit], together: Together, yaw_sigma: float) -> Agreement:
+    """Compare each turn with all others; of two that disagree the later one is the odd one.
+
+    Parameters
+    ----------
+    alone : sequence of Fit
+        Of each turn by itself.
+    together : Together
+        The same turns with one calibration.
+    yaw_sigma : float
+        Radians of the installation's yaw before the turns.
+    """
+    misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
+    if misfit < LOOKED_AT or len(alone) < 2:
+        return Agreement(misfit)
+    asked = range(len(alone)) if len(alone) > 2 else [1]
+    gains = {k: _gain(alone, k, together, yaw_sigma) for k in asked}
+    odd = max(gains, key=lambda k: gains[k])
+    return Agreement(misfit, odd if gains[odd] > 0.0 else None)
 
 
-def _agreement(joint: Fit, index: int) -> Agreement:
-    mine = joint.turn_information[index]
-    gradient = joint.equations.own_gradient(index)
-    size = 1.0 / np.sqrt(np.maximum(np.diag(joint.information), 1e-12))
-    values, vectors = np.linalg.eigh(joint.information * np.outer(size, size))
-    roots = np.sqrt(np.maximum(values, 1e-13))
-    whiten = size[:, None] * (vectors / roots)
-    shares, turned = np.linalg.eigh(whiten.T @ mine @ whiten)
-    both = (shares > TUNING.least_share) & (shares < 1.0 - TUNING.least_share)
-    slope = ((whiten @ turned).T @ gradient)[both]
-    weight = shares[both] * (1.0 - shares[both])
-    # The rows that take a step of the shared numbers to these axes; of hard iron only.
-    back = (turned.T @ (vectors * roots).T / size)[both]
-    iron = TUNING.place_to_place * back[:, np.isin(joint.free, HARD_IRON_INDICES)]
-    difference = slope / weight
-    allowed = np.diag(1.0 / weight) + iron @ iron.T
-    return Agreement(
-        float(np.sum(slope**2 / weight)),
-        float(difference @ np.linalg.solve(allowed, difference)),
-        int(both.sum()),
-    )
+def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
+    """Return twice the logarithm of how much likelier a calibration of its own makes a turn."""
+    rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
+    own = fit_together([alone[odd]], yaw_sigma)
+    return together.evidence - rest.evidence - own.evidence
+
+
+def _misfit(alone: Fit, joint: Fit) -> float:
+    """Return the RMS difference of hard iron in its own sigmas.
+
+    The answer of all varies with that of each, so that the variance of their difference is the
+    difference of their variances (Hausman, Econometrica 46, 1978).
+    """
+    values, vectors = np.linalg.eigh(alone.covariance[IRON, IRON])
+    whiten = vectors / np.sqrt(np.maximum(values, 1e-12))
+    shares, turned = np.linalg.eigh(whiten.T @ joint.covariance[IRON, IRON] @ whiten)
+    off = turned.T @ whiten.T @ (alone.state.shared - joint.state.shared)[IRON]
+    return float(np.sqrt(np.mean(off**2 / np.maximum(1.0 - shares, LEAST))))

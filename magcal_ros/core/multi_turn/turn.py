@@ -12,10 +12,12 @@ from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.estimation.block import TurnBlock
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood.fit import Solved, conclude, solve
+from magcal_ros.core.methods.checks import check_window
+from magcal_ros.core.methods.smoother_one import check, estimate_of, smoothed
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.kinds_of_motion import Smoothed
 
 SHORT = (Reason.ARC_TOO_SHORT, Reason.AMBIGUOUS)
 """Reasons that forbid a turn to stand alone and that other turns may mend."""
@@ -38,12 +40,12 @@ class Turn:
     window : Window
     verdict : Verdict
         As if it were the only turn.
-    estimate : Estimate or None
-        The same; None where the turn cannot stand alone.
-    solved : Solved or None
-        Its optimum; None where there is none.
+    answer : Estimate or None
+        What its own fit comes to; None where there is no fit.
+    smoothed : Smoothed or None
+        Its fits; None where there is none.
     reason : Reason or None
-        Why there is no estimate.
+        Why it cannot stand alone, if it cannot.
     unfit : str
         Why it cannot join; empty if it may.
     """
@@ -51,21 +53,32 @@ class Turn:
     name: str
     window: Window
     verdict: Verdict
-    estimate: Estimate | None = None
-    solved: Solved | None = None
+    answer: Estimate | None = None
+    smoothed: Smoothed | None = None
     reason: Reason | None = None
     unfit: str = ""
 
     @property
-    def own_fit(self) -> Solved:
-        """Its optimum, of a turn that has one."""
-        assert self.solved is not None
-        return self.solved
+    def estimate(self) -> Estimate | None:
+        """Its answer, if it can stand alone."""
+        return self.answer if self.reason is None else None
 
     @property
-    def block(self) -> TurnBlock:
-        """Its part in a joint fit."""
-        return self.own_fit.choice.fit.block
+    def own_answer(self) -> Estimate:
+        """Its answer, of a turn that has one."""
+        assert self.answer is not None
+        return self.answer
+
+    @property
+    def own(self) -> Smoothed:
+        """Its fits, of a turn that has some."""
+        assert self.smoothed is not None
+        return self.smoothed
+
+    @property
+    def fit(self) -> Fit:
+        """The fit of its most likely kind of motion."""
+        return self.own.fit
 
     def left_out(self, words: str) -> Turn:
         """Return the turn with a reason not to join."""
@@ -85,21 +98,23 @@ def survey(windows: Sequence[Window], names: Sequence[str], knowledge: Knowledge
 
 
 def _alone(window: Window, name: str, knowledge: Knowledge) -> Turn:
-    solved = None
+    found = estimate = None
     try:
-        solved = solve(window, knowledge)
-        estimate = conclude(solved, knowledge)
+        check_window(window, knowledge)
+        found = smoothed(window, knowledge)
+        estimate = estimate_of(found, window, knowledge)
+        check(found, estimate, window, knowledge)
     except Refusal as refusal:
         why = blamed_on_axes(refusal, window, knowledge)
-        mended = solved is not None and _may_be_mended(refusal.reason, knowledge)
+        mended = estimate is not None and _may_be_mended(refusal.reason, knowledge)
         unfit = "" if mended else str(why).rstrip(".")
-        return Turn(name, window, refuse(why), None, solved, why.reason, unfit)
+        return Turn(name, window, refuse(why), estimate, found, why.reason, unfit)
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
-        return Turn(name, window, refuse(wrong), None, solved, wrong.reason, str(wrong))
+        return Turn(name, window, refuse(wrong), estimate, found, wrong.reason, str(wrong))
     verdict = judge(estimate, knowledge, window)
     unfit = verdict.summary.rstrip(".") if verdict.quality is Grade.REFUSED else ""
-    return Turn(name, window, verdict, estimate, solved, unfit=unfit)
+    return Turn(name, window, verdict, estimate, found, unfit=unfit)
 
 
 def _may_be_mended(reason: Reason, knowledge: Knowledge) -> bool:

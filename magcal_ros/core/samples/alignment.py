@@ -15,35 +15,25 @@ from magcal_ros.core.samples.stretch import Stretch
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What became of every candidate.
-
-    Parameters
-    ----------
-    misfit : ndarray, shape (k,)
-        Twice the negative logarithm of the posterior in independent samples, above the best's.
-    rms : ndarray, shape (k,)
-        Typical residual of the field over the size of its changing part.
-    parameters : ndarray, shape (k, 23)
-        Soft iron and installation, field, hard iron, gravity (both sensors in body axes), the
-        gyro's bias (rad/s) and scale error, and the field's lag (s).
-    covariance : ndarray, shape (k, 23, 23)
-        Of the parameters; infinite for candidates that were given up.
-    tilt_spread : float
-        Radians RMS by which the movement was more than a turn about one axis.
-    tilt_seen : float
-        The same; zero where gravity deviates farther than that, for it may be the gyro's own
-        wandering.
-    size : float
-        Tesla in which field and hard iron are counted.
-    """
+    """What became of every candidate."""
 
     misfit: FloatArray
+    """Twice the negative logarithm of the posterior in independent samples, above the best's. Shape
+    (k,)."""
     rms: FloatArray
+    """Typical residual of the field over the size of its changing part. Shape (k,)."""
     parameters: FloatArray
+    """Soft iron and installation, field, hard iron, gravity (both sensors in body axes), the gyro's
+    bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
+    """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
     tilt_spread: float
+    """Radians RMS by which the movement was more than a turn about one axis."""
     tilt_seen: float
+    """The same; zero where gravity deviates farther than that, for it may be the gyro's own
+    wandering."""
     size: float
+    """Tesla in which field and hard iron are counted."""
 
     @property
     def best(self) -> int:

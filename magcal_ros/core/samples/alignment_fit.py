@@ -22,53 +22,36 @@ from magcal_ros.core.samples.stretch import Stretch
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is taken for granted while the axes are weighed.
-
-    Parameters
-    ----------
-    installation : float
-        Radians, standard deviation of the installation error about each axis.
-    soft_iron : float
-        Standard deviation of each element of the soft iron, dimensionless.
-    bias, rested_bias : float
-        rad/s, standard deviation of the gyro's bias, and of what it changes by after a rest.
-    scale : float
-        Standard deviation of the gyro's scale error.
-    lag : float
-        Seconds, standard deviation of how late the field is.
-    hard_iron : float
-        Standard deviation of the hard iron over the field's size.
-    field_floor, up_floor : float
-        Least noise that is believed: over the field's size, and radians.
-    freedom : float
-        Degrees of freedom of the t distribution of the residuals.
-    hopeless : float
-        Misfit after the first steps, with wide noise, beyond which a candidate is given up.
-    lost : float
-        The same later, with the noise that the best one shows.
-    start_noise : tuple of float
-        Of field (over its size) and up (radians) in the first rounds: wide, so that all can move.
-    rounds : tuple of int
-        Steps between estimates of the noise.
-    settled : float
-        Change of chi-square below which all candidates have settled.
-    """
+    """What is taken for granted while the axes are weighed."""
 
     installation: float = math.radians(5.0)
+    """Radians, standard deviation of the installation error about each axis."""
     soft_iron: float = 0.05
+    """Standard deviation of each element of the soft iron, dimensionless."""
     bias: float = math.radians(3.0)
     rested_bias: float = math.radians(0.1)
+    """rad/s, standard deviation of the gyro's bias, and of what it changes by after a rest."""
     scale: float = 0.05
+    """Standard deviation of the gyro's scale error."""
     lag: float = 1e-4
+    """Seconds, standard deviation of how late the field is."""
     hard_iron: float = 4.0
+    """Standard deviation of the hard iron over the field's size."""
     field_floor: float = 0.01
     up_floor: float = math.radians(2.0)
+    """Least noise that is believed: over the field's size, and radians."""
     freedom: float = 4.0
+    """Degrees of freedom of the t distribution of the residuals."""
     hopeless: float = 80.0
+    """Misfit after the first steps, with wide noise, beyond which a candidate is given up."""
     lost: float = 400.0
+    """The same later, with the noise that the best one shows."""
     settled: float = 0.01
+    """Change of chi-square below which all candidates have settled."""
     start_noise: tuple[float, float] = (0.1, 0.1)
+    """Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
     rounds: tuple[int, int, int, int] = (5, 4, 4, 4)
+    """Steps between estimates of the noise."""
 
     def after_rest(self, sigma: float) -> AlignmentTuning:
         """Return what is known where a rest has shown the bias, by so many rad/s per axis."""

@@ -18,37 +18,25 @@ BINS = 36
 
 @dataclass(frozen=True)
 class CoverageTuning:
-    """When a turn is seen, and when it is complete.
-
-    Parameters
-    ----------
-    bins_needed : int
-        Of `BINS`, that are filled on a complete turn.
-    largest_gap : float
-        Radians that a complete turn may leave out at one place.
-    spacings : float
-        Mean distances between samples that are no gap.
-    spread_over_noise : float
-        The field's cloud must be so many times wider than its noise before it shows a phase.
-    smallest_radius : float
-        Tesla. A smaller circle is noise, or a robot that stands.
-    gyro_leads_until : float
-        Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
-        it.
-    smallest_turn : float
-        Radians of the gyro that are a turn, beyond what its bias pretends.
-    largest_gyro_bias : float
-        rad/s. A gyro at rest may pretend to turn as fast as this.
-    """
+    """When a turn is seen, and when it is complete."""
 
     bins_needed: int = 34
+    """Of `BINS`, that are filled on a complete turn."""
     largest_gap: float = math.radians(20.0)
+    """Radians that a complete turn may leave out at one place."""
     spacings: float = 4.0
+    """Mean distances between samples that are no gap."""
     spread_over_noise: float = 6.0
+    """The field's cloud must be so many times wider than its noise before it shows a phase."""
     smallest_radius: float = 4e-6
+    """Tesla. A smaller circle is noise, or a robot that stands."""
     gyro_leads_until: float = math.radians(60.0)
+    """Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
+    it."""
     smallest_turn: float = math.radians(10.0)
+    """Radians of the gyro that are a turn, beyond what its bias pretends."""
     largest_gyro_bias: float = math.radians(1.0)
+    """rad/s. A gyro at rest may pretend to turn as fast as this."""
 
 
 COVERAGE = CoverageTuning()
@@ -56,28 +44,19 @@ COVERAGE = CoverageTuning()
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Which headings of the turn were seen.
-
-    Parameters
-    ----------
-    filled : ndarray of bool, shape (36,)
-        Bins of yaw relative to the first sample, counter-clockwise.
-    arc : float
-        Radians seen: the full turn less the largest gap, which is none where it is a few
-        samples' spacing.
-    gap : float
-        Radians of the largest gap.
-    gap_centre : float
-        Radians from the start to the middle of the largest gap, positive to the left.
-    turned : float
-        Radians turned in all, positive counter-clockwise.
-    """
+    """Which headings of the turn were seen."""
 
     filled: BoolArray
+    """Bins of yaw relative to the first sample, counter-clockwise. Shape (36,)."""
     arc: float
+    """Radians seen: the full turn less the largest gap, which is none where it is a few samples'
+    spacing."""
     gap: float
+    """Radians of the largest gap."""
     gap_centre: float
+    """Radians from the start to the middle of the largest gap, positive to the left."""
     turned: float
+    """Radians turned in all, positive counter-clockwise."""
 
     @classmethod
     def nothing(cls) -> Coverage:

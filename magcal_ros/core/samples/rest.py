@@ -8,48 +8,54 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array, runs
+from magcal_ros.core.geometry.vec3 import Triple, length
+
+CHANGES_BY = 0.03
+"""Share of itself that a bias changes by from rest to rest: 3.38 and 3.55 °/s within 40 s, of a car
+whose gyro had 4.5 °/s."""
+
+
+class GyroAtRest(NamedTuple):
+    """A gyro's bias as a rest has shown it."""
+
+    rate: Triple
+    """rad/s, body axes."""
+    sigma: float
+    """Of it, per axis, rad/s, while the robot stood."""
+
+    @property
+    def later_sigma(self) -> float:
+        """Sigma of the bias that is left when this is taken off later on, rad/s per axis."""
+        return math.hypot(self.sigma, CHANGES_BY * length(self.rate))
 
 
 @dataclass(frozen=True)
 class BiasAtRestTuning:
-    """When a robot is taken to have rested.
-
-    Parameters
-    ----------
-    block : float
-        Seconds of samples that are averaged before anything is compared.
-    at_least : int
-        Blocks in a row that make a rest.
-    clear : float
-        Sigmas of a block's mean by which two blocks at rest may differ.
-    smallest_turn : float
-        Share of the field's swing that noise of another kind may move it by during a rest.
-    shown : float
-        Times what a rest may move by that a turn at the gyro's rate must have moved the
-        field by.
-    most_moved : float
-        Share of that turn's way by which the field may seem to move during a rest.
-    loose_rate : float
-        rad/s by which an engine or a person may rock a robot at rest.
-    next_to_nothing : float
-        Share of a turn's own rate at which nobody turns steadily for seconds beforehand.
-    turned : float
-        Times what a rest may move by that the field must move in all to tell a rest by itself.
-    """
+    """When a robot is taken to have rested."""
 
     block: float = 0.5
+    """Seconds of samples that are averaged before anything is compared."""
     at_least: int = 4
+    """Blocks in a row that make a rest."""
     clear: float = 4.0
+    """Sigmas of a block's mean by which two blocks at rest may differ."""
     smallest_turn: float = 0.004
+    """Share of the field's swing that noise of another kind may move it by during a rest."""
     shown: float = 3.0
+    """Times what a rest may move by that a turn at the gyro's rate must have moved the field by."""
     most_moved: float = 0.4
+    """Share of that turn's way by which the field may seem to move during a rest."""
     loose_rate: float = 0.01
+    """rad/s by which an engine or a person may rock a robot at rest."""
     next_to_nothing: float = 0.05
+    """Share of a turn's own rate at which nobody turns steadily for seconds beforehand."""
     turned: float = 5.0
+    """Times what a rest may move by that the field must move in all to tell a rest by itself."""
 
 
 TUNING = BiasAtRestTuning()
@@ -57,36 +63,25 @@ TUNING = BiasAtRestTuning()
 
 @dataclass(frozen=True, eq=False)
 class RestBeside:
-    """What the sensors said while a robot stood right before or after its turn.
-
-    Parameters
-    ----------
-    seconds : float
-        How long.
-    field : array_like, shape (3,)
-        Mean raw field, tesla.
-    field_sigma : float
-        Of that mean, per axis.
-    force : array_like, shape (3,)
-        Mean specific force in body axes, m/s².
-    rate : array_like, shape (3,)
-        What the gyro read, rad/s: its bias; zero without a gyro.
-    rate_sigma : float
-        Of that mean, per axis; infinite without a gyro.
-    beside : float
-        Stamp of the turn's sample that is nearest, seconds.
-    turned : array_like, shape (3, 3)
-        Rotation from the body axes of that sample to those at rest, as the gyro tells.
-    """
+    """What the sensors said while a robot stood right before or after its turn."""
 
     seconds: float
+    """How long."""
     field: FloatArray
+    """Mean raw field, tesla. Shape (3,)."""
     field_sigma: float
+    """Of that mean, per axis."""
     force: FloatArray
+    """Mean specific force in body axes, m/s². Shape (3,)."""
     rate: FloatArray
+    """What the gyro read, rad/s: its bias; zero without a gyro. Shape (3,)."""
     rate_sigma: float
+    """Of that mean, per axis; infinite without a gyro."""
     beside: float
+    """Stamp of the turn's sample that is nearest, seconds."""
     turned: FloatArray
+    """Rotation from the body axes of that sample to those at rest, as the gyro tells. Shape (3,
+    3)."""
 
     def __post_init__(self) -> None:
         for name, shape in (("field", (3,)), ("force", (3,)), ("rate", (3,)), ("turned", (3, 3))):

@@ -12,39 +12,27 @@ from magcal_ros.core.geometry.arrays import FloatArray
 
 @dataclass(frozen=True)
 class BurstTuning:
-    """When stamps come in bursts.
-
-    Parameters
-    ----------
-    share : float
-        Of the time that passes in gaps.
-    longer : float
-        How many usual gaps such a one lasts.
-    fewest : int
-        Gaps from which they are more than pauses.
-    alike, apart : float
-        Share of them that are no further than this off the usual one, relative: a buffer is read
-        by the clock.
-    each : float
-        Samples that a burst has at least; pairs are rather messages that come twice.
-    straight : float
-        How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
-        whole bursts are missing beyond.
-    harmful : float
-        Seconds between bursts from which a running robot's user is told.
-    memory : float
-        Gaps over which the usual one is averaged while samples come.
-    """
+    """When stamps come in bursts."""
 
     share: float = 0.5
+    """Of the time that passes in gaps."""
     longer: float = 5.0
+    """How many usual gaps such a one lasts."""
     fewest: int = 10
+    """Gaps from which they are more than pauses."""
     alike: float = 0.4
     apart: float = 0.05
+    """Share of them that are no further than this off the usual one, relative: a buffer is read by
+    the clock."""
     each: float = 3.0
+    """Samples that a burst has at least; pairs are rather messages that come twice."""
     straight: float = 1.5
+    """How many usual gaps the stamps may be off an even rate, from the earliest to the latest;
+    whole bursts are missing beyond."""
     harmful: float = 0.1
+    """Seconds between bursts from which a running robot's user is told."""
     memory: float = 100.0
+    """Gaps over which the usual one is averaged while samples come."""
 
 
 def long_gaps(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> FloatArray:
@@ -126,12 +114,7 @@ def spread_bursts(time: FloatArray, tuning: BurstTuning = BurstTuning()) -> Floa
 
 
 class BurstWatch:
-    """Tells whether stamps come in bursts, gap after gap.
-
-    Parameters
-    ----------
-    tuning : BurstTuning
-    """
+    """Tells whether stamps come in bursts, gap after gap."""
 
     def __init__(self, tuning: BurstTuning = BurstTuning()) -> None:
         self._tuning = tuning

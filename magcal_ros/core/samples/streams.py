@@ -20,36 +20,25 @@ SWAY = 0.22
 
 @dataclass(frozen=True)
 class StreamTuning:
-    """What passes for a sample, and how samples hang together.
-
-    Parameters
-    ----------
-    restart_after : int
-        So many stamps in a row before the newest mean that time itself went back (a looped bag).
-    max_gap : float
-        Seconds. IMU samples further apart are usually not interpolated between.
-    longest_gyro_step : float
-        Seconds between two samples over which a gyro still propagates; beyond, its path is lost.
-    remembered : int
-        Samples kept of each stream: four seconds of the fastest sensors.
-    smallest_field, largest_field : float
-        Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
-        error or a magnet on the sensor.
-    smallest_force, largest_force : float
-        m/s². No accelerometer reads less or more, milli-g published as m/s² included.
-    largest_rate : float
-        rad/s. No gyro reads more, degrees published as radians included.
-    """
+    """What passes for a sample, and how samples hang together."""
 
     restart_after: int = 10
+    """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
     max_gap: float = 0.2
+    """Seconds. IMU samples further apart are usually not interpolated between."""
     longest_gyro_step: float = 0.5
+    """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
     remembered: int = 4096
+    """Samples kept of each stream: four seconds of the fastest sensors."""
     smallest_field: float = 1e-9
     largest_field: float = 1e-3
+    """Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
+    error or a magnet on the sensor."""
     smallest_force: float = 1e-6
     largest_force: float = 1e5
+    """m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
     largest_rate: float = 1e4
+    """rad/s. No gyro reads more, degrees published as radians included."""
 
 
 STREAMS = StreamTuning()
@@ -266,13 +255,7 @@ def _interpolate(
 
 
 class Pairer:
-    """Holds field samples until the IMU samples around them have come.
-
-    Parameters
-    ----------
-    streams : Streams
-        Where the IMU samples are.
-    """
+    """Holds field samples until the IMU samples around them have come."""
 
     def __init__(self, streams: Streams) -> None:
         self._streams = streams
@@ -305,3 +288,43 @@ class Pairer:
 
     def _count_unpaired(self) -> None:
         self._streams.field_drops[Drop.UNPAIRED] += 1
+
+
+class SpeedSample(NamedTuple):
+    """Speed along the vehicle's x (m/s, negative backwards) at a stamp (s).
+
+    `is_signed` is false where the source knows no backwards: a receiver's speed over ground.
+    """
+
+    stamp: float
+    speed: float
+    is_signed: bool = True
+
+
+class PositionSample(NamedTuple):
+    """Place in a local plane, metres east and north of any origin, at a stamp (s)."""
+
+    stamp: float
+    east: float
+    north: float
+
+
+class VelocitySample(NamedTuple):
+    """Velocity over ground, m/s east and north, at a stamp (s), and its sigma per axis, m/s."""
+
+    stamp: float
+    east: float
+    north: float
+    sigma: float
+
+
+TravelSample = SpeedSample | PositionSample | VelocitySample
+"""Whatever tells how a vehicle travels."""
+
+
+class HeadingSample(NamedTuple):
+    """ENU yaw (rad) that somebody else measures, with its sigma, at a stamp (s)."""
+
+    stamp: float
+    yaw: float
+    sigma: float

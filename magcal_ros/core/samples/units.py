@@ -28,13 +28,7 @@ the drivers that are known to publish it so."""
 
 
 def likely_field_unit(size: float) -> str:
-    """Say in words which units a field of `size` "tesla" may have; empty if none fits.
-
-    Parameters
-    ----------
-    size : float
-        Length of the field vector as published.
-    """
+    """Say in words which units a field of `size` "tesla" may have; empty if none fits."""
     fitting = [
         f"looks like {name} published as tesla{f', as by {drivers}' if drivers else ''}; "
         f"multiply by {factor} in the driver"
@@ -58,13 +52,7 @@ ACCELERATION_UNITS: tuple[tuple[float, float, str, str], ...] = (
 
 
 def likely_acceleration_unit(size: float) -> str:
-    """Say in words which unit gravity of `size` "m/s²" probably has; empty if none fits.
-
-    Parameters
-    ----------
-    size : float
-        Length of the acceleration at rest as published.
-    """
+    """Say in words which unit gravity of `size` "m/s²" probably has; empty if none fits."""
     for low, high, name, factor in ACCELERATION_UNITS:
         if low <= size < high:
             return f"it looks like {name} published as m/s²; multiply by {factor} in the driver"
@@ -101,26 +89,17 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
 
 @dataclass(frozen=True)
 class DiagnosisTuning:
-    """When a stream is worth a complaint.
-
-    Parameters
-    ----------
-    worth_a_word : float
-        Share of dropped samples that is said.
-    most_repeats : float
-        Share of repeated field values beyond which the sensor is frozen or the robot at
-        rest.
-    largest_offset : float
-        Seconds between the two sensors' newest stamps.
-    ahead_in_gaps : float
-        Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter
-        any more.
-    """
+    """When a stream is worth a complaint."""
 
     worth_a_word: float = 0.02
+    """Share of dropped samples that is said."""
     most_repeats: float = 0.9
+    """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
     largest_offset: float = 1.0
+    """Seconds between the two sensors' newest stamps."""
     ahead_in_gaps: float = 1.5
+    """Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any
+    more."""
 
 
 TUNING = DiagnosisTuning()
@@ -141,21 +120,14 @@ IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on one topic in the time that is judged.
-
-    Parameters
-    ----------
-    topic : str
-        Its name.
-    messages : int
-        How many came.
-    drops : Counter of Drop
-        How many of them were not used, by reason.
-    """
+    """What came on one topic in the time that is judged."""
 
     topic: str
+    """Its name."""
     messages: int
+    """How many came."""
     drops: Counter[Drop] = field(default_factory=Counter)
+    """How many of them were not used, by reason."""
 
     def since(self, earlier: Heard) -> Heard:
         """Return what came after an earlier count of the same topic."""
@@ -164,15 +136,7 @@ class Heard:
 
 
 def complaints(streams: Streams, imu: Heard, mag: Heard) -> list[str]:
-    """Say what is wrong with two streams, and what to do; empty if nothing is.
-
-    Parameters
-    ----------
-    streams : Streams
-        The cleaned streams, for their newest stamps.
-    imu, mag : Heard
-        What came on the two topics.
-    """
+    """Say what is wrong with two streams, and what to do; empty if nothing is."""
     found = []
     if mag.drops[Drop.TOO_LARGE]:
         unit = likely_field_unit(streams.largest_field)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
@@ -18,26 +20,6 @@ NEIGHBOURS, SPIKE = 9, 4.5
 class Window:
     """Samples of one turn, one row per field sample.
 
-    Parameters
-    ----------
-    time : array_like, shape (n,)
-        Seconds of the field's stamps, increasing.
-    field : array_like, shape (n, 3)
-        Raw field in tesla, in the magnetometer's axes.
-    specific_force : array_like, shape (n, 3)
-        m/s² in body axes at the same moments, +9.81 upwards at rest.
-    angular_rate : array_like, shape (n, 3), or None
-        rad/s in body axes at the same moments; None without a gyro.
-    turned : array_like, shape (n, 3, 3), or None
-        Rotations from the body axes at one moment to those of each sample, by all that the gyro
-        said, where samples between those of the window were left out.
-    rests : tuple of RestBeside
-        What was seen right before and after the turn, where the robot stood there; the gyro's bias
-        that they show is taken off `angular_rate`.
-    sigma_before : float
-        rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
-        infinite where none was.
-
     Raises
     ------
     ValueError
@@ -45,12 +27,22 @@ class Window:
     """
 
     time: FloatArray
+    """Seconds of the field's stamps, increasing. Shape (n,)."""
     field: FloatArray
+    """Raw field in tesla, in the magnetometer's axes. Shape (n, 3)."""
     specific_force: FloatArray
+    """m/s² in body axes at the same moments, +9.81 upwards at rest. Shape (n, 3)."""
     angular_rate: FloatArray | None = None
+    """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     turned: FloatArray | None = None
+    """Rotations from the body axes at one moment to those of each sample, by all that the gyro
+    said, where samples between those of the window were left out. Shape (n, 3, 3)."""
     rests: tuple[RestBeside, ...] = ()
+    """What was seen right before and after the turn, where the robot stood there; the gyro's bias
+    that they show is taken off `angular_rate`."""
     sigma_before: float = math.inf
+    """rad/s per axis, of a bias of the gyro that was known from before and was taken off, too;
+    infinite where none was."""
 
     def __post_init__(self) -> None:
         time = frozen_array(self.time, (-1,), "time")
@@ -110,3 +102,42 @@ def without_spikes(values: FloatArray) -> BoolArray:
     # Where the values rise or fall the median is the middle one, and only their peaks deviate.
     usual = np.maximum(1.4826 * np.median(away, axis=0), white_noise(values)) + 1e-12
     return np.asarray((away < SPIKE * usual).all(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class SensorLog:
+    """Both streams in the order in which they came, nothing cleaned."""
+
+    imu_time: FloatArray
+    """Stamps, seconds. Shape (n,)."""
+    force: FloatArray
+    """Specific force as published, meant as m/s². Shape (n, 3)."""
+    rate: FloatArray
+    """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
+    field_time: FloatArray
+    """Stamps, seconds. Shape (m,)."""
+    field: FloatArray
+    """Raw field as published, meant as tesla. Shape (m, 3)."""
+
+    @classmethod
+    def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:
+        """Gather samples."""
+        imu: list[ImuSample] = []
+        field: list[FieldSample] = []
+        for sample in samples:
+            if isinstance(sample, ImuSample):
+                imu.append(sample)
+            else:
+                field.append(sample)
+        return cls(
+            np.array([s.stamp for s in imu], dtype=np.float64),
+            np.array([s.force for s in imu], dtype=np.float64).reshape(-1, 3),
+            np.array([s.rate for s in imu], dtype=np.float64).reshape(-1, 3),
+            np.array([s.stamp for s in field], dtype=np.float64),
+            np.array([s.field for s in field], dtype=np.float64).reshape(-1, 3),
+        )
+
+    @property
+    def has_gyro(self) -> bool:
+        """Whether most IMU samples carry a rate."""
+        return bool(len(self.rate) and np.isfinite(self.rate).all(axis=1).mean() > 0.5)

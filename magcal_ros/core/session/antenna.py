@@ -123,7 +123,7 @@ class HeadingLog:
 
 
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> Outcome:
-    """Calibrate from headings that were told on the way, and judge the result."""
+    """Calibrate from headings that were measured on the way, and judge the result."""
     try:
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:

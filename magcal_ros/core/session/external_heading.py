@@ -15,73 +15,50 @@ _FUSION = FusionTuning()
 
 
 @dataclass(frozen=True)
-class DockingTuning:
-    """How a robot stands at a known heading.
-
-    Parameters
-    ----------
-    seconds : float
-        How long samples are averaged.
-    fewest : int
-        Samples of the field that are needed.
-    patience : float
-        Seconds, by another clock, after which those that came are too few.
-    rate : float
-        rad/s beyond the bias from which a robot turns.
-    creep : float
-        Tesla by which the field's mean may move meanwhile, noise apart.
-    contradicted : float
-        Sigmas by which a calibration in force may miss a known heading.
-    same : float
-        Radians within which another standing takes the place of one before: it says the same.
-    most : int
-        Standings that are kept.
-    """
+class KnownHeadingTuning:
+    """How a robot stands at a known heading."""
 
     seconds: float = 3.0
+    """How long samples are averaged."""
     fewest: int = 10
+    """Samples of the field that are needed."""
     patience: float = 15.0
+    """Seconds, by another clock, after which those that came are too few."""
     rate: float = math.radians(1.5)
+    """rad/s beyond the bias from which a robot turns."""
     creep: float = 0.7e-6
+    """Tesla by which the field's mean may move meanwhile, noise apart."""
     contradicted: float = 3.0
+    """Sigmas by which a calibration in force may miss a known heading."""
     same: float = math.radians(5.0)
+    """Radians within which another standing takes the place of one before: it says the same."""
     most: int = 24
+    """Standings that are kept."""
 
 
-TUNING = DockingTuning()
+TUNING = KnownHeadingTuning()
 
 
 @dataclass(frozen=True)
 class LogTuning:
-    """What is kept of a drive along which external headings arrive.
-
-    Parameters
-    ----------
-    sectors, each : int
-        Number of directions, and how many means are kept of each.
-    block, pause : float
-        Seconds of a mean, and between those of one direction: streets bend the field over 30 m.
-    fewest : int
-        Samples of a mean.
-    rate : float
-        rad/s of turning from which heading and field are not of one moment.
-    sigma : float
-        Radians that are added to the sigma of a heading for what the two are apart in time.
-    force : float
-        m/s² per axis by which up is wrong on the way.
-    first : int
-        New means after which it is worth while to fit.
-    """
+    """What is kept of a drive along which external headings arrive."""
 
     sectors: int = 12
     each: int = 8
+    """Number of directions, and how many means are kept of each."""
     block: float = 0.5
     pause: float = 4.0
+    """Seconds of a mean, and between those of one direction: streets bend the field over 30 m."""
     fewest: int = 4
+    """Samples of a mean."""
     rate: float = 0.1
+    """rad/s of turning from which heading and field are not of one moment."""
     sigma: float = math.radians(0.7)
+    """Radians that are added to the sigma of a heading for what the two are apart in time."""
     force: float = 0.15
+    """m/s² per axis by which up is wrong on the way."""
     first: int = 8
+    """New means after which it is worth while to fit."""
 
 
 LOG = LogTuning()
@@ -89,21 +66,14 @@ LOG = LogTuning()
 
 @dataclass(frozen=True)
 class ExternalHeading:
-    """A heading from outside, such as a dock's or an antenna pair's.
-
-    Parameters
-    ----------
-    yaw : float
-        ENU yaw, radians: zero to the east, positive to the left.
-    sigma : float
-        Its standard deviation.
-    is_true : bool
-        Whether it is to true north; otherwise to magnetic north.
-    """
+    """A heading from outside, such as a dock's or an antenna pair's."""
 
     yaw: float
+    """ENU yaw, radians: zero to the east, positive to the left."""
     sigma: float
+    """Its standard deviation."""
     is_true: bool
+    """Whether it is to true north; otherwise to magnetic north."""
 
 
 class TurnSince:
@@ -208,24 +178,16 @@ TURNS_AS = {
 
 @dataclass(frozen=True)
 class AgainstTuning:
-    """When an external heading turns otherwise than the gyro.
-
-    Parameters
-    ----------
-    turn : float
-        Radians that the gyro must turn for a comparison.
-    apart : float
-        Radians by which the two may differ.
-    times : int
-        Comparisons in a row that must fail.
-    longest : float
-        Seconds over which the gyro is trusted.
-    """
+    """When an external heading turns otherwise than the gyro."""
 
     turn: float = math.radians(40.0)
+    """Radians that the gyro must turn for a comparison."""
     apart: float = math.radians(12.0)
+    """Radians by which the two may differ."""
     times: int = 3
+    """Comparisons in a row that must fail."""
     longest: float = 60.0
+    """Seconds over which the gyro is trusted."""
 
 
 AGAINST = AgainstTuning()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -29,9 +29,9 @@ from magcal_ros.core.samples.streams import (
     ImuSample,
     Pairer,
     Streams,
+    TravelSample,
     slow_field_words,
 )
-from magcal_ros.core.samples.travel_samples import TravelSample
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
@@ -42,21 +42,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 """One sample; None is an Imu message that marks its acceleration as absent."""
 
 
-@dataclass(frozen=True)
-class RecordedTuning:
-    """How much of a recording is remembered.
-
-    Attributes
-    ----------
-    longest_drive : float
-        Seconds of movement; of a longer drive the last ones.
-    """
-
-    longest_drive: float = 7200.0
-
-
-TUNING = RecordedTuning()
-
+LONGEST_DRIVE = 7200.0
+"""Seconds of movement that are remembered; of a longer drive the last ones."""
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
@@ -91,7 +78,7 @@ class Gathering:
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
         self._heard = [0, 0]
-        self._drive = DriveRecorder(TUNING.longest_drive)
+        self._drive = DriveRecorder(LONGEST_DRIVE)
         self._replay = TravelReplay(())
 
     @property
@@ -124,7 +111,7 @@ class Gathering:
 
     def drive(self) -> DriveLog:
         """Return what was driven; nothing without a gyro, or of a field too slow for one."""
-        return DriveRecorder(TUNING.longest_drive).log() if self.slow_field else self._drive.log()
+        return DriveRecorder(LONGEST_DRIVE).log() if self.slow_field else self._drive.log()
 
     @property
     def slow_field(self) -> str:
@@ -186,17 +173,18 @@ def _arc(session: Session) -> float:
     return session.progress(0.0).coverage.arc
 
 
-def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHODS[0]) -> Outcome:
+def fit_gathered(
+    gathering: Gathering,
+    knowledge: Knowledge,
+    method: str = METHODS[0],
+    told: Callable[[float], object] | None = None,
+) -> Outcome:
     """Calibrate from what was gathered.
 
     Parameters
     ----------
-    gathering : Gathering
-        After it took the recording.
-    knowledge : Knowledge
-        What is known beforehand.
-    method : str
-        One of `METHODS`.
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
     Returns
     -------
@@ -208,7 +196,7 @@ def fit_gathered(gathering: Gathering, knowledge: Knowledge, method: str = METHO
         return calibrate_drive(log, knowledge)
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
-        outcome = calibrate(window, knowledge, method)
+        outcome = calibrate(window, knowledge, method, told)
         verdict, slow = outcome.verdict, gathering.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")
@@ -224,17 +212,6 @@ def fit_several(
     method: str = METHODS[0],
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
-
-    Parameters
-    ----------
-    gatherings : sequence of Gathering
-        One for each recording, after it took it.
-    names : sequence of str
-        What to call them.
-    knowledge : Knowledge
-        What is known beforehand, of all alike.
-    method : str
-        `maximum_likelihood` joins turns, `ellipsoid` and `min_max` pool their samples.
 
     Returns
     -------

@@ -14,14 +14,14 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
+    HeadingSample,
     ImuSample,
     Pair,
     Pairer,
     Streams,
 )
-from magcal_ros.core.samples.travel_samples import HeadingSample
 from magcal_ros.core.session.antenna import HeadingLog, fit_log
-from magcal_ros.core.session.dockings import Stood, dock_stood
+from magcal_ros.core.session.at_known_heading import CollectedSamples, calibrate_standing
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.core.smoother.standings import Standing
@@ -45,22 +45,14 @@ def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
 
 
 def fit_at_headings(
-    recordings: Sequence[tuple[Pair, ...]], told: Sequence[ExternalHeading], knowledge: Knowledge
+    recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
 ) -> tuple[Outcome, str]:
-    """Calibrate from recordings of a robot that stands; returns the outcome, and its words.
-
-    Parameters
-    ----------
-    recordings : sequence of tuple of Pair
-    told : sequence of ExternalHeading
-        Of each recording.
-    knowledge : Knowledge
-    """
+    """Calibrate from recordings of a robot that stands; returns the outcome, and its words."""
     standings: tuple[Standing, ...] = ()
     outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
-    for pairs, heading in zip(recordings, told, strict=True):
-        docked = dock_stood(standings, Stood(pairs, heading, knowledge, FORWARD))
-        standings, outcome, words = docked.standings, docked.outcome, docked.words
+    for pairs, heading in zip(recordings, given, strict=True):
+        result = calibrate_standing(standings, CollectedSamples(pairs, heading, knowledge, FORWARD))
+        standings, outcome, words = result.standings, result.outcome, result.words
         if outcome.calibration is None:
             break
     return outcome, words
@@ -72,18 +64,7 @@ def fit_heading_topic(
     is_true: bool,
     knowledge: Knowledge,
 ) -> Outcome:
-    """Calibrate from a recording in which somebody else measures the heading.
-
-    Parameters
-    ----------
-    readings : iterable
-        In the order in which they were recorded.
-    headings : sequence of HeadingSample
-        By stamp.
-    is_true : bool
-        Whether they are to true north.
-    knowledge : Knowledge
-    """
+    """Calibrate from a recording in which somebody else measures the heading."""
     declination = knowledge.reference.declination
     if is_true and declination is None:
         words = "the headings are to true north, and the declination is not known: give the place"
@@ -106,9 +87,9 @@ def fit_heading_topic(
             above = up.at(reading.stamp, STREAMS.max_gap)
             if above is None or reading.stamp - newest.stamp > LOG.block or not up.is_propagated:
                 continue
-            told = ExternalHeading(newest.yaw, newest.sigma, is_true)
+            external = ExternalHeading(newest.yaw, newest.sigma, is_true)
             seen = reading.stamp, reading.field, above.direction, up.rate
-            log.add(*seen, told, shift, up.is_at_rest)
+            log.add(*seen, external, shift, up.is_at_rest)
         if against.fault:
             return Outcome.refused(Refusal(Reason.HEADING_CONTRADICTED, against.fault))
     if not log.standings:

@@ -11,14 +11,13 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.running import MotionSense
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample, TravelSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, TravelSample
 from magcal_ros.core.up import UpFollower
 
 Reading = TypeVar("Reading", bound=ImuSample | FieldSample | None)
 
 SILENT = 1.5
-"""Seconds without a message after which nobody knows speed or current any more."""
+"""Seconds without a message after which speed and current count as unknown."""
 
 
 def without_motors(
@@ -54,8 +53,8 @@ def without_motors(
             stamp = reading.stamp
             up.add_field(stamp, reading.field)
             rate = up.rate if up.is_propagated else None
-            told = speed.at(stamp), current.at(stamp)
-            running = sense.at(stamp, rate, up.is_at_rest, *told)
+            inputs = speed.at(stamp), current.at(stamp)
+            running = sense.at(stamp, rate, up.is_at_rest, *inputs)
             field, _ = compass.at_rest(stamp, reading.field, rate, running)
             x, y, z = back.undo(np.array(field)).tolist()
             yield FieldSample(stamp, (x, y, z))
@@ -70,7 +69,7 @@ class _Newest:
         self._values, self._next = values, 0
 
     def at(self, stamp: float) -> float:
-        """Return what was told at a stamp, seconds; NaN where nobody told. Stamps go on."""
+        """Return the value at a stamp, seconds; NaN where it is unknown. Stamps must increase."""
         values = self._values
         while self._next < len(values) and values[self._next][0] <= stamp:
             self._next += 1

@@ -12,25 +12,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.rest import RestBeside, bias_at_rest, mean_and_sigma, rests_around
+from magcal_ros.core.samples.rest import (
+    GyroAtRest,
+    RestBeside,
+    bias_at_rest,
+    mean_and_sigma,
+    rests_around,
+)
 from magcal_ros.core.up import relative_attitudes
 
 
 @dataclass(frozen=True)
 class RestingTuning:
-    """Which part of a rest is used.
-
-    Parameters
-    ----------
-    longest : float
-        Seconds of a rest that count, those nearest to the turn: before, things may have been moved.
-    fewest : int
-        Rows that are left of a turn; where there are fewer, the robot hardly moved.
-    """
+    """Which part of a rest is used."""
 
     longest: float = 10.0
+    """Seconds of a rest that count, those nearest to the turn: before, things may have been
+    moved."""
     fewest: int = 20
+    """Rows that are left of a turn; where there are fewer, the robot hardly moved."""
 
 
 TUNING = RestingTuning()

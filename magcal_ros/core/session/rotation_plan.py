@@ -13,31 +13,26 @@ from enum import Enum
 
 @dataclass(frozen=True)
 class RotationTuning:
-    """How a robot turns itself, and how a fault is recognised.
-
-    Attributes
-    ----------
-    acceleration : float
-        rad/s² of the ramps.
-    pause : float
-        Seconds at rest between the two ways.
-    longest_step : float
-        Seconds. After a longer delay between two looks the ramp goes on as after this one.
-    least_share : float
-        A robot that turns with less of the commanded rate does not turn.
-    most_share : float
-        A robot that turns with more than so many times the commanded rate, and `most_more`
-        on top, is far too fast.
-    most_more : float
-        rad/s on top of `most_share`.
-    """
+    """How a robot turns itself, and how a fault is recognised."""
 
     acceleration: float = 0.5
+    """rad/s² of the ramps."""
     pause: float = 0.5
+    """Seconds at rest between the two ways."""
     longest_step: float = 0.2
+    """Seconds. After a longer delay between two looks the ramp goes on as after this one."""
     least_share: float = 0.3
+    """A robot that turns with less of the commanded rate does not turn."""
     most_share: float = 1.75
+    """A robot that turns with more than so many times the commanded rate, and `most_more` on top,
+    is far too fast."""
     most_more: float = 0.1
+    """rad/s on top of `most_share`."""
+    leeway: float = 1.5
+    """The two turns may take so many times as long as planned, and be commanded so many times as
+    far: wheels slip."""
+    farthest_beyond: float = math.radians(45.0)
+    """Radians that a robot may stand beyond either end of its full turn, by the gyro: it coasts."""
 
 
 TUNING = RotationTuning()
@@ -62,24 +57,16 @@ class Fault(str, Enum):
 
 @dataclass(frozen=True)
 class Seen:
-    """What the sensors show of the turn.
-
-    Parameters
-    ----------
-    turned : float
-        Radians since the start, left positive.
-    rate : float
-        rad/s over the last moments, left positive.
-    by_gyro : bool
-        Whether the gyro shows it; the compass alone is slower, and shows nothing at first.
-    is_complete : bool
-        Whether every heading was seen.
-    """
+    """What the sensors show of the turn."""
 
     turned: float
+    """Radians since the start, left positive."""
     rate: float
+    """rad/s over the last moments, left positive."""
     by_gyro: bool
+    """Whether the gyro shows it; the compass alone is slower, and shows nothing at first."""
     is_complete: bool
+    """Whether every heading was seen."""
 
 
 @dataclass(frozen=True)
@@ -183,11 +170,11 @@ class RotationPlan:
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
         """Return the fault that has lasted for longer than patience has."""
         along = self.direction * seen.rate
-        told = 0.0 if self._brakes else abs(self.command)
+        commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
             Fault.TOO_FAST: abs(seen.rate) > TUNING.most_share * self._speed + TUNING.most_more,
-            Fault.WRONG_WAY: told > 0.0 and along < -TUNING.least_share * self._speed,
-            Fault.NOT_TURNING: told > 0.0 and along < TUNING.least_share * told,
+            Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
+            Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
         patience = Patience.of(seen.by_gyro, self._speed)
         for fault, shown in shows.items():
@@ -196,27 +183,6 @@ class RotationPlan:
             elif now - self._suspected.setdefault(fault, now) > getattr(patience, fault.value):
                 return fault
         return None
-
-
-@dataclass(frozen=True)
-class RotationLimitsTuning:
-    """Limits of a robot that turns itself.
-
-    Attributes
-    ----------
-    leeway : float
-        The two turns may take so many times as long as planned, and be commanded so many
-        times as far: wheels slip.
-    farthest_beyond : float
-        Radians that a robot may stand beyond either end of its full turn, by the gyro: it
-        coasts.
-    """
-
-    leeway: float = 1.5
-    farthest_beyond: float = math.radians(45.0)
-
-
-ROTATION_LIMITS = RotationLimitsTuning()
 
 
 class RotationLimits:
@@ -241,7 +207,7 @@ class RotationLimits:
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
         self.objection = ""
-        self._deadline = now + min(longest, ROTATION_LIMITS.leeway * planned_duration(speed))
+        self._deadline = now + min(longest, TUNING.leeway * planned_duration(speed))
         self._noted = now
         self._commanded = self._path = 0.0
 
@@ -258,17 +224,15 @@ class RotationLimits:
             return
         if (
             seen.by_gyro
-            and not -ROTATION_LIMITS.farthest_beyond
-            <= seen.turned
-            <= math.tau + ROTATION_LIMITS.farthest_beyond
+            and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
         ):
             self.objection = (
                 f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
         elif (
-            abs(self._commanded) > ROTATION_LIMITS.leeway * math.tau
-            or self._path > ROTATION_LIMITS.leeway * 2.0 * math.tau
+            abs(self._commanded) > TUNING.leeway * math.tau
+            or self._path > TUNING.leeway * 2.0 * math.tau
         ):
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"

@@ -23,38 +23,45 @@ from magcal_ros.core.session.session import Progress
 
 
 @dataclass(frozen=True)
-class ObjectionTuning:
-    """When the field contradicts the gyro.
+class ProofTuning:
+    """How a turn and its direction are recognised, and when the field contradicts the gyro."""
 
-    Attributes
-    ----------
-    spans : tuple[float, float, float]
-        Radians that gyro or commands have turned before a test; larger spans show more.
-    disagree : float
-        Share of the span by which gyro and commands must differ before the field is tested.
-    factors : tuple[float, float, float]
-        How far an angle may be off in scale and still be taken for the true one.
-    clearly_worse : float
-        Times the squared misfit of the other angle, from which an angle is rejected.
-    smallest_radius : float
-        Tesla. A field on a smaller circle has not turned.
-    most_rows : int
-        Samples that are looked at, evenly over the span.
-    """
-
+    rate_span: float = 0.5
+    """Seconds over which the gyro's rate is averaged."""
+    kept: int = 2000
+    """Samples kept to tell the compass's sense of rotation."""
+    smallest_swing: float = 4e-6
+    """Tesla. A field that moved less has not turned."""
+    asked_every: float = 0.25
+    """Seconds between two looks at the field."""
+    recently: float = 2.0
+    """Seconds in which a field that turns must have moved."""
+    smallest_move: float = 1.5e-6
+    """Tesla between the means of the two halves of the last `recently` seconds, if the field
+    turns."""
+    smallest_arc: float = math.radians(10.0)
+    """Radians of the field's circle below which its sense of rotation is unknown."""
+    clearly_better: float = 0.5
+    """Share of the other sense's misfit below which one sense is accepted."""
     spans: tuple[float, float, float] = (
         math.radians(75.0),
         math.radians(150.0),
         math.radians(300.0),
     )
+    """Radians that gyro or commands have turned before a test; larger spans show more."""
     disagree: float = 0.38
+    """Share of the span by which gyro and commands must differ before the field is tested."""
     factors: tuple[float, float, float] = (0.85, 1.0, 1.2)
+    """How far an angle may be off in scale and still be taken for the true one."""
     clearly_worse: float = 1.4
+    """Times the squared misfit of the other angle, from which an angle is rejected."""
     smallest_radius: float = 1.5e-6
+    """Tesla. A field on a smaller circle has not turned."""
     most_rows: int = 200
+    """Samples that are looked at, evenly over the span."""
 
 
-OBJECTION = ObjectionTuning()
+TUNING = ProofTuning()
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
@@ -67,7 +74,7 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
     level : ndarray, shape (n, 2)
         The field in two level axes, tesla.
     """
-    for span in OBJECTION.spans:
+    for span in TUNING.spans:
         rows = _last(span, turned, commanded)
         if len(rows) < 10:
             return ""
@@ -78,17 +85,17 @@ def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArr
 
 
 def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, span: float) -> str:
-    gyro_span, told_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
-    shown, told = math.degrees(gyro_span), math.degrees(told_span)
+    gyro_span, commanded_span = float(np.ptp(by_gyro)), float(np.ptp(by_command))
+    shown, asked = math.degrees(gyro_span), math.degrees(commanded_span)
     misfit, radius = _best_fit(by_gyro, level)
-    if gyro_span >= span and radius < OBJECTION.smallest_radius:
+    if gyro_span >= span and radius < TUNING.smallest_radius:
         return f"the gyro shows {shown:.0f}° of turn, but the field did not change"
-    if np.ptp(by_gyro - by_command) < OBJECTION.disagree * max(gyro_span, told_span):
+    if np.ptp(by_gyro - by_command) < TUNING.disagree * max(gyro_span, commanded_span):
         return ""
     other, radius = _best_fit(by_command, level)
-    if radius > OBJECTION.smallest_radius and misfit > OBJECTION.clearly_worse * other:
+    if radius > TUNING.smallest_radius and misfit > TUNING.clearly_worse * other:
         return (
-            f"the gyro shows {shown:.0f}°, but the field turned with the {told:.0f}° that were "
+            f"the gyro shows {shown:.0f}°, but the field turned with the {asked:.0f}° that were "
             "commanded"
         )
     return ""
@@ -124,7 +131,7 @@ def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, f
 
 def _best_fit(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
     """Return mean square misfit (T²) and radius (T) of the best of the allowed scales."""
-    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in OBJECTION.factors)
+    total, radius = min(fit_circle_by_angle(factor * turned, level) for factor in TUNING.factors)
     return total / (2.0 * len(turned)), radius
 
 
@@ -139,46 +146,8 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
     if not len(enough):
         return np.empty(0, dtype=int)
     count = int(enough[0]) + 1
-    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, OBJECTION.most_rows))
+    rows = np.linspace(len(turned) - count, len(turned) - 1, min(count, TUNING.most_rows))
     return np.unique(rows.round().astype(int))
-
-
-@dataclass(frozen=True)
-class ProofTuning:
-    """How a turn and its direction are recognised.
-
-    Attributes
-    ----------
-    rate_span : float
-        Seconds over which the gyro's rate is averaged.
-    kept : int
-        Samples kept to tell the compass's sense of rotation.
-    smallest_swing : float
-        Tesla. A field that moved less has not turned.
-    asked_every : float
-        Seconds between two looks at the field.
-    recently : float
-        Seconds in which a field that turns must have moved.
-    smallest_move : float
-        Tesla between the means of the two halves of the last `recently` seconds, if the
-        field turns.
-    smallest_arc : float
-        Radians of the field's circle below which its sense of rotation is unknown.
-    clearly_better : float
-        Share of the other sense's misfit below which one sense is accepted.
-    """
-
-    rate_span: float = 0.5
-    kept: int = 2000
-    smallest_swing: float = 4e-6
-    asked_every: float = 0.25
-    recently: float = 2.0
-    smallest_move: float = 1.5e-6
-    smallest_arc: float = math.radians(10.0)
-    clearly_better: float = 0.5
-
-
-TUNING = ProofTuning()
 
 
 class RotationProof:
@@ -256,9 +225,9 @@ class RotationProof:
         command : float
             rad/s that were commanded.
         """
-        shown, told = math.degrees(seen.rate), math.degrees(command)
+        shown, commanded = math.degrees(seen.rate), math.degrees(command)
         sensor = "gyro" if seen.by_gyro else "compass"
-        rates = f"the {sensor} shows {shown:+.0f}°/s where {told:+.0f}°/s were commanded"
+        rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
         if fault is Fault.TOO_FAST:
             return f"the robot turns far too fast: {rates}"
         if fault is Fault.NOT_TURNING:

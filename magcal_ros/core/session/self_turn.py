@@ -20,36 +20,24 @@ from magcal_ros.core.session.session import Progress
 
 @dataclass(frozen=True)
 class SelfTurnTuning:
-    """How long a robot that turns itself may be without what it needs.
-
-    Attributes
-    ----------
-    zeros : int
-        How often zero is sent at the end, for a single message may be lost.
-    silence : float
-        Seconds without a sensor after which a moving robot is stopped.
-    gyro_silence : float
-        Seconds without an angular velocity after which a robot that is controlled by the gyro is
-        stopped.
-    longest_look : float
-        Seconds between two looks at a moving robot; after a longer gap it could not be
-        stopped in time.
-    listeners_within : float
-        Seconds within which something must have subscribed to the commands.
-    stands_first : float
-        Seconds that it stands before it starts: they show the gyro's bias and the motors' field.
-    guarded_within : float
-        Seconds within which the guard must be ready; a small computer takes three to start
-        one.
-    """
+    """How long a robot that turns itself may be without what it needs."""
 
     zeros: int = 10
+    """How often zero is sent at the end, for a single message may be lost."""
     silence: float = 1.0
+    """Seconds without a sensor after which a moving robot is stopped."""
     gyro_silence: float = 0.5
+    """Seconds without an angular velocity after which a robot that is controlled by the gyro is
+    stopped."""
     longest_look: float = 0.5
+    """Seconds between two looks at a moving robot; after a longer gap it could not be stopped in
+    time."""
     listeners_within: float = 3.0
+    """Seconds within which something must have subscribed to the commands."""
     stands_first: float = 3.0
+    """Seconds that it stands before it starts: they show the gyro's bias and the motors' field."""
     guarded_within: float = 10.0
+    """Seconds within which the guard must be ready; a small computer takes three to start one."""
 
 
 TUNING = SelfTurnTuning()
@@ -68,21 +56,14 @@ GUARD_GONE = (
 
 @dataclass(frozen=True)
 class Order:
-    """How the robot is to turn itself.
-
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    longest : float
-        Seconds that it may take at most.
-    to_body : ndarray, shape (3, 3)
-        From raw field to nominal body axes.
-    """
+    """How the robot is to turn itself."""
 
     speed: float
+    """rad/s."""
     longest: float
+    """Seconds that it may take at most."""
     to_body: FloatArray
+    """From raw field to nominal body axes. Shape (3, 3)."""
 
 
 @dataclass(frozen=True)
@@ -96,41 +77,27 @@ class Topics:
 
 @dataclass(frozen=True)
 class Around:
-    """The state of sensors, base and guard at one look.
-
-    Parameters
-    ----------
-    imu_age, field_age : float
-        Seconds since the newest message of either sensor; infinite before the first.
-    listeners : int
-        How many subscribe to the commands.
-    is_allowed : bool
-        Whether the user still lets the robot turn itself.
-    is_guarded : bool
-        Whether the guard would stop the robot if this node failed.
-    """
+    """The state of sensors, base and guard at one look."""
 
     imu_age: float
     field_age: float
+    """Seconds since the newest message of either sensor; infinite before the first."""
     listeners: int
+    """How many subscribe to the commands."""
     is_allowed: bool
+    """Whether the user still lets the robot turn itself."""
     is_guarded: bool
+    """Whether the guard would stop the robot if this node failed."""
 
 
 @dataclass(frozen=True)
 class End:
-    """How a robot's own turn ended.
-
-    Parameters
-    ----------
-    reason : str
-        Empty if every heading was seen.
-    is_usable : bool
-        Whether what was seen is to be fitted.
-    """
+    """How a robot's own turn ended."""
 
     reason: str
+    """Empty if every heading was seen."""
     is_usable: bool
+    """Whether what was seen is to be fitted."""
 
 
 @dataclass(frozen=True)
@@ -174,13 +141,7 @@ Stage: TypeAlias = Waiting | Moving | Stopping | None
 
 
 class SelfTurn:
-    """Turns the robot from the first usable samples of a turn until its end.
-
-    Parameters
-    ----------
-    topics : Topics
-        Names for the messages.
-    """
+    """Turns the robot from the first usable samples of a turn until its end."""
 
     def __init__(self, topics: Topics = Topics()) -> None:
         self._topics = topics
@@ -294,8 +255,8 @@ class SelfTurn:
         self, stage: Moving, now: float, since: float, progress: Progress, around: Around
     ) -> Steering:
         plan, proof = stage.plan, stage.proof
-        seen, told = proof.seen(progress), plan.command
-        stage.limits.note(now, told, seen)
+        seen, commanded = proof.seen(progress), plan.command
+        stage.limits.note(now, commanded, seen)
         objection = self._objection(stage, now, since, around) or stage.limits.objection
         if objection:
             return self.break_off(objection)
@@ -304,7 +265,7 @@ class SelfTurn:
             return Steering(self.stop().rate, End(words, True))
         rate = plan.step(now, seen)
         if plan.fault is not None:
-            return self.break_off(proof.explain(plan.fault, seen, told))
+            return self.break_off(proof.explain(plan.fault, seen, commanded))
         if plan.phase is Phase.ENDED:
             words = "" if seen.is_complete else "the robot has turned once each way"
             return Steering(self.stop().rate, End(words, True))

@@ -18,7 +18,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.resting import apart_from_rests
@@ -27,51 +27,37 @@ from magcal_ros.core.up import relative_attitudes
 
 @dataclass(frozen=True)
 class SessionTuning:
-    """What a session keeps, and when a turn is taken to be complete.
-
-    Attributes
-    ----------
-    largest_buffer : int
-        Pairs. A full buffer is thinned to equal angles, or to equal times without known angles. So
-        its size is bounded, however long the robot waits or turns.
-    enough_for_progress : int
-        Rows beyond which progress looks at every second, third ... row: it is asked ten
-        times a second, between the messages.
-    most_turns : float
-        Full turns after which more of the same hardly makes the answer more certain.
-    near : float
-        Times the target up to which turning may end before the target is reached. Far from it the
-        surroundings are at fault, and a second round is useful.
-    whole : float
-        Radians turned at a look from which more only repeats what was seen.
-    look_back : float
-        Times that a robot must have turned as far as at an earlier look, before the two tell
-        whether turning on makes the answer more certain.
-    worth_while : float
-        Share of what noise alone would fall by from one look to the other. Where sigma falls by
-        less, nearly all of it is errors that last, and another round takes nothing off them.
-    stands_still : float
-        Seconds without turning, after a complete turn, from which the robot is taken to be
-        done.
-    slowest_turn : float
-        rad/s. Slower than this the robot stands.
-    no_turn : float
-        Radians of arc that a robot at rest may seem to have turned.
-    turned_over : float
-        rad/s about other axes than up: more than ground and wheels do to a robot that turns.
-    """
+    """What a session keeps, and when a turn is taken to be complete."""
 
     largest_buffer: int = 20_000
+    """Pairs. A full buffer is thinned to equal angles, or to equal times without known angles. So
+    its size is bounded, however long the robot waits or turns."""
     enough_for_progress: int = 2_000
+    """Rows beyond which progress looks at every second, third ... row: it is asked ten times a
+    second, between the messages."""
     most_turns: float = 2.0
+    """Full turns after which more of the same hardly makes the answer more certain."""
     near: float = 2.0
+    """Times the target up to which turning may end before the target is reached. Far from it the
+    surroundings are at fault, and a second round is useful."""
     whole: float = math.radians(335.0)
+    """Radians turned at a look from which more only repeats what was seen."""
+    once_more: float = 1.2
+    """Full turns at which it ends, unless a look at a whole turn was farther than `near`."""
     look_back: float = 1.125
+    """Times that a robot must have turned as far as at an earlier look, before the two tell whether
+    turning on makes the answer more certain."""
     worth_while: float = 0.25
+    """Share of what noise alone would fall by from one look to the other. Where sigma falls by
+    less, nearly all of it is errors that last, and another round takes nothing off them."""
     stands_still: float = 3.0
+    """Seconds without turning, after a complete turn, from which the robot is taken to be done."""
     slowest_turn: float = math.radians(3.0)
+    """rad/s. Slower than this the robot stands."""
     no_turn: float = 0.1
+    """Radians of arc that a robot at rest may seem to have turned."""
     turned_over: float = 0.3
+    """rad/s about other axes than up: more than ground and wheels do to a robot that turns."""
 
 
 TUNING = SessionTuning()
@@ -88,24 +74,16 @@ UNSEEN = (
 
 @dataclass(frozen=True)
 class Limits:
-    """When a session ends by itself.
-
-    Parameters
-    ----------
-    timeout : float
-        Seconds on a steady clock until whatever was seen is used or refused.
-    silence : float
-        Seconds without a usable pair after which waiting longer is pointless.
-    smallest_arc : float
-        Radians below which a turn is refused without a fit.
-    target_sigma : float
-        Radians of predicted heading sigma at which a complete turn is enough.
-    """
+    """When a session ends by itself."""
 
     timeout: float = 90.0
+    """Seconds on a steady clock until whatever was seen is used or refused."""
     silence: float = 10.0
+    """Seconds without a usable pair after which waiting longer is pointless."""
     smallest_arc: float = math.radians(45.0)
+    """Radians below which a turn is refused without a fit."""
     target_sigma: float = math.radians(0.5)
+    """Radians of predicted heading sigma at which a complete turn is enough."""
 
 
 class Stage(str, Enum):
@@ -119,46 +97,30 @@ class Stage(str, Enum):
 
 @dataclass(frozen=True)
 class Glance:
-    """The result of a fit of the samples so far.
-
-    Parameters
-    ----------
-    turned : float
-        Radians that the robot had turned, either way.
-    sigma : float
-        Of the heading, radians; infinite where the fit failed.
-    """
+    """The result of a fit of the samples so far."""
 
     turned: float
+    """Radians that the robot had turned, either way."""
     sigma: float
+    """Of the heading, radians; infinite where the fit failed."""
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a session is.
-
-    Parameters
-    ----------
-    stage : Stage
-        Whether it is over, and why.
-    coverage : Coverage
-        What of the turn was seen.
-    samples : int
-        Pairs held.
-    elapsed : float
-        Seconds since the start on a steady clock.
-    turn_rate : float
-        rad/s over the last seconds, left positive; zero when not known.
-    heading_sigma : float
-        Radians, as a fit of what is there predicts it; infinite while none could.
-    """
+    """How far a session is."""
 
     stage: Stage
+    """Whether it is over, and why."""
     coverage: Coverage
+    """What of the turn was seen."""
     samples: int
+    """Pairs held."""
     elapsed: float
+    """Seconds since the start on a steady clock."""
     turn_rate: float
+    """rad/s over the last seconds, left positive; zero when not known."""
     heading_sigma: float = math.inf
+    """Radians, as a fit of what is there predicts it; infinite while none could."""
 
     @property
     def in_words(self) -> str:
@@ -218,6 +180,7 @@ class Session:
         self._size = 0
         self._turned = 0.0
         self._glances: list[Glance] = []
+        self._looked_at: float | None = None
         self._last_turning = now
         self.was_set_back = False
 
@@ -247,18 +210,26 @@ class Session:
             self.was_set_back = True
         if self._size == len(rows):
             self._thin_out()
-        self._buffer[self._size] = (
-            pair.field.stamp,
-            *pair.field.field,
-            *pair.imu.force,
-            *pair.imu.rate,
-        )
+        row = (pair.field.stamp, *pair.field.field, *pair.imu.force, *pair.imu.rate)
+        self._buffer[self._size] = row
         self._size += 1
         self._last_pair = now
 
+    def look(self) -> Window:
+        """Return `window`; the heading sigma that its fit predicts comes to `note_sigma`."""
+        self._looked_at = self._turned
+        return self.window()
+
     def note_sigma(self, sigma: float) -> None:
-        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
-        self._glances.append(Glance(self._turned, sigma))
+        """Take the heading sigma (radians) that a fit of the last look predicts, or of now."""
+        turned = self._turned if self._looked_at is None else self._looked_at
+        self._glances.append(Glance(turned, sigma))
+        self._looked_at = None
+
+    @property
+    def was_seen_whole(self) -> bool:
+        """Whether a fit has looked at a whole turn."""
+        return bool(self._glances) and self._glances[-1].turned >= TUNING.whole
 
     def progress(self, now: float) -> Progress:
         """Return how far the turn is at `now`, seconds on the steady clock of the start."""
@@ -325,11 +296,13 @@ class Session:
 
     def _is_enough(self, coverage: Coverage, now: float) -> bool:
         """Whether the turn can end: certain enough, or no longer getting more certain."""
-        target = self.limits.target_sigma
+        target, turns = self.limits.target_sigma, abs(coverage.turned) / math.tau
+        is_near = self._is_within(TUNING.near * target)
         return (
             self._is_within(target)
-            or (self._is_within(TUNING.near * target) and not _is_worth_while(self._glances))
-            or abs(coverage.turned) >= TUNING.most_turns * math.tau
+            or (is_near and not _is_worth_while(self._glances))
+            or ((is_near or not self.was_seen_whole) and turns >= TUNING.once_more)
+            or turns >= TUNING.most_turns
             or now - self._last_turning > TUNING.stands_still
         )
 

@@ -1,4 +1,4 @@
-"""The events, commands and states of the state machine of a turn."""
+"""The commands and states of the state machine of a turn."""
 
 from __future__ import annotations
 
@@ -8,18 +8,12 @@ from typing import TypeAlias
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.multi_turn.keep import Kept
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
-from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.self_turn import Around, Order
+from magcal_ros.core.session.self_turn import Order
 from magcal_ros.core.session.session import Limits, Session
-
-
-class Event:
-    """Something that happens to a turn."""
 
 
 class Command:
@@ -36,157 +30,20 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class Brief:
-    """What a turn is opened with.
-
-    Parameters
-    ----------
-    limits : Limits
-        When it ends by itself.
-    knowledge : Knowledge
-        What is known beforehand.
-    method : str
-        One of `magcal_ros.core.calibrate.METHODS`.
-    accumulate : bool
-        Whether it joins the turns before it.
-    order : Order or None
-        How the robot turns itself; None if somebody turns it.
-    gyro : GyroAtRest or None
-        What a rest before the turn has shown of the gyro.
-    """
+    """What a turn is opened with."""
 
     limits: Limits
+    """When it ends by itself."""
     knowledge: Knowledge
+    """What is known beforehand."""
     method: str
+    """One of `magcal_ros.core.calibrate.METHODS`."""
     accumulate: bool
+    """Whether it joins the turns before it."""
     order: Order | None = None
+    """How the robot turns itself; None if somebody turns it."""
     gyro: GyroAtRest | None = None
-
-
-@dataclass(frozen=True)
-class Opened(Event):
-    """Somebody asks for a turn."""
-
-    brief: Brief
-
-
-@dataclass(frozen=True)
-class PairArrived(Event):
-    """A field sample with the IMU at its stamp."""
-
-    pair: Pair
-
-
-@dataclass(frozen=True)
-class RateHeard(Event):
-    """The angular velocity of an IMU message, rad/s; NaN without one."""
-
-    rate: Triple
-
-
-@dataclass(frozen=True)
-class Ticked(Event):
-    """Time has passed. `silence` says what is wrong with the sensors, should nothing come."""
-
-    silence: str
-
-
-@dataclass(frozen=True)
-class Looked(Event):
-    """Time to look at a robot that turns itself."""
-
-    around: Around
-
-
-@dataclass(frozen=True)
-class PreviewFitted(Event):
-    """The heading sigma (radians) that a fit of the samples so far predicts; of which turn."""
-
-    turn: int
-    sigma: float
-
-
-@dataclass(frozen=True)
-class FinishAsked(Event):
-    """Somebody wants what there is fitted now; no answer where the fit is under way already."""
-
-
-@dataclass(frozen=True)
-class FitDone(Event):
-    """A turn is fitted; what is kept for the next one to join."""
-
-    turn: int
-    outcome: Outcome
-    kept: Kept
-
-
-@dataclass(frozen=True)
-class FitFailed(Event):
-    """A fit ended with an error of the program; the words say which."""
-
-    turn: int
-    words: str
-
-
-@dataclass(frozen=True)
-class Reported(Event):
-    """A report is begun; the words say where it will lie, and are empty if there is none."""
-
-    words: str
-
-
-@dataclass(frozen=True)
-class Saved(Event):
-    """A calibration in force is stored, or is not: the words say which."""
-
-    words: str
-
-
-@dataclass(frozen=True)
-class CancelAsked(Event):
-    """Somebody cancels the turn."""
-
-
-@dataclass(frozen=True)
-class Faulted(Event):
-    """Something beside the turn has failed; it may be what supervises a robot that turns itself."""
-
-    reason: str
-
-
-@dataclass(frozen=True)
-class Broken(Event):
-    """Something that a turn needs has failed, and it cannot go on.
-
-    Parameters
-    ----------
-    words : str
-        What has failed.
-    was_under_way : bool
-        Whether the turn has to be concluded even if it has been left already.
-    """
-
-    words: str
-    was_under_way: bool = False
-
-
-@dataclass(frozen=True)
-class ForgetAsked(Event):
-    """The turns kept so far are discarded."""
-
-
-@dataclass(frozen=True)
-class SensorsMet(Event):
-    """The frames that the sensors name: turns of others are not joined, nor one turn of two."""
-
-    field: str
-    imu: str
-
-
-@dataclass(frozen=True)
-class Answer(Command):
-    """Answer the caller."""
-
-    conclusion: Conclusion
+    """What a rest before the turn has shown of the gyro."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +60,7 @@ class Prepare(Command):
 
 @dataclass(frozen=True, eq=False)
 class Preview(Command):
-    """Predict how certain a fit would be; answered by `PreviewFitted`."""
+    """Predict how certain a fit would be; answered by `note_preview`."""
 
     turn: int
     window: Window
@@ -213,7 +70,7 @@ class Preview(Command):
 
 @dataclass(frozen=True, eq=False)
 class FitTurn(Command):
-    """Fit a turn; answered by `FitDone` or `FitFailed`."""
+    """Fit a turn; answered by `note_fit` or `note_failed_fit`."""
 
     turn: int
     kept: Kept
@@ -225,7 +82,7 @@ class FitTurn(Command):
 
 @dataclass(frozen=True, eq=False)
 class Report(Command):
-    """Begin the report on a turn; answered by `Reported` before anything else happens."""
+    """Begin the report on a turn; answered by `note_report` before anything else happens."""
 
     window: Window
     outcome: Outcome
@@ -233,7 +90,7 @@ class Report(Command):
 
 @dataclass(frozen=True, eq=False)
 class PutInForce(Command):
-    """Use a calibration from now on and store it; answered by `Saved`."""
+    """Use a calibration from now on and store it; answered by `note_saved`."""
 
     calibration: Calibration
 

@@ -1,23 +1,23 @@
-"""The state machine of a turn: events in, commands out, time passed in.
+"""The state machine of a turn: calls in, commands out, time passed in.
 
-Its owner (a node, or a test in virtual time) passes the events in and carries the commands out;
+Its owner (a node, or a test in virtual time) tells it what happens and carries out the commands;
 fits, files and messages belong to the owner.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.rotation_plan import planned_duration
-from magcal_ros.core.session.self_turn import SelfTurn, Steering
+from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
 from magcal_ros.core.session.session import Progress, Session, Stage
 from magcal_ros.core.session.turn_events import (
     STATES,
@@ -32,19 +32,12 @@ from magcal_ros.core.session.turn_events import (
 
 @dataclass(frozen=True)
 class PreviewTuning:
-    """When the heading sigma is predicted in mid-turn.
-
-    Attributes
-    ----------
-    preview_arc : float
-        Radians of arc before which no prediction is made.
-    preview_share : float
-        Share of one core that may go into predicting the heading sigma while the robot
-        turns.
-    """
+    """When the heading sigma is predicted in mid-turn."""
 
     preview_arc: float = math.radians(120.0)
+    """Radians of arc before which no prediction is made."""
     preview_share: float = 0.25
+    """Share of one core that may go into predicting the heading sigma while the robot turns."""
 
 
 TUNING = PreviewTuning()
@@ -59,11 +52,6 @@ UNCHANGED = "the calibration in force is unchanged"
 
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
-
-    Parameters
-    ----------
-    robot : SelfTurn or None
-        Turns itself where a brief has an order for it.
 
     Attributes
     ----------
@@ -84,24 +72,6 @@ class TurnMachine:
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NOBODY
         self._commands: list[ev.Command] = []
-        self._handlers: dict[type[Any], Callable[[Any, float], None]] = {
-            ev.Opened: self._on_opened,
-            ev.PairArrived: self._on_pair,
-            ev.RateHeard: lambda event, now: self.robot.hear(event.rate, now),
-            ev.Ticked: self._on_ticked,
-            ev.Looked: self._on_looked,
-            ev.PreviewFitted: self._on_preview,
-            ev.FinishAsked: self._on_finish,
-            ev.FitDone: self._on_fit,
-            ev.FitFailed: self._on_fit_failed,
-            ev.Reported: self._on_reported,
-            ev.Saved: self._on_saved,
-            ev.CancelAsked: self._on_cancel,
-            ev.Faulted: self._on_fault,
-            ev.Broken: self._on_broken,
-            ev.ForgetAsked: lambda _, __: self._forget(),
-            ev.SensorsMet: self._on_sensors,
-        }
 
     @property
     def state(self) -> TurnState:
@@ -118,37 +88,29 @@ class TurnMachine:
         """How many turns the next one would join."""
         return len(self._kept.windows)
 
-    def handle(self, event: ev.Event, now: float) -> list[ev.Command]:
-        """Return what is to be done about an event, in this order.
-
-        Parameters
-        ----------
-        event : Event
-            One of `magcal_ros.core.session.turn_events`.
-        now : float
-            Seconds on a steady clock.
-        """
-        self._handlers[type(event)](event, now)
+    def commands(self) -> list[ev.Command]:
+        """Return what is to be done about what happened, in this order."""
         commands, self._commands = self._commands, []
         return commands
 
     def _do(self, command: ev.Command) -> None:
         self._commands.append(command)
 
-    def _answer(self, success: bool, message: str) -> None:
-        self._do(ev.Answer(ev.Conclusion(success, message)))
-
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Discard the turns kept so far."""
         self._kept = Kept()
 
-    def _on_opened(self, event: ev.Opened, now: float) -> None:
-        brief = event.brief
+    def hear(self, rate: Triple, now: float) -> None:
+        """Take the angular velocity of an IMU message, rad/s; NaN without one."""
+        self.robot.hear(rate, now)
+
+    def open(self, brief: ev.Brief, now: float) -> ev.Conclusion:
+        """Begin a turn, at `now`, seconds on a steady clock; returns whether it has begun."""
         refusal = self._why_not(brief)
         if refusal:
-            self._answer(False, refusal)
-            return
+            return ev.Conclusion(False, refusal)
         if not brief.accumulate:
-            self._forget()
+            self.forget()
         self._number += 1
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
@@ -161,7 +123,7 @@ class TurnMachine:
             self._steer(self.robot.stop())
             self.robot.open(brief.order, now)
             words = "collecting: the robot turns itself, once each way; keep clear"
-        self._answer(True, words)
+        return ev.Conclusion(True, words)
 
     def _why_not(self, brief: ev.Brief) -> str:
         """Say why a turn cannot be opened; empty if it can."""
@@ -182,12 +144,14 @@ class TurnMachine:
             )
         return ""
 
-    def _on_pair(self, event: ev.PairArrived, now: float) -> None:
+    def take(self, pair: Pair, now: float) -> None:
+        """Take a field sample with the IMU at its stamp."""
         if isinstance(self._stand, Collecting):
-            self._stand.session.add(event.pair, now)
-            self.robot.take(event.pair, now)
+            self._stand.session.add(pair, now)
+            self.robot.take(pair, now)
 
-    def _on_ticked(self, event: ev.Ticked, now: float) -> None:
+    def tick(self, silence: str, now: float) -> None:
+        """See that time has passed; `silence` says what is wrong, should nothing come."""
         stand = self._stand
         if not isinstance(stand, Collecting):
             return
@@ -197,39 +161,42 @@ class TurnMachine:
             self._look_ahead(stand, progress, now)
         elif progress.stage is Stage.SILENT and not stand.session.has_samples:
             self._leave_collecting()
-            self._refuse(Refusal(Reason.TOO_FEW_SAMPLES, event.silence), "")
+            self._refuse(Refusal(Reason.TOO_FEW_SAMPLES, silence), "")
         else:
             why = {
                 Stage.COMPLETE: "",
                 Stage.TIMED_OUT: f"the time is up after {progress.elapsed:.0f} s",
-                Stage.SILENT: event.silence,
+                Stage.SILENT: silence,
             }[progress.stage]
             self._begin_fit(stand, why, now)
 
     def _look_ahead(self, stand: Collecting, progress: Progress, now: float) -> None:
-        """Ask at intervals how certain a fit would be already."""
+        """Ask at intervals how certain a fit would be already, and once the circle is complete."""
+        waits = progress.coverage.is_complete and not stand.session.was_seen_whole
         if (
             stand.previewed_since is None
             and progress.coverage.arc > TUNING.preview_arc
-            and now > stand.next_preview
+            and (now > stand.next_preview or waits)
         ):
-            window = self.last_window = stand.session.window()
+            window = self.last_window = stand.session.look()
             self._stand = replace(stand, previewed_since=now)
             brief = stand.brief
             self._do(ev.Preview(self._number, window, brief.knowledge, brief.method))
 
-    def _on_preview(self, event: ev.PreviewFitted, now: float) -> None:
+    def note_preview(self, turn: int, sigma: float, now: float) -> None:
+        """Take the heading sigma (radians) that a fit of the samples so far predicts."""
         stand = self._stand
-        if event.turn != self._number or not isinstance(stand, Collecting):
+        if turn != self._number or not isinstance(stand, Collecting):
             return
         if stand.previewed_since is not None:
-            stand.session.note_sigma(event.sigma)
+            stand.session.note_sigma(sigma)
             pause = (now - stand.previewed_since) * (1.0 / TUNING.preview_share - 1.0)
             self._stand = replace(stand, previewed_since=None, next_preview=now + pause)
 
-    def _on_looked(self, event: ev.Looked, now: float) -> None:
+    def look(self, around: Around, now: float) -> None:
+        """Look at a robot that turns itself."""
         assert self.progress is not None
-        steering = self.robot.look(now, self.progress, event.around)
+        steering = self.robot.look(now, self.progress, around)
         # Stopping comes first; what it leads to may take a moment.
         self._steer(steering)
         self._end_with(steering, now)
@@ -244,9 +211,10 @@ class TurnMachine:
         elif end.reason:
             self._begin_fit(stand, end.reason, now)
 
-    def _on_fault(self, event: ev.Faulted, now: float) -> None:
+    def stop_robot(self, reason: str, now: float) -> None:
+        """Stop a robot that turns itself: what has failed may be what supervises it."""
         if self.robot.is_under_way:
-            steering = self.robot.break_off(event.reason)
+            steering = self.robot.break_off(reason)
             self._steer(steering)
             self._end_with(steering, now)
 
@@ -258,11 +226,13 @@ class TurnMachine:
         self._steer(self.robot.stop())
         self._stand = None
 
-    def _on_finish(self, _: ev.FinishAsked, now: float) -> None:
+    def finish(self, now: float) -> ev.Conclusion | None:
+        """Fit what there is; None where a fit is under way."""
         if isinstance(self._stand, Collecting):
             self._begin_fit(self._stand, "finished by hand", now)
         elif self._stand is None:
-            self._answer(False, "no turn is being collected: call ~/start first")
+            return ev.Conclusion(False, "no turn is being collected: call ~/start first")
+        return None
 
     def _begin_fit(self, stand: Collecting, why: str, now: float) -> None:
         session, brief = stand.session, stand.brief
@@ -277,24 +247,26 @@ class TurnMachine:
             return
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
-            self._forget()
+            self.forget()
         self._stand = Fitting(why, window, self._kept)
         known, method, joins = brief.knowledge, brief.method, brief.accumulate
         self._do(ev.FitTurn(self._number, self._kept, window, known, method, joins))
 
-    def _on_fit(self, event: ev.FitDone, _: float) -> None:
+    def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
+        """Take the fit of a turn, and what is kept for the next one to join."""
         stand = self._stand
-        if event.turn != self._number or not isinstance(stand, Fitting):
+        if turn != self._number or not isinstance(stand, Fitting):
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
         if self._kept is stand.kept:
-            self._kept = event.kept
-        self.last_window = event.outcome.window or self.last_window
-        self._judge(event.outcome, stand.why_ended)
+            self._kept = kept
+        self.last_window = outcome.window or self.last_window
+        self._judge(outcome, stand.why_ended)
 
-    def _on_fit_failed(self, event: ev.FitFailed, _: float) -> None:
-        if event.turn == self._number and isinstance(self._stand, Fitting):
-            self._conclude(False, f"the fit failed unexpectedly: {event.words}")
+    def note_failed_fit(self, turn: int, words: str) -> None:
+        """Take note that a fit ended with an error of the program."""
+        if turn == self._number and isinstance(self._stand, Fitting):
+            self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _refuse(self, refusal: Refusal, why: str) -> None:
         self._judge(Outcome.refused(refusal), why)
@@ -311,9 +283,10 @@ class TurnMachine:
         else:
             self._do(ev.Report(self.last_window, outcome))
 
-    def _on_reported(self, event: ev.Reported, _: float) -> None:
+    def note_report(self, words: str) -> None:
+        """Take where the report will lie, in words; empty if there is none."""
         if isinstance(self._stand, Reporting):
-            self._weigh(self._stand, event.words)
+            self._weigh(self._stand, words)
 
     def _weigh(self, stand: Reporting, report: str) -> None:
         """Put the calibration in force if it is good enough; else say what can be done."""
@@ -329,24 +302,28 @@ class TurnMachine:
             remedy = "~/accept applies this one anyway"
             self._conclude(False, f"{stand.words} {unchanged}; {remedy}.{ending}")
 
-    def _on_saved(self, event: ev.Saved, _: float) -> None:
+    def note_saved(self, words: str) -> None:
+        """Take whether the calibration in force is stored, in words."""
         stand = self._stand
         if isinstance(stand, Saving):
-            self._conclude(True, f"{stand.words} {event.words}{stand.report}")
+            self._conclude(True, f"{stand.words} {words}{stand.report}")
 
-    def _on_cancel(self, _: ev.CancelAsked, __: float) -> None:
+    def cancel(self) -> ev.Conclusion:
+        """Cancel the turn."""
         if isinstance(self._stand, Saving):
-            self._answer(False, "too late to cancel: the new calibration is in force already")
-        elif self._stand is None:
-            self._answer(False, "nothing to cancel: no turn is being collected or fitted")
-        else:
-            self._leave_collecting()
-            self._conclude(False, f"cancelled; {UNCHANGED}")
-            self._answer(True, f"cancelled; {UNCHANGED}")
+            words = "too late to cancel: the new calibration is in force already"
+            return ev.Conclusion(False, words)
+        if self._stand is None:
+            words = "nothing to cancel: no turn is being collected or fitted"
+            return ev.Conclusion(False, words)
+        self._leave_collecting()
+        self._conclude(False, f"cancelled; {UNCHANGED}")
+        return ev.Conclusion(True, f"cancelled; {UNCHANGED}")
 
-    def _on_sensors(self, event: ev.SensorsMet, _: float) -> None:
-        (field, imu), before = self._sensors, self._sensors
-        self._sensors = event.field or field, event.imu or imu
+    def note_sensors(self, field: str, imu: str) -> None:
+        """Take the frames of the sensors: turns of others are not joined, nor one turn of two."""
+        before = self._sensors
+        self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
         if changes and isinstance(self._stand, (Collecting, Fitting)):
             self._leave_collecting()
@@ -356,10 +333,11 @@ class TurnMachine:
                 f"again; {UNCHANGED}",
             )
 
-    def _on_broken(self, event: ev.Broken, _: float) -> None:
-        if self._stand is not None or event.was_under_way:
+    def break_off(self, words: str, was_under_way: bool = False) -> None:
+        """End the turn, also one that was under way and was left already: something has failed."""
+        if self._stand is not None or was_under_way:
             self._leave_collecting()
-            self._conclude(False, event.words)
+            self._conclude(False, words)
 
     def _conclude(self, success: bool, message: str) -> None:
         self._stand = None

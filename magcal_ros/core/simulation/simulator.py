@@ -42,39 +42,29 @@ class Robot:
     """The true field, the true compass errors and the sensors' noise.
 
     The raw field is `K R_n (I + E) R m_body + h + noise`, as in `Knowledge`.
-
-    Parameters
-    ----------
-    strength, inclination, declination : float
-        The field where the robot stands: tesla, radians, radians.
-    roll, pitch, yaw : float
-        Installation error in radians, a pose as in a URDF. Yaw is for trying what one turn
-        cannot show.
-    hard_iron : array_like, shape (3,)
-        Tesla, in the magnetometer's axes.
-    mounting : Mounting
-        The known gains and the nominal pose.
-    soft_iron : array_like, shape (3, 3)
-        E, the soft iron nobody told the estimator of.
-    noise_field, noise_force, noise_rate : float
-        Standard deviations per axis and sample: tesla, m/s², rad/s.
-    gyro_bias : array_like, shape (3,)
-        rad/s.
     """
 
     strength: float = 50e-6
     inclination: float = 60.0 * DEGREE
     declination: float = 0.0
+    """The field where the robot stands: tesla, radians, radians."""
     roll: float = 3.0 * DEGREE
     pitch: float = -4.0 * DEGREE
     yaw: float = 0.0
+    """Installation error in radians, a pose as in a URDF. Yaw is for trying what one turn cannot
+    show."""
     hard_iron: FloatArray = field(default_factory=lambda: np.array([30e-6, -20e-6, 25e-6]))
+    """Tesla, in the magnetometer's axes. Shape (3,)."""
     mounting: Mounting = field(default_factory=Mounting)
+    """The known gains and the nominal pose."""
     soft_iron: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    """E, the soft iron nobody told the estimator of. Shape (3, 3)."""
     noise_field: float = 0.5e-6
     noise_force: float = 0.01 * STANDARD_GRAVITY
     noise_rate: float = 1e-3
+    """Standard deviations per axis and sample: tesla, m/s², rad/s."""
     gyro_bias: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """rad/s. Shape (3,)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "hard_iron", frozen_array(self.hard_iron, (3,), "hard iron"))
@@ -119,18 +109,12 @@ class Robot:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Attitudes over time.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    attitude : ndarray, shape (n, 3, 3)
-        Rotations from ENU to body axes.
-    """
+    """Attitudes over time."""
 
     time: FloatArray
+    """Seconds. Shape (n,)."""
     attitude: FloatArray
+    """Rotations from ENU to body axes. Shape (n, 3, 3)."""
 
     @property
     def angular_rate(self) -> FloatArray:
@@ -247,27 +231,18 @@ def smooth_wobble(
 
 @dataclass(frozen=True)
 class Trouble:
-    """What else goes wrong while the robot turns.
-
-    Parameters
-    ----------
-    outliers : float
-        Share of field samples hit at random.
-    outlier_size : float
-        Tesla, standard deviation per axis of such a hit.
-    disturbance : float
-        Tesla, peak of a field fixed in the world that comes and goes once (a Hann bump).
-    disturbance_share : float
-        Share of the turn that it lasts.
-    vibration : float
-        m/s², extra noise of the accelerometer per axis.
-    """
+    """What else goes wrong while the robot turns."""
 
     outliers: float = 0.0
+    """Share of field samples hit at random."""
     outlier_size: float = 15e-6
+    """Tesla, standard deviation per axis of such a hit."""
     disturbance: float = 0.0
+    """Tesla, peak of a field fixed in the world that comes and goes once (a Hann bump)."""
     disturbance_share: float = 0.2
+    """Share of the turn that it lasts."""
     vibration: float = 0.0
+    """m/s², extra noise of the accelerometer per axis."""
 
 
 def measure(

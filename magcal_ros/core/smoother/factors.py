@@ -33,6 +33,7 @@ from magcal_ros.core.smoother.unknowns import (
     SHIELDING,
     STREET,
     SYMMETRIC,
+    TURNED,
     VELOCITY,
     YAW,
 )
@@ -95,7 +96,7 @@ class Linear:
 def installation(shared: FloatArray) -> FloatArray:
     """Return the rotation from body axes to the magnetometer's, shape (3, 3)."""
     roll, pitch = shared[ROLL_PITCH]
-    return rotation_from_rpy(roll, pitch, shared[YAW]).T
+    return rotation_from_rpy(roll, pitch, shared[YAW] + shared[TURNED]).T
 
 
 def soft_iron(shared: FloatArray) -> FloatArray:
@@ -121,7 +122,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     attitude = late @ state.attitude
     earth = attitude @ state.earth
     ahead, gradient = state.attitude[:, 0, :2], shared[AT["gradient"]].reshape(3, 2)
-    disturbance = places.disturbance(state) + ahead @ gradient.T
+    disturbance = places.disturbance(state) + ahead @ gradient.T + shared[AT["place"]]
     street = np.einsum("nij,nj->ni", attitude, disturbance)
     turn, bend = installation(shared), soft_iron(shared)
     full = bend @ turn
@@ -149,6 +150,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     by[:, :, SHARED:] = np.einsum("nk,nij->nikj", places.weights, by_place).reshape(count, 3, -1)
     on_the_way = by_place[:, :, :, None] * ahead[:, None, None, :]
     by[:, :, AT["gradient"]] = on_the_way.reshape(count, 3, 6)
+    by[:, :, AT["place"]] = by_place
     by[:, :, AT["iron"]] = np.eye(3)
     by[:, :, EARTH] = (by_earth @ attitude)[:, :, 1:] * [1.0, -1.0]
     turned = inside_earth @ turn.T
@@ -156,7 +158,8 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
         for at in SYMMETRIC:
             by[:, :, at.start + k] = turned @ ELEMENT_MATRICES[k]
     by[:, :, SHIELDING] = turned @ LEVEL
-    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y, YAW: turn @ Z}
+    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: _about_x(shared).T @ Y}
+    axes |= dict.fromkeys((YAW, TURNED), turn @ Z)
     for k, axis in axes.items():
         across = np.cross(turned, axis)
         by[:, :, k] = across @ bend.T + np.cross(inside_street @ turn.T, axis)

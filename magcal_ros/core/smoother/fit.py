@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,6 +108,7 @@ def fit(
     kind: KindOfMotion,
     tolerances: Tolerances = Tolerances(),
     like: Fit | None = None,
+    told: Callable[[int], object] | None = None,
 ) -> Fit:
     """Fit a window by Gauss-Newton steps; the sizes of noises and effects follow.
 
@@ -120,6 +122,8 @@ def fit(
     tolerances : Tolerances
     like : Fit, optional
         Where to begin: an optimum of another kind of motion, or a fit of this one that goes on.
+    told : callable, optional
+        Takes the number of each round.
 
     Raises
     ------
@@ -132,22 +136,25 @@ def fit(
         point = Point.begin(model, start)
     else:
         point = like.point if goes_on else like.point.moved_to(model)
-    sizes, before = _Sizes(), math.inf
-    first = max(tolerances.places_at) + 1 if goes_on else 0
+    sizes, before = SizeSteps(), math.inf
+    first = 0 if like is None else tolerances.gaussian
+    first = max(tolerances.places_at) + 1 if goes_on else first
     fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
     for rounds in range(first, tolerances.rounds + 1):
+        if told is not None:
+            told(rounds)
         if model.travels and rounds in tolerances.places_at:
-            point = _with_places(model, point)
+            point = with_places(model, point)
         weighted, solution = solve_at(model, point)
         found = evidence(model, point, weighted, solution)
-        share, moved = _share(solution, tolerances), _moved(model, solution)
+        share, moved = share_of(solution, tolerances), moved_by(model, solution)
         converged = rounds > fewest and share == 1.0 and moved < tolerances.step
         converged = converged and abs(found - before) < tolerances.evidence
         if converged or rounds == tolerances.rounds:
             break
         before = found
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
-        point = _stepped(model, point, solution, share)
+        point = stepped(model, point, solution, share)
         if rounds >= tolerances.held:
             point = replace(point, groups=effect_factors(model, point, solution))
         if rounds >= tolerances.gaussian:
@@ -156,20 +163,20 @@ def fit(
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged)
 
 
-def _share(solution: Solution, tolerances: Tolerances) -> float:
+def share_of(solution: Solution, tolerances: Tolerances) -> float:
     """Return how much of a step is taken."""
     largest = float(np.abs(solution.local[:, ATTITUDE]).max())
     return min(1.0, tolerances.largest_turn / max(largest, 1e-9))
 
 
-def _moved(model: Model, solution: Solution) -> float:
+def moved_by(model: Model, solution: Solution) -> float:
     """Return the largest step of the answer, in its own sigmas."""
     answer = np.flatnonzero(model.free < AT["axes"].stop)
     sigma = np.sqrt(np.diag(solution.covariance)[answer])
     return float((np.abs(solution.shared[answer]) / sigma).max())
 
 
-def _stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
+def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:
     """Return the point after a step."""
     shared = np.zeros(SHARED + 3 * len(point.places))
     free = len(model.free)
@@ -179,7 +186,7 @@ def _stepped(model: Model, point: Point, solution: Solution, share: float) -> Po
     return replace(point, state=state, course=course_at(model, state))
 
 
-def _with_places(model: Model, point: Point) -> Point:
+def with_places(model: Model, point: Point) -> Point:
     """Return the same point with places along the way as it is reckoned now."""
     places = Places.along(point.course, point.state, model.priors.lengths.street)
     state = places.retold(point.state, point.places.disturbance(point.state))
@@ -187,7 +194,7 @@ def _with_places(model: Model, point: Point) -> Point:
 
 
 @dataclass(frozen=True)
-class _Sizes:
+class SizeSteps:
     """How the sizes of the noises have changed."""
 
     pace: dict[str, float] | None = None
@@ -200,7 +207,7 @@ class _Sizes:
         weighted: dict[str, Weighted],
         solution: Solution,
         counted: bool,
-    ) -> tuple[_Sizes, Point]:
+    ) -> tuple[SizeSteps, Point]:
         """Return the change and the point after it; where steps alternate, they get shorter."""
         if not counted:
             return self, point
@@ -216,7 +223,7 @@ class _Sizes:
         point = replace(point, sizes=sizes, doubt=doubt)
         if any(math.isnan(each.freedom) for each in model.priors.sizes.values()):
             point = replace(point, tails=tails(weighted, shown))
-        return _Sizes(pace, steps), point
+        return SizeSteps(pace, steps), point
 
 
 def _covariance(
@@ -228,7 +235,16 @@ def _covariance(
     counts by its mean square. What motors add may be a step or go with the rate: an even turn does
     not tell, so that each may be as large as both together.
     """
-    beliefs, (_, shown, _) = model.priors.sizes, noise_sizes(model, point, weighted, solution)
+    _, shown, _ = noise_sizes(model, point, weighted, solution)
+    _, solution = solve_at(model, widened(model, point, solution, shown))
+    out, free = np.zeros((SHARED, SHARED)), model.free
+    out[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
+    return out
+
+
+def widened(model: Model, point: Point, solution: Solution, shown: dict[str, float]) -> Point:
+    """Return the point with the sizes' mean squares, at which the covariance is that of all."""
+    beliefs = model.priors.sizes
     wide = {
         name: expected_square(size, shown.get(name, 0.0), beliefs[name])
         for name, size in point.sizes.items()
@@ -236,10 +252,7 @@ def _covariance(
     expected = effect_factors(model, point, solution, frozenset({"axes"}))
     groups = {**point.groups, "axes": max(expected["axes"], point.groups["axes"])}
     groups |= _as_large_as_both(point)
-    _, widened = solve_at(model, replace(point, sizes=wide, groups=groups))
-    out, free = np.zeros((SHARED, SHARED)), model.free
-    out[np.ix_(free, free)] = widened.covariance[: len(free), : len(free)]
-    return out
+    return replace(point, sizes=wide, groups=groups)
 
 
 def _as_large_as_both(point: Point) -> dict[str, float]:

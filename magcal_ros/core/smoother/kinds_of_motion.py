@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,9 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
-from magcal_ros.core.smoother.nodes import Nodes, nodes_of
+from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     KINDS,
     ON_THE_SPOT,
@@ -25,7 +24,6 @@ from magcal_ros.core.smoother.unknowns import (
     SIZES,
     SMALL_CIRCLE,
     USUAL,
-    Priors,
     priors_of,
 )
 from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
@@ -40,6 +38,10 @@ NO_SOLUTION = "the samples do not determine a calibration; turn the robot throug
 ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 """Tolerances of a first, rough fit of a kind of motion, and the difference of evidence from which
 it is left out then."""
+WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 600)
+"""Of a drive, in which there is more of everything than in one turn, longer means are enough."""
+MOST_FITS = 3 * len(KINDS)
+"""Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
 NEARLY = 0.95
 """Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
 
@@ -77,7 +79,96 @@ class Smoothed:
         return self.fits[self.mode]
 
 
-def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
+class _Trials:
+    """The fits of a window by kind of motion, the best of each as `fits`.
+
+    Parameters
+    ----------
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1.
+    """
+
+    def __init__(
+        self, window: Window, knowledge: Knowledge, told: Callable[[float], object] | None = None
+    ) -> None:
+        self._window, self._knowledge = window, knowledge
+        self._told, self._begun = told, 0
+        self._begin(Spacing())
+
+    def _begin(self, spacing: Spacing) -> None:
+        window, knowledge = self._window, self._knowledge
+        self.nodes = nodes_of(window, knowledge.mounting.to_body, spacing)
+        priors = priors_of(knowledge, window.bias_sigma)
+        priors = with_dead_axes(priors, living_axes(window.angular_rate))
+        self._state, self._priors = start(self.nodes, priors)
+        self.fits: dict[str, Fit] = {}
+
+    @property
+    def others(self) -> list[str]:
+        """The kinds of motion that are not fitted yet, always in one order."""
+        return [name for name in KINDS if name not in self.fits]
+
+    def on_the_spot(self) -> Fit | None:
+        """Fit a turn on the spot roughly, and return it if it explains the samples."""
+        self.add(ON_THE_SPOT, tolerances=ROUGHLY)
+        spot = self.fits.get(ON_THE_SPOT)
+        return spot if spot is not None and gyro_is_usual(spot) else None
+
+    def add(
+        self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()
+    ) -> None:
+        """Fit one kind of motion, and keep the fit if it is the most likely one of its kind."""
+        begun, self._begun = self._begun, self._begun + 1
+
+        def told(rounds: int) -> None:
+            if self._told is not None:
+                self._told(min((begun + min(rounds / ROUGHLY.rounds, 1.0)) / MOST_FITS, 1.0))
+
+        start = self.nodes, self._priors, self._state, KINDS[name]
+        try:
+            found = fit(*start, tolerances, like, told)
+        except np.linalg.LinAlgError:
+            return
+        known = self.fits.get(name)
+        if is_upright(found) and (known is None or found.evidence < known.evidence):
+            self.fits[name] = found
+
+    def drives(self) -> None:
+        """Fit all kinds of motion anew, where the robot did certainly not turn on the spot."""
+        self._begin(WHILE_DRIVING)
+        fits = self.fits
+        for name in KINDS:
+            self.add(name, tolerances=ROUGHLY)
+        least = min((each.evidence for each in fits.values()), default=0.0)
+        for name, rough in tuple(fits.items()):
+            if rough.evidence > least + HOPELESS:
+                del fits[name]
+            elif not rough.converged:
+                self.add(name, rough)
+        for name, other in tuple(fits.items()):
+            # Another kind may have stopped at a worse optimum than the best one's lies at.
+            best = min(fits.values(), key=lambda each: each.evidence)
+            if best.evidence < other.evidence < best.evidence + HOPELESS:
+                self.add(name, best)
+
+    def drives_roughly(self) -> None:
+        """Fit the most usual kind of drive alone, and not to the end."""
+        self._begin(WHILE_DRIVING)
+        self.add(ON_WHEELS, tolerances=ROUGHLY)
+
+    def mixed(self) -> Smoothed:
+        """Weigh the fits."""
+        if not self.fits:
+            raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
+        return mixed(self.fits, self.nodes, self._knowledge)
+
+
+def smooth(
+    window: Window,
+    knowledge: Knowledge,
+    too_slow: Refusal | None = None,
+    told: Callable[[float], object] | None = None,
+) -> Smoothed:
     """Fit a window for each kind of motion and weigh the answers by their evidence.
 
     Parameters
@@ -85,24 +176,27 @@ def smooth(window: Window, knowledge: Knowledge) -> Smoothed:
     window : Window
         With a gyro.
     knowledge : Knowledge
+    too_slow : Refusal, optional
+        Of samples that do not carry a drive: its fits are not begun.
+    told : callable, optional
+        Takes the share of the work that is done, 0 to 1.
 
     Raises
     ------
     Refusal
         If no fit could be had.
     """
-    nodes, state, priors = _started(window, knowledge)
-    fits: dict[str, Fit] = {}
-    if (spot := _on_the_spot(fits, nodes, priors, state)) is not None:
+    trials = _Trials(window, knowledge, told)
+    if (spot := trials.on_the_spot()) is not None:
         if not spot.converged:
-            _try(fits, ON_THE_SPOT, nodes, priors, state, spot)
-        for name in _others(fits):
-            _try(fits, name, nodes, priors, state, fits[ON_THE_SPOT])
+            trials.add(ON_THE_SPOT, spot)
+        for name in trials.others:
+            trials.add(name, trials.fits[ON_THE_SPOT])
+    elif too_slow is not None:
+        raise too_slow
     else:
-        _fit_drives(fits, nodes, priors, state)
-    if not fits:
-        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-    return mixed(fits, nodes, knowledge)
+        trials.drives()
+    return trials.mixed()
 
 
 def promised_sigma(window: Window, knowledge: Knowledge) -> float:
@@ -111,44 +205,12 @@ def promised_sigma(window: Window, knowledge: Knowledge) -> float:
     Parameters and errors as of `smooth`. It takes less time, of a drive a fifth: two kinds of
     motion are fitted, and not to the end.
     """
-    nodes, state, priors = _started(window, knowledge)
-    fits: dict[str, Fit] = {}
-    if (spot := _on_the_spot(fits, nodes, priors, state)) is not None:
-        _try(fits, SMALL_CIRCLE, nodes, priors, state, spot, ROUGHLY)
+    trials = _Trials(window, knowledge)
+    if (spot := trials.on_the_spot()) is not None:
+        trials.add(SMALL_CIRCLE, spot, ROUGHLY)
     else:
-        _try(fits, ON_WHEELS, nodes, priors, state, tolerances=ROUGHLY)
-    if not fits:
-        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION)
-    return mixed(fits, nodes, knowledge).posterior.heading_sigma
-
-
-def _on_the_spot(fits: dict[str, Fit], nodes: Nodes, priors: Priors, state: State) -> Fit | None:
-    """Fit a turn on the spot roughly, and return it if it explains the samples."""
-    _try(fits, ON_THE_SPOT, nodes, priors, state, tolerances=ROUGHLY)
-    spot = fits.get(ON_THE_SPOT)
-    return spot if spot is not None and gyro_is_usual(spot) else None
-
-
-def _others(fits: dict[str, Fit]) -> list[str]:
-    """Return the kinds of motion that are not fitted yet, always in one order."""
-    return [name for name in KINDS if name not in fits]
-
-
-def _fit_drives(fits: dict[str, Fit], nodes: Nodes, priors: Priors, state: State) -> None:
-    """Fit the other kinds of motion, where the robot certainly did not turn on the spot."""
-    for name in _others(fits):
-        _try(fits, name, nodes, priors, state, tolerances=ROUGHLY)
-    least = min((each.evidence for each in fits.values()), default=0.0)
-    for name, rough in tuple(fits.items()):
-        if rough.evidence > least + HOPELESS:
-            del fits[name]
-        elif not rough.converged:
-            _try(fits, name, nodes, priors, state, rough)
-    for name, other in tuple(fits.items()):
-        # Another kind may have stopped at a worse optimum than the best one's lies at.
-        best = min(fits.values(), key=lambda each: each.evidence)
-        if best.evidence < other.evidence < best.evidence + HOPELESS:
-            _try(fits, name, nodes, priors, state, best)
+        trials.drives_roughly()
+    return trials.mixed().posterior.heading_sigma
 
 
 def gyro_is_usual(fit: Fit) -> bool:
@@ -159,12 +221,6 @@ def gyro_is_usual(fit: Fit) -> bool:
         for name in ("gyro", "gyro_up")
         if believed[name] == SIZES[name]
     )
-
-
-def _started(window: Window, knowledge: Knowledge) -> tuple[Nodes, State, Priors]:
-    nodes = nodes_of(window, knowledge.mounting.to_body)
-    priors = priors_of(knowledge, window.bias_sigma)
-    return nodes, *start(nodes, with_dead_axes(priors, living_axes(window.angular_rate)))
 
 
 def mixed(
@@ -186,25 +242,6 @@ def mixed(
         for name, each in found.items()
     )
     return Smoothed(nodes, best, fits, weights, mean, math.sqrt(square))
-
-
-def _try(
-    fits: dict[str, Fit],
-    name: str,
-    nodes: Nodes,
-    priors: Priors,
-    state: State,
-    like: Fit | None = None,
-    tolerances: Tolerances = Tolerances(),
-) -> None:
-    """Fit one kind of motion, and keep the fit if it is the most likely one of its kind."""
-    try:
-        found = fit(nodes, priors, state, KINDS[name], tolerances, like)
-    except np.linalg.LinAlgError:
-        return
-    known = fits.get(name)
-    if is_upright(found) and (known is None or found.evidence < known.evidence):
-        fits[name] = found
 
 
 def is_upright(fit: Fit) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -78,10 +79,11 @@ class Model:
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
         travels = kind.speed > KINDS[ON_THE_SPOT].speed
         begins = {n: priors.sizes[n]._replace(start=kind.begins) for n in CHANGES}
+        spread = {**priors.spread, **dict.fromkeys(("motors_moving", "motors_rate"), kind.motors)}
         return cls(
             nodes,
             axes,
-            replace(priors, scale=scale, sizes={**priors.sizes, **begins}),
+            replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **begins}),
             kind.velocity,
             travels,
         )
@@ -356,17 +358,22 @@ def evidence(
 
     But for a constant of the window; the sizes are at their most likely values.
     """
+    by_shared = cost_of_shared(model, point) + solution.log_determinant
+    return cost_of_nodes(model, point, weighted) + by_shared
+
+
+def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> float:
+    """Return minus twice the logarithm of likelihood and priors but for the shared unknowns'."""
     state, sizes, places = point.state, point.sizes, point.places
-    cost = sum(part.cost for part in weighted.values()) + solution.log_determinant
+    cost = sum(part.cost for part in weighted.values())
     levels = (
-        *zip(_columns(VELOCITY), model.speed, strict=True),
+        (VELOCITY, model.speed),
         (STREET, sizes["street"]),
         (BODY_FIELD, _body_field_at_first(point)),
-        *zip(_columns(ACCELERATION), (sizes[name] for name in CHANGES), strict=True),
+        (ACCELERATION, np.array([sizes[name] for name in CHANGES])),
     )
     for which, level in levels:
-        first = state.local[0, which]
-        cost += float(first @ first) / level**2 + 2.0 * len(first) * math.log(level)
+        cost += float(np.sum((state.local[0, which] / level) ** 2 + 2.0 * np.log(level)))
     creep = state.local[point.course.still, VELOCITY] / model.priors.lengths.creep
     cost += float(np.sum(creep**2))
     centres = state.centres / sizes["street"]
@@ -374,11 +381,7 @@ def evidence(
     cost += 3.0 * (places.log_determinant + 2.0 * len(places) * math.log(sizes["street"]))
     for name, belief in model.priors.sizes.items():
         cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
-    return cost + _cost_of_shared(model, point)
-
-
-def _columns(which: slice) -> tuple[slice, slice]:
-    return slice(which.start, which.start + 1), slice(which.start + 1, which.stop)
+    return cost
 
 
 def _body_field_at_first(point: Point) -> float:
@@ -386,12 +389,14 @@ def _body_field_at_first(point: Point) -> float:
     return point.sizes["body_field" if point.course.still[0] else "motors_noise"]
 
 
-def _cost_of_shared(model: Model, point: Point) -> float:
-    """Return minus twice the logarithm of the shared unknowns' prior."""
+def cost_of_shared(model: Model, point: Point, names: Iterable[str] = tuple(AT)) -> float:
+    """Return minus twice the logarithm of the prior of some groups of shared unknowns."""
     off, scales, cost = point.state.shared - model.priors.mean, _scales(model, point.groups), 0.0
-    for name, at in AT.items():
+    for name in names:
+        at = AT[name]
         if name == "earth":
-            cost += float(off[at] @ np.linalg.solve(model.priors.earth, off[at]))
+            earth = model.priors.earth
+            cost += float(off[at] @ np.linalg.solve(earth, off[at]) + np.linalg.slogdet(earth)[1])
             continue
         seen = scales[at] > 0.0
         scale, spread = scales[at][seen], model.priors.spread[name]

@@ -32,6 +32,7 @@ from magcal_ros.core.smoother.unknowns import (
     SHARED,
     SHIELDING,
     SYMMETRIC,
+    TURNED,
     YAW,
 )
 
@@ -176,7 +177,8 @@ def _by_shared(
     changes = {at.start + k: ELEMENT_MATRICES[k] @ turn for at in SYMMETRIC for k in range(6)}
     changes[SHIELDING] = LEVEL @ turn
     roll = rotation_from_rpy(float(shared[ROLL_PITCH.start]), 0.0)
-    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y, YAW: turn @ Z}
+    axes = {ROLL_PITCH.start: X, ROLL_PITCH.start + 1: roll.T @ Y}
+    axes |= dict.fromkeys((YAW, TURNED), turn @ Z)
     for k, axis in axes.items():
         changes[k] = -bend @ skew(axis) @ turn
     back = np.linalg.inv(bend @ turn)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,14 +35,14 @@ def noise_sizes(
     doubt : ndarray, shape (n,)
         Variance of the nodes' velocities, (m/s)².
     """
-    own, beside = solution.node_covariance()
+    spread = _Spread.of(solution)
     free = counted_unknowns(model, point.places)
     sizes, shown = {}, {}
     for name, part in weighted.items():
         if name not in point.sizes:
             continue
         counted, linear = np.isfinite(part.variance), part.linear
-        spent = part.weight * _variance(linear, solution, own, beside, free)
+        spent = part.weight * spread.of_prediction(linear, free)
         square = part.weight * np.sum(linear.residual**2, axis=1)
         total, taken = float(np.sum(square[counted])), float(np.sum(spent[counted]))
         number = int(counted.sum()) * linear.residual.shape[1]
@@ -50,9 +51,8 @@ def noise_sizes(
             total, taken, number = total + more, taken + less, number + 3 * len(point.places)
         shown[name] = max(number - taken, 0.0)
         sizes[name] = _next_size(point.sizes[name], total, shown[name], model.priors.sizes[name])
-    follow = solution.follow[:, VELOCITY]
-    by_shared = np.sum((follow @ solution.covariance) * follow, axis=(1, 2))
-    return sizes, shown, np.trace(own[:, VELOCITY, VELOCITY], axis1=1, axis2=2) + by_shared
+    doubt = np.trace(spread.own[:, VELOCITY, VELOCITY], axis1=1, axis2=2)
+    return sizes, shown, doubt
 
 
 def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
@@ -66,24 +66,42 @@ def _by_centres(point: Point, solution: Solution) -> tuple[float, float]:
     return float(by_values), float(by_spread)
 
 
-def _variance(
-    linear: Linear, solution: Solution, own: FloatArray, beside: FloatArray, free: IntArray
-) -> FloatArray:
-    """Return the sum of the variances of a prediction's components, shape (k,)."""
-    here, follow = linear.here, solution.follow
-    count = len(here)
-    by_local = np.sum((here @ own[:count]) * here, axis=(1, 2))
-    by_shared = -(here @ follow[:count])
-    if linear.there is not None:
-        there = linear.there
-        by_local += np.sum((2.0 * here @ beside + there @ own[1:]) * there, axis=(1, 2))
-        by_shared -= there @ follow[1:]
-    if linear.shared is not None:
-        direct = linear.by(free)
-        by_shared[:, :, : direct.shape[2]] += direct
-    flat = by_shared.reshape(-1, len(free))
-    shared = np.sum((flat @ solution.covariance) * flat, axis=1)
-    return np.asarray(by_local + shared.reshape(count, -1).sum(axis=1))
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """Blocks of the covariance of all unknowns: of a node, with the next, and with the shared."""
+
+    own: FloatArray
+    beside: FloatArray
+    cross: FloatArray
+    shared: FloatArray
+
+    @classmethod
+    def of(cls, solution: Solution) -> _Spread:
+        """Return the blocks at the point of a solution."""
+        own, beside = solution.chain.covariance()
+        follow = solution.follow
+        cross = -(follow @ solution.covariance)
+        own -= cross @ np.swapaxes(follow, 1, 2)
+        beside -= cross[:-1] @ np.swapaxes(follow[1:], 1, 2)
+        return cls(own, beside, cross, solution.covariance)
+
+    def of_prediction(self, linear: Linear, free: IntArray) -> FloatArray:
+        """Return the sum of the variances of a prediction's components, shape (k,)."""
+        here, there, count = linear.here, linear.there, len(linear.here)
+        total = (here @ self.own[:count]) * here
+        if there is not None:
+            total += (2.0 * here @ self.beside + there @ self.own[1:]) * there
+        variance = total.sum(axis=(1, 2))
+        if linear.shared is not None:
+            direct = linear.by(free)
+            known = direct.shape[2]
+            cross = here @ self.cross[:count, :, :known]
+            if there is not None:
+                cross += there @ self.cross[1:, :, :known]
+            flat = direct.reshape(-1, known)
+            own = (flat @ self.shared[:known, :known]).reshape(direct.shape)
+            variance += ((own + 2.0 * cross) * direct).sum(axis=(1, 2))
+        return np.asarray(variance)
 
 
 def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
@@ -160,23 +178,23 @@ def effect_factors(
     """
     free, found = model.free, dict(point.groups)
     # By the samples and the fixed priors alone, each unknown over its usual sigma.
-    scale = np.concatenate([model.priors.scale[free], np.ones(3 * len(point.places))])
-    information = np.linalg.inv(solution.covariance / np.outer(scale, scale))
-    off = (point.state.shared - model.priors.mean)[free]
-    off = np.concatenate([off, point.state.centres.ravel()]) / scale
-    by_samples = information @ off
+    scale, count = model.priors.scale[free], len(free)
+    covariance = solution.covariance[:count, :count] / np.outer(scale, scale)
+    off = (point.state.shared - model.priors.mean)[free] / scale
+    by_samples = np.linalg.solve(covariance, off)
     for name, spread in model.priors.spread.items():
         at = AT[name]
         rows = np.flatnonzero((free >= at.start) & (free < at.stop))
         if spread == 0.0 or not len(rows):
             continue
-        covariance = np.linalg.inv(information)
-        own = np.linalg.inv(covariance[np.ix_(rows, rows)])
+        alone, column = np.eye(len(rows)), covariance[:, rows]
+        own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        factor = _factor(
-            model.priors.most[name], spread, own, mean, found[name], is_expected=name in expected
-        )
-        information[rows, rows] += factor**-2.0 - found[name] ** -2.0
+        most = model.priors.most[name]
+        factor = _factor(most, spread, own, mean, found[name], is_expected=name in expected)
+        if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
+            # By the matrix inversion lemma.
+            covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
         found[name] = factor
     return found
 

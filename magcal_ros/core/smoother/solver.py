@@ -1,4 +1,4 @@
-"""Normal equations of the smoother: the nodes are eliminated by a banded Cholesky factorisation.
+"""Normal equations of the smoother: the nodes are eliminated block by block.
 
 The nodes form a block tridiagonal system. What is left for the shared unknowns is the Schur
 complement, whose inverse is their covariance. The time is linear in the nodes.
@@ -7,7 +7,7 @@ complement, whose inverse is their covariance. The time is linear in the nodes.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -74,9 +74,13 @@ class Solution:
         Of the shared unknowns that are free.
     follow : ndarray, shape (n, LOCAL, s)
         By how much the nodes' unknowns follow the shared ones, with the opposite sign.
+    information : ndarray, shape (s, s)
+        Of the shared unknowns, with the nodes' unknowns integrated out.
+    gradient : ndarray, shape (s,)
+        What the step of the shared unknowns solves for: `information @ shared`.
     log_determinant : float
         Of the information matrix of all unknowns.
-    diagonal, upper : ndarray, shape (n, LOCAL, LOCAL), (n - 1, LOCAL, LOCAL)
+    chain : Chain
         The information matrix of the nodes' unknowns.
     """
 
@@ -84,13 +88,15 @@ class Solution:
     shared: FloatArray
     covariance: FloatArray
     follow: FloatArray
+    information: FloatArray
+    gradient: FloatArray
     log_determinant: float
-    diagonal: FloatArray
-    upper: FloatArray
+    chain: Chain
 
-    def node_covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Return the blocks of the inverse of the nodes' matrix: of a node, and with the next."""
-        return _selected_inverse(self.diagonal, self.upper)
+    def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
+        """Return the step where more is known of the shared unknowns than this window tells."""
+        local = self.local + self.follow @ (self.shared - shared)
+        return replace(self, local=local, shared=shared, covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +134,6 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     numpy.linalg.LinAlgError
         If the matrix is not positive definite.
     """
-    # Nobody who fits nothing loads it.
-    from scipy.linalg import cho_solve_banded, cholesky_banded
-
     nodes, count = len(prior.local_information), len(free)
     diagonal = np.zeros((nodes, LOCAL, LOCAL))
     upper = np.zeros((nodes - 1, LOCAL, LOCAL))
@@ -141,62 +144,118 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     diagonal[:, each, each] = prior.local_information
     right[:, :, 0] = prior.local_information * prior.local_offset
     for part in weighted:
-        linear, weight = part.linear, part.weight[:, None, None]
-        sides = [linear.residual[:, :, None]]
-        if linear.shared is not None:
-            shared = linear.by(free)
-            sides.append(shared)
+        if part.linear.shared is not None:
+            shared = part.linear.by(free)
             known = shared.shape[2]
-            flat, heavy = shared.reshape(-1, known), (weight * shared).reshape(-1, known)
+            flat = shared.reshape(-1, known)
+            heavy = (part.weight[:, None, None] * shared).reshape(-1, known)
             information[:known, :known] += flat.T @ heavy
-            gradient[:known] += heavy.T @ linear.residual.ravel()
-        side = np.concatenate(sides, axis=2)
-        width = side.shape[2]
-        heavy_here = np.swapaxes(weight * linear.here, 1, 2)
-        rows = slice(0, len(side))
-        diagonal[rows] += heavy_here @ linear.here
-        right[rows, :, :width] += heavy_here @ side
-        if linear.there is not None:
-            heavy_there = np.swapaxes(weight * linear.there, 1, 2)
-            diagonal[1:] += heavy_there @ linear.there
-            right[1:, :, :width] += heavy_there @ side
-            upper += heavy_here @ linear.there
-    factor = cholesky_banded(_banded(diagonal, upper), lower=True, check_finite=False)
-    solved = cho_solve_banded((factor, True), right.reshape(nodes * LOCAL, -1), check_finite=False)
+            gradient[:known] += heavy.T @ part.linear.residual.ravel()
+    for parts in _alike(weighted):
+        rows = len(parts[0].linear.here)
+        design, weight = _stacked(parts, free)
+        reached = design.shape[2] - 1 - count
+        product = np.swapaxes(weight[:, :, None] * design[:, :, :reached], 1, 2) @ design
+        diagonal[:rows] += product[:, :LOCAL, :LOCAL]
+        right[:rows] += product[:, :LOCAL, reached:]
+        if reached > LOCAL:
+            diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
+            upper += product[:, :LOCAL, LOCAL:reached]
+            right[1:] += product[:, LOCAL:, reached:]
+    chain = _eliminated(diagonal, upper)
+    solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
     schur = information - cross.T @ solved[:, 1:]
-    values, vectors = np.linalg.eigh(0.5 * (schur + schur.T))
-    values = np.maximum(values, 1e-12 * values[-1])
-    covariance = (vectors / values) @ vectors.T
-    step = covariance @ (gradient - cross.T @ solved[:, 0])
+    gradient -= cross.T @ solved[:, 0]
+    schur = 0.5 * (schur + schur.T)
+    covariance, by_shared = inverse_and_log_determinant(schur)
+    step = covariance @ gradient
     local = (solved[:, 0] - solved[:, 1:] @ step).reshape(nodes, LOCAL)
-    log_determinant = 2.0 * np.sum(np.log(factor[0])) + np.sum(np.log(values))
     follow = solved[:, 1:].reshape(nodes, LOCAL, count)
-    return Solution(local, step, covariance, follow, float(log_determinant), diagonal, upper)
+    both = chain.log_determinant + by_shared
+    return Solution(local, step, covariance, follow, schur, gradient, both, chain)
 
 
-def _banded(diagonal: FloatArray, upper: FloatArray) -> FloatArray:
-    """Return a symmetric block tridiagonal matrix in LAPACK's lower banded form."""
-    count = len(diagonal)
-    out = np.zeros((2 * LOCAL, count * LOCAL))
-    for a in range(LOCAL):
-        for b in range(a + 1):
-            out[a - b, b::LOCAL] = diagonal[:, a, b]
-        for b in range(LOCAL):
-            out[LOCAL + a - b, b : (count - 1) * LOCAL : LOCAL] = upper[:, b, a]
-    return out
+def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant."""
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * values[-1])
+    return (vectors / values) @ vectors.T, float(np.sum(np.log(values)))
 
 
-def _selected_inverse(diagonal: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    count = len(diagonal)
-    pivot, gain = np.empty_like(diagonal), np.empty_like(upper)
-    pivot[0] = diagonal[0]
-    for k in range(count - 1):
-        gain[k] = np.linalg.solve(pivot[k], upper[k])
-        pivot[k + 1] = diagonal[k + 1] - upper[k].T @ gain[k]
-    own = np.asarray(np.linalg.inv(pivot), dtype=np.float64)
-    next_to = np.empty_like(upper)
-    for k in range(count - 2, -1, -1):
-        next_to[k] = -gain[k] @ own[k + 1]
-        own[k] -= next_to[k] @ gain[k].T
-    return own, next_to
+def _alike(weighted: list[Weighted]) -> list[list[Weighted]]:
+    """Return the residuals of each shape together: of nodes, and of links."""
+    found: dict[tuple[int, bool], list[Weighted]] = {}
+    for part in weighted:
+        found.setdefault((len(part.linear.here), part.linear.there is None), []).append(part)
+    return list(found.values())
+
+
+def _stacked(parts: list[Weighted], free: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives by the nodes', residual and derivatives by the shared, and weights."""
+    first = parts[0].linear
+    reached = LOCAL if first.there is None else 2 * LOCAL
+    width = sum(part.linear.residual.shape[1] for part in parts)
+    design = np.zeros((len(first.here), width, reached + 1 + len(free)))
+    weight, at = np.empty((len(first.here), width)), 0
+    for part in parts:
+        linear = part.linear
+        rows = slice(at, at + linear.residual.shape[1])
+        design[:, rows, :LOCAL] = linear.here
+        if linear.there is not None:
+            design[:, rows, LOCAL:reached] = linear.there
+        design[:, rows, reached] = linear.residual
+        if linear.shared is not None:
+            shared = linear.by(free)
+            design[:, rows, reached + 1 : reached + 1 + shared.shape[2]] = shared
+        weight[:, rows] = part.weight[:, None]
+        at = rows.stop
+    return design, weight
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A block tridiagonal matrix with its nodes eliminated, one after the other.
+
+    Parameters
+    ----------
+    inverse : ndarray, shape (n, LOCAL, LOCAL)
+        Of each node's block, when those before it are eliminated.
+    gain : ndarray, shape (n - 1, LOCAL, LOCAL)
+        By how much a node follows the next, with the opposite sign.
+    log_determinant : float
+    """
+
+    inverse: FloatArray
+    gain: FloatArray
+    log_determinant: float
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """Return the matrix' inverse times some columns, shape (n, LOCAL, k)."""
+        forward = right.copy()
+        for k, gain in enumerate(self.gain):
+            forward[k + 1] -= gain.T @ forward[k]
+        out = self.inverse @ forward
+        for k in range(len(self.gain) - 1, -1, -1):
+            out[k] -= self.gain[k] @ out[k + 1]
+        return out
+
+    def covariance(self) -> tuple[FloatArray, FloatArray]:
+        """Return the inverse's blocks on the diagonal, and beside it to the right."""
+        own, beside = self.inverse.copy(), np.empty_like(self.gain)
+        for k in range(len(self.gain) - 1, -1, -1):
+            beside[k] = -self.gain[k] @ own[k + 1]
+            own[k] -= beside[k] @ self.gain[k].T
+        return own, beside
+
+
+def _eliminated(diagonal: FloatArray, upper: FloatArray) -> Chain:
+    pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
+    for k, beside in enumerate(upper):
+        inverse[k] = np.linalg.inv(pivot[k])
+        gain[k] = inverse[k] @ beside
+        pivot[k + 1] -= beside.T @ gain[k]
+    inverse[-1] = np.linalg.inv(pivot[-1])
+    factor = np.linalg.cholesky(pivot)
+    log_determinant = 2.0 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum()
+    return Chain(inverse, gain, float(log_determinant))

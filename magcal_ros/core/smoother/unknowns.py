@@ -34,53 +34,36 @@ class Unknown(NamedTuple):
     The prior is Gaussian about zero. Its sigma is uncertain itself: the whole group is larger or
     smaller by one factor with a truncated log-normal prior, which is estimated with the unknowns.
     An effect that the samples do not show stays near zero, and one that they show is not held back.
-
-    Parameters
-    ----------
-    sigma : tuple of float
-        Median of the sigma of each number.
-    spread : float
-        Standard deviation of the natural logarithm of the factor; zero for a fixed sigma.
-    most : float
-        Largest factor.
-    unit, meaning, source : str
     """
 
     sigma: tuple[float, ...]
+    """Median of the sigma of each number."""
     spread: float
+    """Standard deviation of the natural logarithm of the factor; zero for a fixed sigma."""
     most: float
+    """Largest factor."""
     unit: str
     meaning: str
     source: str
 
 
 class Size(NamedTuple):
-    """The standard deviation of one kind of noise: estimated, with a log-normal prior.
-
-    Parameters
-    ----------
-    usual : float
-        Median.
-    spread : float
-        Standard deviation of its natural logarithm.
-    freedom : float
-        Degrees of freedom of the Student distribution of the noise itself; NaN where they are
-        estimated.
-    unit, meaning, source : str
-    start : float
-        Where the iterations begin, if not at the median.
-    most : float
-        Largest value: no sensor or robot exceeds it.
-    """
+    """The standard deviation of one kind of noise: estimated, with a log-normal prior."""
 
     usual: float
+    """Median."""
     spread: float
+    """Standard deviation of its natural logarithm."""
     freedom: float
+    """Degrees of freedom of the Student distribution of the noise itself; NaN where they are
+    estimated."""
     unit: str
     meaning: str
     source: str
     start: float = math.nan
+    """Where the iterations begin, if not at the median."""
     most: float = math.inf
+    """Largest value: no sensor or robot exceeds it."""
 
 
 UNKNOWNS: dict[str, Unknown] = {
@@ -106,6 +89,9 @@ UNKNOWNS: dict[str, Unknown] = {
         "-",
         "gain of the level field less one",
         "the bodies of cars leave a third to all of it; no heading depends on it",
+    ),
+    "turned": Unknown(
+        (0.09,), 0.0, 1.0, "rad", "yaw of the installation", "boards: 5°; only several tilts tell"
     ),
     "earth": Unknown((20.0, 30.0), 0.0, 1.0, "µT", "level and downward field", "the reference"),
     "gyro_bias": Unknown((0.003,) * 3, 0.8, 30.0, "rad/s", "gyro bias", "MEMS: .1 to 5 °/s"),
@@ -155,6 +141,14 @@ UNKNOWNS: dict[str, Unknown] = {
         "µT",
         "local disturbance on the turn's own small circle, by east and north of the body's x axis",
         "a sensor 0 to .25 m beside the axis; .1 to 20 µT/m",
+    ),
+    "place": Unknown(
+        (0.05,) * 3,
+        1.0,
+        30.0,
+        "µT",
+        "the field where a turn was made less that of the other turns, world axes",
+        "a few metres apart in the open: .02 to .3",
     ),
 }
 
@@ -208,25 +202,20 @@ PASSING = Size(
 
 
 class KindOfMotion(NamedTuple):
-    """A kind of motion.
-
-    Parameters
-    ----------
-    speed : float
-        Usual velocity ahead, m/s.
-    aside : float
-        Usual velocity sideways over that ahead: wheels roll ahead.
-    lever_arm : float
-        Usual distance of the accelerometer from the pivot, metres per axis.
-    begins : float
-        Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
-        acceleration is taken for lean; if it is too large, lean is taken for acceleration.
-    """
+    """A kind of motion."""
 
     speed: float
+    """Usual velocity ahead, m/s."""
     aside: float
+    """Usual velocity sideways over that ahead: wheels roll ahead."""
     lever_arm: float
+    """Usual distance of the accelerometer from the pivot, metres per axis."""
     begins: float
+    """Size of the acceleration at which the iterations begin, m/s². If it is too small, a drive's
+    acceleration is taken for lean; if it is too large, lean is taken for acceleration."""
+    motors: float = 2.0
+    """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
+    differs between its rest and its way is the place."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -245,8 +234,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
@@ -256,33 +245,22 @@ and few turn exactly on a spot."""
 
 @dataclass(frozen=True)
 class Lengths:
-    """How far and how long what is correlated stays so.
-
-    Parameters
-    ----------
-    street : float
-        Metres over which the local disturbance is alike (e to the minus one).
-    body_field : float
-        Seconds over which the body's coloured noise is alike.
-    acceleration : float
-        Seconds over which the change of velocity is alike.
-    beside : float
-        Metres of the magnetometer from the pivot: the way it goes while the robot turns.
-    creep : float
-        m/s that a robot at rest may still move.
-    moving : float
-        rad/s of turn rate from which a robot on the spot counts as moving.
-    sway : float
-        Seconds over which the lean of a robot that sways is alike.
-    """
+    """How far and how long what is correlated stays so."""
 
     street: float = 30.0
+    """Metres over which the local disturbance is alike (e to the minus one)."""
     body_field: float = 4.0
+    """Seconds over which the body's coloured noise is alike."""
     acceleration: float = 3.0
+    """Seconds over which the change of velocity is alike."""
     beside: float = 0.15
+    """Metres of the magnetometer from the pivot: the way it goes while the robot turns."""
     creep: float = 0.01
+    """m/s that a robot at rest may still move."""
     moving: float = 0.03
+    """rad/s of turn rate from which a robot on the spot counts as moving."""
     sway: float = 1.0
+    """Seconds over which the lean of a robot that sways is alike."""
 
 
 def _slices() -> tuple[dict[str, slice], int]:
@@ -299,39 +277,30 @@ ROLL_PITCH, YAW = AT["installation"], AT["axes"].stop - 1
 SYMMETRIC = (slice(AT["axes"].start, AT["axes"].stop - 1), AT["soft_iron"])
 """Where the two parts of the symmetric distortion stand."""
 SHIELDING = AT["shielding"].start
+TURNED = AT["turned"].start
 EARTH = AT["earth"]
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What is believed of the unknowns before the samples.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (SHARED,)
-    scale : ndarray, shape (SHARED,)
-        Sigma of each number; zero for one that is known.
-    earth : ndarray, shape (2, 2)
-        Covariance of level and downward field, µT².
-    spread : mapping of str to float
-        Of the groups' factors (`Unknown`).
-    sizes : mapping of str to Size
-    lengths : Lengths
-    most : mapping of str to float
-        Largest factors of the groups.
-    """
+    """What is believed of the unknowns before the samples."""
 
     mean: FloatArray
+    """Shape (SHARED,)."""
     scale: FloatArray
+    """Sigma of each number; zero for one that is known. Shape (SHARED,)."""
     earth: FloatArray
+    """Covariance of level and downward field, µT². Shape (2, 2)."""
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
+    """Of the groups' factors (`Unknown`)."""
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = Lengths()
     most: Mapping[str, float] = field(
         default_factory=lambda: {name: each.most for name, each in UNKNOWNS.items()}
     )
+    """Largest factors of the groups."""
 
     def about(self, iron: FloatArray, level: float) -> Priors:
         """Return the priors about a start: hard iron, and the level field where it is unknown."""
@@ -357,8 +326,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if math.isfinite(bias_sigma):
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do.
-    for name in ("height", "axis", "upright", "gradient"):
+    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
+    for name in ("height", "axis", "upright", "gradient", "turned", "place"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     sizes, most = dict(SIZES), {name: each.most for name, each in UNKNOWNS.items()}
@@ -369,12 +338,12 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "latency",
             "motors_moving",
             "motors_rate",
+            "drift",
+            "force_moving",
+            "force_offset",
+            "axes",
+            "shielding",
         ):
-            scale[AT[name]] = 0.0
-        for name in ("drift", "force_moving", "force_offset"):
-            scale[AT[name]] = 0.0
-        scale[YAW] = 0.0
-        for name in ("axes", "shielding"):
             scale[AT[name]] = 0.0
         most["soft_iron"] *= UNKNOWNS["soft_iron"].sigma[0] / RARE_IRON[0]
         scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON

@@ -11,7 +11,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA

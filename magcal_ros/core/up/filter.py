@@ -35,11 +35,6 @@ class UpFilter:
     length, so that the model is linear and a scale error of the accelerometer is taken up by the
     length of up. Velocity and acceleration are Ornstein-Uhlenbeck processes of the sizes of a
     `MotionPrior`.
-
-    Parameters
-    ----------
-    tuning : FilterTuning
-        What is taken for granted.
     """
 
     def __init__(self, tuning: FilterTuning | None = None) -> None:
@@ -127,15 +122,15 @@ class UpFilter:
         """
         tuning, step = self.tuning, self._transition
         fast = math.exp(-seconds / tuning.speed_lasts)
-        pulled = math.exp(-seconds / tuning.acceleration_lasts)
+        kept = math.exp(-seconds / tuning.acceleration_lasts)
         step[:3, :3] = exp_rotation(np.array(turned))
         step[:3, :3] = step[:3, :3].T
         x, y, z = (seconds * each for each in up)
         step[:3, 3:6] = ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
-        step.reshape(-1)[78::13] = (fast, fast, fast, pulled, pulled, pulled)
+        step.reshape(-1)[78::13] = (fast, fast, fast, kept, kept, kept)
         self.state[:3] = up
         self.state[6:9] *= fast
-        self.state[9:] *= pulled
+        self.state[9:] *= kept
         grown = tuning.angle_walk**2 * seconds + tuning.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
         if acceleration > tuning.implausible * math.sqrt(3.0) * motion.acceleration:
@@ -143,7 +138,7 @@ class UpFilter:
         p = step @ self.covariance @ step.T
         walked = tuning.bias_walk**2 * seconds
         sped = motion.speed**2 * (1.0 - fast**2)
-        shoved = motion.acceleration**2 * (1.0 - pulled**2)
+        shoved = motion.acceleration**2 * (1.0 - kept**2)
         p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]
         self.covariance = p
 

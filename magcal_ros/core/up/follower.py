@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
 from magcal_ros.core.up.gyro_check import LivingAxes
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
@@ -86,11 +86,6 @@ class UpFollower:
     With a gyro up is propagated by it and corrected by the accelerometer as far as the motion
     allows; without one, or with one that has dead axes or turns otherwise than the accelerometer,
     the latter is smoothed.
-
-    Parameters
-    ----------
-    tuning : UpTuning, optional
-        What is taken for granted.
     """
 
     def __init__(self, tuning: UpTuning | None = None) -> None:

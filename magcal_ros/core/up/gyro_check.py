@@ -15,11 +15,6 @@ class GyroCheck:
 
     Where the gyro's turn is not clear of its noise both are averaged over spans that are long
     beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
-
-    Parameters
-    ----------
-    tuning : GyroCheckTuning, optional
-        What is taken for granted.
     """
 
     def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
@@ -103,11 +98,6 @@ class LivingAxes:
     """Tells a gyro of which some axes are dead: it does not see the robot lean.
 
     A simulated gyro without noise may rest on two axes and be right.
-
-    Parameters
-    ----------
-    tuning : GyroCheckTuning, optional
-        What is taken for granted.
     """
 
     def __init__(self, tuning: GyroCheckTuning | None = None) -> None:

@@ -59,11 +59,6 @@ class Block:
 class GyroPropagation:
     """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
 
-    Parameters
-    ----------
-    tuning : UpTuning
-        What is taken for granted.
-
     Attributes
     ----------
     up : tuple of float

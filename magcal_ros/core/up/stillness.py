@@ -17,11 +17,6 @@ from magcal_ros.core.up.up_tuning import RestTuning, ShakenRestTuning
 class FieldStillness:
     """Compares the field of the moment with that at the beginning of a spell.
 
-    Parameters
-    ----------
-    tuning : RestTuning
-        What is taken for granted.
-
     Attributes
     ----------
     mean : tuple of float
@@ -102,11 +97,6 @@ class BlockMeans(NamedTuple):
 
 class SteadySpell:
     """Watches blocks of messages for a spell in which nothing changes.
-
-    Parameters
-    ----------
-    tuning : RestTuning
-        What is taken for granted.
 
     Attributes
     ----------
@@ -204,13 +194,7 @@ class ShownAtRest(NamedTuple):
 
 
 class ShakenRest:
-    """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds.
-
-    Parameters
-    ----------
-    tuning : ShakenRestTuning
-        What is taken for granted.
-    """
+    """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
     def __init__(self, tuning: ShakenRestTuning) -> None:
         self._tuning = tuning

@@ -69,11 +69,6 @@ def propagated_up(window: Window) -> FloatArray:
 
     What the past and the future of a sample say of its up is averaged by their variances. A bias
     that is far beyond what is expected of a gyro holds for both as the whole past has shown it.
-
-    Parameters
-    ----------
-    window : Window
-        Without a gyro its accelerometer alone gives up.
     """
     rate = window.angular_rate
     if rate is None or len(window) < 3:

@@ -39,21 +39,14 @@ class NotExportable(MagcalError):
 
 @dataclass(frozen=True, eq=False)
 class Symmetric:
-    """A correction without its rotation, in forward-right-down axes.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (3, 3)
-        Symmetric.
-    hard_iron : ndarray, shape (3,)
-        Tesla.
-    comments : tuple of str
-        What was lost.
-    """
+    """A correction without its rotation, in forward-right-down axes."""
 
     matrix: FloatArray
+    """Symmetric. Shape (3, 3)."""
     hard_iron: FloatArray
+    """Tesla. Shape (3,)."""
     comments: tuple[str, ...]
+    """What was lost."""
 
 
 def in_forward_right_down(correction: Correction) -> Correction:

@@ -78,11 +78,6 @@ def checksum(body: str) -> int:
 def c_header(calibration: Calibration) -> str:
     """Return a header that any C or C++ compiler takes.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export; nothing is lost.
-
     Returns
     -------
     str

@@ -41,11 +41,6 @@ from magcal_ros.files.exporters.common import (
 def ctu_vras(calibration: Calibration) -> str:
     """Return a parameter file for `--params-file`.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export.
-
     Returns
     -------
     str
@@ -70,11 +65,6 @@ def ctu_vras(calibration: Calibration) -> str:
 
 def fusioncore(calibration: Calibration) -> str:
     """Return a parameter file for `--params-file`.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What to fusioncore; nothing is lost.
 
     Returns
     -------
@@ -103,11 +93,6 @@ UNCHANGED = 1e-9
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
     """Return a parameter file for `--params-file`.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export; its matrix is lost, and the text says how much that is.
 
     Returns
     -------

@@ -160,13 +160,7 @@ def _telemetry(path: Path) -> Iterator[tuple[Any, float]]:
 
 
 class _Rows:
-    """Takes messages one by one; the numbers are as logged, forward-right-down.
-
-    Parameters
-    ----------
-    telemetry : bool
-        Whether they are MAVLink's.
-    """
+    """Takes messages one by one; the numbers are as logged, forward-right-down."""
 
     def __init__(self, telemetry: bool) -> None:
         self._take = self._take_telemetry if telemetry else self._take_logged

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.travel_samples import TravelSample, VelocitySample
+from magcal_ros.core.samples.streams import TravelSample, VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.plain import plain
 from magcal_ros.files.reading import damage_in_words, open_regular
@@ -65,29 +65,19 @@ class Deadline:
 
 @dataclass
 class LogTables:
-    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes.
-
-    Attributes
-    ----------
-    imus, fields : dict of int to array
-        As in `Recording`, by the number of the sensor.
-    frames : dict of int to str
-        What a calibration remembers of each magnetometer, for `export`.
-    fixes : list of Fix
-    velocities : list of VelocitySample
-    yaw : array, shape (n, 2)
-        Stamp and the autopilot's own yaw, ENU, true north.
-    notes : list of str
-        What is to be said of the log.
-    """
+    """The rows of a log by sensor, in the autopilot's order; SI units, forward-left-up axes."""
 
     imus: dict[int, FloatArray] = field(default_factory=dict)
     fields: dict[int, FloatArray] = field(default_factory=dict)
+    """As in `Recording`, by the number of the sensor."""
     frames: dict[int, str] = field(default_factory=dict)
+    """What a calibration remembers of each magnetometer, for `export`."""
     fixes: list[Fix] = field(default_factory=list)
     velocities: list[VelocitySample] = field(default_factory=list)
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Stamp and the autopilot's own yaw, ENU, true north. Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
+    """What is to be said of the log."""
 
 
 @dataclass(frozen=True)
@@ -104,15 +94,6 @@ def recording_of(
     path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
 ) -> Recording:
     """Choose the sensors and return what they recorded.
-
-    Parameters
-    ----------
-    path : Path
-        For words.
-    tables : LogTables
-    names : Names
-    imu, mag : str
-        The sensors the user chose, as "MAG[1]" or "1"; empty for the first that lives.
 
     Raises
     ------

@@ -20,7 +20,7 @@ from magcal_ros.core.earth_field.position import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.logs.common import (
     FLU_FROM_FRD,
@@ -238,10 +238,10 @@ def _epoch(topic: Mapping[str, FloatArray] | None) -> float:
     """Return what takes the log's clock to seconds since 1970, by the receiver; else zero."""
     if topic is None or "time_utc_usec" not in topic:
         return 0.0
-    told = np.flatnonzero(topic["time_utc_usec"])
-    if not len(told):
+    known = np.flatnonzero(topic["time_utc_usec"])
+    if not len(known):
         return 0.0
-    return 1e-6 * (float(topic["time_utc_usec"][told[0]]) - float(topic["timestamp"][told[0]]))
+    return 1e-6 * (float(topic["time_utc_usec"][known[0]]) - float(topic["timestamp"][known[0]]))
 
 
 def _vectors(topic: Mapping[str, FloatArray], name: str) -> FloatArray:

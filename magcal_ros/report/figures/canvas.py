@@ -55,17 +55,6 @@ _DRAWING = threading.Lock()
 def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
     """Draw a picture.
 
-    Parameters
-    ----------
-    draw : callable
-        Draws the turn on a figure.
-    turn : Turn
-        What to draw.
-    name : str
-        Distinguishes the picture's ids from those of others on the same page.
-    words : str
-        What a screen reader says.
-
     Returns
     -------
     str

@@ -17,25 +17,17 @@ NO_MATPLOTLIB = (
 
 @dataclass(frozen=True)
 class Picture:
-    """One figure of the page.
-
-    Parameters
-    ----------
-    name : str
-        Its id on the page.
-    title, caption : str
-        Plain text.
-    svg : str
-        The drawing, or empty.
-    missing : str
-        Why there is no drawing.
-    """
+    """One figure of the page."""
 
     name: str
+    """Its id on the page."""
     title: str
     caption: str
+    """Plain text."""
     svg: str = ""
+    """The drawing, or empty."""
     missing: str = ""
+    """Why there is no drawing."""
 
 
 @dataclass(frozen=True)

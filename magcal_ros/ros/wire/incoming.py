@@ -36,42 +36,27 @@ class Unreadable(MagcalError):
 
 
 class ImuArrival(NamedTuple):
-    """What the node takes from a sensor_msgs/Imu.
-
-    Parameters
-    ----------
-    frame : str
-        The IMU's.
-    sample : ImuSample or None
-        Its numbers; None if it carries no acceleration.
-    stamp : bytes
-        Seconds and nanoseconds, little-endian, as every answer to this message carries them.
-    """
+    """What the node takes from a sensor_msgs/Imu."""
 
     frame: str
+    """The IMU's."""
     sample: ImuSample | None
+    """Its numbers; None if it carries no acceleration."""
     stamp: bytes
+    """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
 
 
 class FieldArrival(NamedTuple):
-    """What the node takes from a sensor_msgs/MagneticField.
-
-    Parameters
-    ----------
-    frame : str
-        The magnetometer's.
-    sample : FieldSample
-        Its numbers.
-    stamp : bytes
-        Seconds and nanoseconds, little-endian, as every answer to this message carries them.
-    covariance : bytes
-        Nine little-endian doubles, row-major, T².
-    """
+    """What the node takes from a sensor_msgs/MagneticField."""
 
     frame: str
+    """The magnetometer's."""
     sample: FieldSample
+    """Its numbers."""
     stamp: bytes
+    """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
     covariance: bytes
+    """Nine little-endian doubles, row-major, T²."""
 
 
 def read_imu(data: bytes) -> ImuArrival:

@@ -30,15 +30,7 @@ Nine = tuple[float, ...]
 
 
 class Template:
-    """A message with header, and doubles that begin right after it.
-
-    Parameters
-    ----------
-    message : sensor_msgs message
-        With whatever does not change.
-    doubles : int
-        How many doubles are filled.
-    """
+    """A message with header, and doubles that begin right after it."""
 
     def __init__(self, message: Any, doubles: int) -> None:
         self._message = message
@@ -152,19 +144,7 @@ def bias_message(correction: Correction, frame: str) -> MagneticField:
 def azimuth_message(
     kind: Any, stamp: bytes, frame: str, heading: Heading, reference: ReferenceField | None = None
 ) -> Any:
-    """Return a heading as a compass_interfaces/msg/Azimuth: ENU, radians.
-
-    Parameters
-    ----------
-    kind : type
-        The message, which most robots do not have installed.
-    stamp : bytes
-        As the field's message has it.
-    frame : str
-    heading : Heading
-    reference : ReferenceField, optional
-        With a declination, for true north; without, the azimuth is magnetic.
-    """
+    """Return a heading as a compass_interfaces/msg/Azimuth: ENU, radians."""
     message = kind()
     message.header.frame_id = frame
     message.header.stamp.sec, message.header.stamp.nanosec = STAMP.unpack(stamp)
@@ -178,11 +158,13 @@ def azimuth_message(
     return message
 
 
-def diagnostic(name: str, part: str) -> DiagnosticStatus:
-    """Return an empty diagnostic of a part of the node."""
-    return DiagnosticStatus(name=f"{name}: {part}", level=DiagnosticStatus.OK)
-
-
-def key_values(values: Mapping[str, str]) -> list[KeyValue]:
-    """Return a diagnostic's values."""
-    return [KeyValue(key=key, value=value) for key, value in values.items()]
+def diagnostic(
+    name: str,
+    part: str,
+    message: str,
+    values: Mapping[str, str] | None = None,
+    level: bytes = DiagnosticStatus.OK,
+) -> DiagnosticStatus:
+    """Return the diagnostic of a part of the node."""
+    pairs = [KeyValue(key=key, value=value) for key, value in (values or {}).items()]
+    return DiagnosticStatus(name=f"{name}: {part}", level=level, message=message, values=pairs)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,8 +7,10 @@ from sample_results import SKEWED, estimate, small_covariance
 
 from magcal_ros.core.calibration import (
     Correction,
+    Figure,
     Installation,
     arc_sigma,
+    calibration_sigma,
     common_figures,
     predicted_heading_sigma,
     sideways_pull,
@@ -35,6 +38,23 @@ class TestPredictedHeadingSigma:
         assert predicted_heading_sigma(one, 0.0) == 0.0
         expected = 3.0 / 25.0 * math.sin(tilt) / math.sqrt(2.0)
         assert predicted_heading_sigma(one, tilt) == pytest.approx(expected, rel=0.02)
+
+    def test_of_a_drive_it_counts_the_field_along_the_way_beside_the_calibration(self):
+        one = estimate(covariance=iron_only([0.3e-6, 0.3e-6, 9e-6]))
+        one = replace(one, figures={Figure.LOCAL_FIELD: 0.4e-6})
+        assert predicted_heading_sigma(one) == pytest.approx(0.5 / 25.0)
+        assert calibration_sigma(one) == pytest.approx(0.3 / 25.0)
+        figures = common_figures(one)
+        assert figures[Figure.LOCAL_SIGMA] == pytest.approx(0.4 / 25.0)
+        assert figures[Figure.HEADING_SIGMA] == predicted_heading_sigma(one)
+
+    def test_a_body_that_weakens_the_level_field_makes_local_fields_weigh_more(self):
+        weak = Correction(np.diag([4.0, 4.0, 1.0]), np.zeros(3))
+        one = replace(
+            estimate(correction=weak, covariance=np.zeros((12, 12))),
+            figures={Figure.LOCAL_FIELD: 0.1e-6},
+        )
+        assert predicted_heading_sigma(one) == pytest.approx(0.4 / 25.0)
 
     @pytest.mark.parametrize("tilt", [0.0, math.radians(10.0)])
     def test_it_is_the_rms_error_of_corrections_drawn_from_the_covariance(self, tilt):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.doctor.refusal import gyro_contradicts
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.simulation.simulator import Robot, measure, smooth_wobble, turn
+from magcal_ros.core.samples import Window
+from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn
 
 
 def leaning_turn(seed=1):

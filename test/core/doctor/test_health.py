@@ -11,7 +11,7 @@ from magcal_ros.core.doctor.health import (
     stamps_finding,
 )
 from magcal_ros.core.doctor.page import examine_window
-from magcal_ros.core.simulation.simulator import Robot, measure, turn
+from magcal_ros.core.simulation import Robot, measure, turn
 
 COUNT = 600
 

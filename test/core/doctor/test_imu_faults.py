@@ -10,17 +10,16 @@ from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
-from magcal_ros.core.doctor.explanations import explain
-from magcal_ros.core.doctor.gravity_turns import gravity_misfit
+from magcal_ros.core.doctor.explanations import explain, gravity_misfit
 from magcal_ros.core.doctor.latency import force_latency
-from magcal_ros.core.doctor.log_stretch import stretch_of_log
 from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
 from magcal_ros.core.doctor.upright import UserAnswers
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, signed_permutations
+from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.sensor_log import SensorLog
-from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
+from magcal_ros.core.samples.stretch import stretch_of_log
+from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
 
 MOST_SEEN = "half minute"
 
@@ -314,7 +313,7 @@ def test_a_lever_arm_is_no_turned_accelerometer(seed):
     field = 45e-6 * (turns @ np.array([0.0, 0.4, -0.9])) + 0.3e-6 * rng.normal(size=rate.shape)
     noisy = rate + 0.003 * rng.normal(size=rate.shape)
     part = stretch_of_log(SensorLog(time, force, noisy, time, field))
-    misfit, _ = gravity_misfit(part.stretch, signed_permutations())
+    misfit, _ = gravity_misfit(part, signed_permutations())
     assert misfit[0] < 5.0
 
 

@@ -18,7 +18,7 @@ from magcal_ros.core.doctor.quirks import (
     as_markdown,
 )
 from magcal_ros.core.doctor.upright import UserAnswers
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.geometry import rotation_from_rpy
 
 MOTION = "half minute"
 

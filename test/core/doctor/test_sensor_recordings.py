@@ -6,7 +6,7 @@ from long_form import first_of
 from magcal_ros.core.assessment.axes import find_axes
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.knowledge import Mounting, knowledge_of
-from magcal_ros.core.samples.sensor_log import SensorLog
+from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.files.sources import open_recording
 

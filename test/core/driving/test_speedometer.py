@@ -6,7 +6,7 @@ import pytest
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
 from magcal_ros.core.driving.speedometer import Speedometer, SpeedTrack
-from magcal_ros.core.samples.travel_samples import PositionSample, SpeedSample, VelocitySample
+from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 
 
 def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)):

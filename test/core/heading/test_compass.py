@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 from sample_results import SKEWED, calibration, small_covariance
 from scipy.spatial.transform import Rotation
 
-from magcal_ros.core.calibration import AT_REST, Correction, MotorField, MotorInput, Running
+from magcal_ros.core.calibration import (
+    AT_REST,
+    Correction,
+    Figure,
+    MotorField,
+    MotorInput,
+    Running,
+)
 from magcal_ros.core.geometry import (
     body_from_enu,
     field_in_enu,
@@ -169,6 +176,17 @@ class TestCovarianceAgainstMonteCarlo:
         scale = np.sqrt(np.outer(np.diag(drawn), np.diag(drawn)))
         assert claimed == pytest.approx(drawn, abs=0.035 * scale.max(), rel=0.035)
         assert claimed[2, 2] == pytest.approx(drawn[2, 2], rel=0.035)
+
+    def test_local_disturbances_of_a_drive_scatter_the_yaw_and_are_no_noise_of_a_sample(self):
+        """A field that deviates by 2 µT per axis from place to place, after a drive showed it."""
+        plain = calibration(**CAUSES["field noise"], noise_field=0.0)
+        shown = replace(plain.evidence, figures={Figure.LOCAL_FIELD.value: 2e-6})
+        up, field = seen(*POSES[0])
+        claimed = heading_at(Compass(replace(plain, evidence=shown)), up, field)
+        scattered = replace(plain, noise_field=2e-6, noise_up=0.0)
+        drawn = monte_carlo(scattered, up, field, np.random.default_rng(4))
+        assert claimed.yaw_variance == pytest.approx(drawn[2, 2], rel=0.035)
+        assert claimed.noise_variance == claimed.lasting_variance == 0.0
 
     @pytest.mark.parametrize("pose", POSES)
     def test_roll_and_pitch_go_with_yaw_in_the_right_sense(self, pose):

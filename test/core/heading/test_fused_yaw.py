@@ -19,7 +19,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.samples import ImuSample, Streams
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.up import Up, UpFollower
 from magcal_ros.files.recording import read_csv_folder
 
@@ -359,3 +359,28 @@ def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
     before = fused.heading().yaw
     assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > fused.tuning.told_gate
     assert fused.heading().yaw == before
+
+
+@pytest.mark.parametrize("walk", [0.0, 3e-4])
+def test_told_headings_show_whether_gyro_or_compass_is_better_without_them(walk):
+    rng = np.random.default_rng(3)
+    covariance = np.zeros((12, 12))
+    covariance[9:, 9:] = (1e-6) ** 2 * np.eye(3)
+    poor = dataclasses.replace(CALIBRATED, covariance=covariance)
+    fused, up, bias = FusedYaw(poor, PATIENCE), Up((0.0, 0.0, 1.0), 1e-6), 0.003
+    # North is ahead, and the compass is off by a sigma of its calibration.
+    field = tuple(poor.strength * np.array([0.4, 0.0, -0.9]) + [0.0, 1e-6, 0.0])
+    heading = Compass(poor).heading(field, up.direction, up.variance)
+    for k in range(16000):
+        stamp = 100.0 + 0.02 * k
+        bias += walk * math.sqrt(0.02) * rng.standard_normal()
+        fused.propagate(stamp, up, (0.0, 0.0, bias + 2e-3 * rng.standard_normal()))
+        if k % 5 == 0:
+            fused.correct(stamp, field, up, heading)
+        if k % 10 == 5 and k < 13000:
+            yaw = 0.5 * math.pi + math.radians(0.5) * rng.standard_normal()
+            fused.take_heading(stamp, yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
+    compass, now = heading.yaw - 0.5 * math.pi, fused.heading()
+    off, sigma = now.yaw - 0.5 * math.pi, math.sqrt(now.yaw_variance)
+    assert abs(off) < min(2.0 * sigma, 0.5 * abs(compass))
+    assert sigma < math.sqrt(heading.yaw_variance)

@@ -57,3 +57,13 @@ def test_a_robot_about_to_stop_is_in_doubt():
     speeds = [0.5] * 5 + [0.04] * 5 + [0.0] * 5
     found = [sense.at(0.04 * k, STILL, False, v, math.nan).moving for k, v in enumerate(speeds)]
     assert found == [1.0] * 5 + [0.5] * 8 + [0.0] * 2
+
+
+@pytest.mark.parametrize("rate", [0.5, -0.5])
+def test_a_turn_keeps_its_side_until_its_end_is_sure(rate):
+    sense = MotionSense()
+    rates = [rate] * 10 + [0.1 * rate] * 2 + [0.0] * 10
+    plan = [sense.at(0.04 * k, (0.0, 0.0, r), False, 0.0, math.nan) for k, r in enumerate(rates)]
+    side = math.copysign(1.0, rate)
+    assert all(each.side * side >= 0.5 for each in plan if each.moving > 0.0)
+    assert [each.side for each in plan if each.moving == 0.0] == [0.0] * 7

@@ -109,3 +109,21 @@ def test_a_jump_of_time_is_survived():
     before = learning.motors.gain
     learning.add(5.0, (0.0, 0.0, 5e-5), (0.0, 0.0, 0.0), Running())
     assert np.allclose(learning.motors.gain, before)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.25])
+def test_the_delay_of_a_current_is_found_with_what_it_adds(late):
+    gain, learning = np.array([3e-6, -4e-6, 1e-6]), MotorLearning(known())
+    drive = list(driven(np.random.default_rng(2), {"current": gain}))
+    for k, (stamp, raw, rate, now) in enumerate(drive):
+        told = drive[max(k - round(late / STEP), 0)][3].current if now.moving else 0.0
+        beside = {each[3].moving for each in drive[max(k - 6, 0) : k + 7]}
+        # Nobody knows exactly when a robot starts and stops.
+        moving = now.moving if len(beside) == 1 else 0.5
+        learning.add(stamp, raw, rate, now._replace(current=told, moving=moving))
+    found, sigma = learning.delay
+    assert abs(found - late) < 4.0 * sigma + 0.02
+    assert sigma < 0.03
+    motors = learning.motors
+    at = motors.inputs.index(MotorInput.CURRENT)
+    assert np.linalg.norm(motors.gain[at] - gain) < 4.0 * motors.sigma(at) + 0.1e-6

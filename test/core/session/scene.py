@@ -14,24 +14,13 @@ from magcal_ros.core.samples import ImuSample, Pairer, Streams
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
 from magcal_ros.core.session.session import Limits
 from magcal_ros.core.session.turn_events import (
-    Answer,
     Brief,
     Conclude,
-    FitDone,
-    FitFailed,
     FitTurn,
-    Looked,
     MoveBase,
-    Opened,
-    PairArrived,
     Preview,
-    PreviewFitted,
     PutInForce,
-    RateHeard,
     Report,
-    Reported,
-    Saved,
-    Ticked,
 )
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.core.simulation import Ride, Robot, measure, turn
@@ -82,38 +71,37 @@ class Scene:
         return self.concluded[-1]
 
     def open(self, **changes):
-        return self.tell(Opened(replace(self.brief, **changes)))
+        return self.tell("open", replace(self.brief, **changes), self.now)
 
-    def tell(self, event):
+    def tell(self, happened, *facts):
         """Tell the machine and do what it says; returns its answer."""
-        answer = None
-        for command in self.turn.handle(event, self.now):
+        answer = getattr(self.turn, happened)(*facts)
+        for command in self.turn.commands():
             self.asked.append(command)
-            if isinstance(command, Answer):
-                answer = command.conclusion
-            elif isinstance(command, Conclude):
+            if isinstance(command, Conclude):
                 self.concluded.append(command.conclusion)
             elif isinstance(command, MoveBase):
                 self.command = command.rate
                 self.said.append((self.now, command.rate))
             elif isinstance(command, Report):
-                self.tell(Reported("Report: here."))
+                self.tell("note_report", "Report: here.")
             elif isinstance(command, PutInForce):
                 self.in_force.append(command.calibration)
-                self.later(self.saving_takes, Saved("In force and saved."))
+                self.later(self.saving_takes, "note_saved", "In force and saved.")
             elif isinstance(command, FitTurn):
-                self.later(self.fit_takes, self.fitted(command))
+                self.later(self.fit_takes, *self.fitted(command))
             elif isinstance(command, Preview):
-                self.later(self.preview_takes, PreviewFitted(command.turn, self.sigma))
+                when = self.now + self.preview_takes
+                self.later(self.preview_takes, "note_preview", command.turn, self.sigma, when)
         return answer
 
     def fitted(self, command):
         if isinstance(self.outcome, Exception):
-            return FitFailed(command.turn, repr(self.outcome))
+            return "note_failed_fit", command.turn, repr(self.outcome)
         outcome = replace(self.outcome, window=command.window)
-        return FitDone(command.turn, outcome, Kept(count=command.kept.count + 1))
+        return "note_fit", command.turn, outcome, Kept(count=command.kept.count + 1)
 
-    def later(self, seconds, event):
+    def later(self, seconds, *event):
         self._later.append((self.now + seconds, event))
 
     def live(self, seconds, yaw_rate=None, stop=lambda: False):
@@ -151,7 +139,7 @@ class Scene:
         due = [event for moment, event in self._later if moment <= self.now]
         self._later = [(moment, event) for moment, event in self._later if moment > self.now]
         for event in due:
-            self.tell(event)
+            self.tell(*event)
         for sample in self._move(yaw_rate):
             arrived = self.mangle(sample)
             if arrived is not None:
@@ -161,21 +149,21 @@ class Scene:
             ages = self._heard[ImuSample], self._heard["field"]
             ages = [self.now - moment for moment in ages]
             around = Around(*ages, self.listeners, self.is_allowed, self.is_guarded)
-            self.tell(Looked(around))
+            self.tell("look", around, self.now)
         if number % 5 == 0:
-            self.tell(Ticked("/mag has been silent"))
+            self.tell("tick", "/mag has been silent", self.now)
 
     def _arrive(self, sample):
         if isinstance(sample, ImuSample):
             self._heard[ImuSample] = self.now
             if self.streams.add_imu(sample):
-                self.tell(RateHeard(sample.rate))
+                self.tell("hear", sample.rate, self.now)
         else:
             self._heard["field"] = self.now
             if self.streams.add_field(sample):
                 self.pairer.offer(sample)
         for pair in self.pairer.take():
-            self.tell(PairArrived(pair))
+            self.tell("take", pair, self.now)
 
     def assert_stopped_and_silent(self):
         """The last words are zeros, several of them, and then nothing."""

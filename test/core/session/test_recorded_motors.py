@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.motors import MotorField, MotorInput
-from magcal_ros.core.samples.streams import FieldSample
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.calibration import Calibration, Evidence, MotorField, MotorInput
+from magcal_ros.core.samples import FieldSample
+from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.session.recorded_motors import without_motors
-from magcal_ros.core.simulation.ride import Ride
-from magcal_ros.core.simulation.simulator import Robot
+from magcal_ros.core.simulation import Ride, Robot
 
 ROBOT = Robot()
 GAIN = np.array([[6e-6, -8e-6, 3e-6], [2e-6, 1e-6, -1e-6], [4e-6, 0.0, -5e-6]])

@@ -3,14 +3,14 @@ import math
 import pytest
 
 from magcal_ros.core.session.rotation_plan import (
-    ROTATION_LIMITS,
+    TUNING,
     RotationLimits,
     Seen,
     planned_duration,
 )
 
 SPEED = 0.5
-BEYOND = ROTATION_LIMITS.farthest_beyond
+BEYOND = TUNING.farthest_beyond
 
 
 def by_gyro(turned):
@@ -29,7 +29,7 @@ def test_it_allows_a_turn_and_what_a_robot_coasts(turned):
 
 @pytest.mark.parametrize(
     "turned",
-    [-ROTATION_LIMITS.farthest_beyond - 0.01, math.tau + ROTATION_LIMITS.farthest_beyond + 0.01],
+    [-TUNING.farthest_beyond - 0.01, math.tau + TUNING.farthest_beyond + 0.01],
 )
 def test_it_ends_where_the_gyro_shows_more_than_a_turn(turned):
     limits = RotationLimits(SPEED, 0.0)
@@ -44,13 +44,13 @@ def test_it_ends_where_the_commands_come_to_more_than_a_slipping_turn(sense):
         now += 0.1
         limits.note(now, sense * SPEED, BLIND)
         assert now < 1000.0
-    assert now * SPEED == pytest.approx(ROTATION_LIMITS.leeway * math.tau, rel=0.02)
+    assert now * SPEED == pytest.approx(TUNING.leeway * math.tau, rel=0.02)
 
 
 def test_late_commands_count_for_as_long_as_they_were_in_force():
     limits = RotationLimits(SPEED, 0.0)
     limits.note(1.0, SPEED, BLIND)
-    limits.note(1.0 + ROTATION_LIMITS.leeway * math.tau / SPEED, SPEED, BLIND)
+    limits.note(1.0 + TUNING.leeway * math.tau / SPEED, SPEED, BLIND)
     assert limits.objection
 
 
@@ -60,11 +60,11 @@ def test_to_and_fro_counts_both_ways():
         now += 1.0
         limits.note(now, SPEED * (-1.0) ** int(now / 5.0), BLIND)
         assert now < 1000.0
-    assert now * SPEED == pytest.approx(2.0 * ROTATION_LIMITS.leeway * math.tau, rel=0.1)
+    assert now * SPEED == pytest.approx(2.0 * TUNING.leeway * math.tau, rel=0.1)
 
 
 def test_its_time_is_that_of_the_plan_with_leeway_or_what_the_user_gives_if_less():
-    longest = ROTATION_LIMITS.leeway * planned_duration(SPEED)
+    longest = TUNING.leeway * planned_duration(SPEED)
     assert not RotationLimits(SPEED, 7.0).is_late(7.0 + longest - 0.1)
     assert RotationLimits(SPEED, 7.0).is_late(7.0 + longest + 0.1)
     assert RotationLimits(SPEED, 7.0, 5.0).is_late(12.1)

@@ -9,7 +9,7 @@ from scene import NO_RATE, Scene
 
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.session.self_turn import TUNING
-from magcal_ros.core.session.turn_events import CancelAsked, Faulted, FinishAsked, TurnState
+from magcal_ros.core.session.turn_events import TurnState
 
 SPEED = 0.5
 
@@ -158,13 +158,13 @@ def test_a_sensor_that_dies_stops_the_robot_long_before_the_session_ends(kind, t
 def test_a_fault_around_it_stops_a_robot_that_turns_itself_and_no_other():
     scene = robot()
     scene.until_moving()
-    scene.tell(Faulted("an error in a callback"))
+    scene.tell("stop_robot", "an error in a callback", scene.now)
     assert scene.said[-1] == (scene.now, 0.0)
     assert scene.conclusion.message.startswith("the robot was stopped: an error in a callback")
     scene.assert_stopped_and_silent()
     by_hand = Scene()
     by_hand.open()
-    by_hand.tell(Faulted("an error in a callback"))
+    by_hand.tell("stop_robot", "an error in a callback", by_hand.now)
     assert by_hand.turn.state is TurnState.COLLECTING
 
 
@@ -177,11 +177,11 @@ def test_switching_it_off_stops_the_robot():
     scene.assert_stopped_and_silent()
 
 
-@pytest.mark.parametrize("event", [CancelAsked(), FinishAsked()])
+@pytest.mark.parametrize("event", ["cancel", "finish"])
 def test_who_ends_the_turn_stops_the_robot_at_once(event):
     scene = robot()
     scene.until_moving()
-    scene.tell(event)
+    scene.tell(event, *([scene.now] if event == "finish" else []))
     assert scene.said[-1] == (scene.now, 0.0)
     scene.assert_stopped_and_silent()
 
@@ -189,7 +189,7 @@ def test_who_ends_the_turn_stops_the_robot_at_once(event):
 def test_a_new_turn_may_begin_while_the_zeros_of_the_last_are_sent():
     scene = robot()
     scene.until_moving()
-    scene.tell(CancelAsked())
+    scene.tell("cancel")
     scene.live(0.1)
     assert scene.open().success
     scene.until_moving()

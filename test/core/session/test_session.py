@@ -84,6 +84,8 @@ class TestStages:
 
     def test_a_turn_that_never_gets_certain_ends_after_two_rounds(self):
         session = session_with(simulated(arc=710 * DEGREE, samples=900, duration=27.0))
+        assert session.progress(26.9).coverage.is_complete
+        session.note_sigma(math.radians(2.0))
         assert session.progress(27.0).stage is Stage.COLLECTING
         session = session_with(simulated(arc=730 * DEGREE, samples=900, duration=27.0))
         assert session.progress(27.0).stage is Stage.COMPLETE

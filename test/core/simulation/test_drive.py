@@ -26,7 +26,7 @@ from simulated import (
 
 from magcal_ros.core.geometry import STANDARD_GRAVITY, wrap_angle, yaw_from_up_and_field
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import SpeedSample
+from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.simulation import DEGREE, Robot
 
 QUIET = Vehicle(

@@ -14,7 +14,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, field_in_enu, wr
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
-from magcal_ros.core.session.dockings import dock
+from magcal_ros.core.session.at_known_heading import add_standing
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
 from magcal_ros.core.smoother.headings import fit_headings
 from magcal_ros.core.smoother.standings import Standing
@@ -143,14 +143,14 @@ def test_headings_to_true_north_share_the_declinations_error():
 def test_standings_add_up_and_one_that_says_the_same_takes_its_place():
     kept, sigmas = (), []
     for each in standings():
-        found = dock(kept, each, knowledge())
+        found = add_standing(kept, each, knowledge())
         assert found.applies
         kept = found.standings
         sigmas.append(found.outcome.verdict.summary)
         assert "One more known heading" in found.words
     assert len(kept) == 3
-    assert len(dock(kept, standings()[0], knowledge()).standings) == 3
-    wrong = dock(kept, replace(standings([1.0])[0], heading=-1.0), knowledge())
+    assert len(add_standing(kept, standings()[0], knowledge()).standings) == 3
+    wrong = add_standing(kept, replace(standings([1.0])[0], heading=-1.0), knowledge())
     assert wrong.standings == kept
     assert not wrong.applies
     assert "The 3 before it stay" in wrong.words

@@ -24,7 +24,7 @@ from magcal_ros.core.simulation.simulator import (
     measure,
     turn,
 )
-from magcal_ros.core.smoother.kinds_of_motion import smooth
+from magcal_ros.core.smoother.kinds_of_motion import MOST_FITS, smooth
 from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS
 
 
@@ -155,6 +155,16 @@ def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, 
 def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
     """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
     monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
-    outcome = calibrate(slowly(every, 2, means=False), Knowledge())
+    told: list[float] = []
+    outcome = calibrate(slowly(every, 2, means=False), Knowledge(), told=told.append)
     assert outcome.reason is Reason.TOO_SLOW
+    assert max(told) <= 1.0 / MOST_FITS, "a turn on the spot was tried, and no drive"
     assert f"come at {30 // every} Hz" in outcome.verdict.summary
+
+
+def test_a_fit_tells_how_much_of_it_is_done():
+    window = measure(ROBOT, turn(duration=20.0), np.random.default_rng(3), gyro=True)
+    told: list[float] = []
+    assert calibrate(window, known(ROBOT), told=told.append).verdict.accepted
+    assert told == sorted(told)
+    assert 0.0 <= told[0] < 0.1 < 0.3 < told[-1] <= 1.0

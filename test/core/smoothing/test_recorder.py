@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.gyro_at_rest import GyroAtRest
+from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.recorder import DriveRecorder
 

@@ -8,7 +8,7 @@ from drives import drive
 from log_writers import write_bin, write_text_log, write_tlog
 
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import PositionSample, VelocitySample
+from magcal_ros.core.samples.streams import PositionSample, VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.logs import common
 from magcal_ros.files.sources import open_recording

@@ -8,7 +8,7 @@ from log_writers import write_phyphox, write_sensor_logger
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.sources import open_recording
 

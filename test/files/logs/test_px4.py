@@ -8,7 +8,7 @@ from drives import drive
 from log_writers import write_ulog
 
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.core.samples.travel_samples import VelocitySample
+from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.logs.px4 import RIGHT_ANGLES, rotation_of
 from magcal_ros.files.sources import open_recording

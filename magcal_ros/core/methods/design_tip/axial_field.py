@@ -16,25 +16,17 @@ RADIUS_SLACK = 1.05
 
 @dataclass(frozen=True)
 class BelievedField:
-    """The reference field after the turn.
-
-    Parameters
-    ----------
-    strength, inclination : float
-        Tesla, radians.
-    axial : float
-        Its part along the axis, downwards, tesla.
-    basis : str
-        What it rests on, for people.
-    axial_unknown : bool
-        Whether the hard iron along the axis is an assumption.
-    """
+    """The reference field after the turn."""
 
     strength: float
     inclination: float
+    """Tesla, radians."""
     axial: float
+    """Its part along the axis, downwards, tesla."""
     basis: str
+    """What it rests on, for people."""
     axial_unknown: bool = False
+    """Whether the hard iron along the axis is an assumption."""
 
 
 def believe(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> BelievedField:
@@ -53,10 +45,6 @@ def believe(reference: ReferenceField, candidate: Candidate, axis: TurnAxis) -> 
         An installation and the circle that goes with it.
     axis : TurnAxis
         The turn's axis.
-
-    Returns
-    -------
-    BelievedField
 
     Raises
     ------

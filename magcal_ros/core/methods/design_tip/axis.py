@@ -19,27 +19,18 @@ SMALLEST_AXIAL_GRAVITY = float(np.cos(np.radians(75.0)))
 
 @dataclass(frozen=True, eq=False)
 class TurnAxis:
-    """The axis of the turn.
-
-    Parameters
-    ----------
-    direction : ndarray, shape (3,)
-        In body axes, forward-right-down; unit, downwards.
-    axial_gravity : float
-        Cosine of the axis's angle from the vertical.
-    across : ndarray, shape (n, 3)
-        Gravity across the axis, body axes, gravity = 1.
-    noise : float
-        Standard deviation of the accelerometer per axis, gravity = 1, which is radians of tilt.
-    plane : Plane or None
-        The accelerometer's plane; None where its samples are one point.
-    """
+    """The axis of the turn."""
 
     direction: FloatArray
+    """In body axes, forward-right-down; unit, downwards. Shape (3,)."""
     axial_gravity: float
+    """Cosine of the axis's angle from the vertical."""
     across: FloatArray
+    """Gravity across the axis, body axes, gravity = 1. Shape (n, 3)."""
     noise: float
+    """Standard deviation of the accelerometer per axis, gravity = 1, which is radians of tilt."""
     plane: Plane | None
+    """The accelerometer's plane; None where its samples are one point."""
 
     @property
     def tilt(self) -> float:
@@ -63,10 +54,6 @@ def find_axis(samples: TipSamples, circle: FieldCircle, options: Options) -> Tur
         Gives the phases.
     options : Options
         Plane fit and source of the axis.
-
-    Returns
-    -------
-    TurnAxis
 
     Raises
     ------

@@ -19,18 +19,12 @@ from magcal_ros.core.samples.coverage import Coverage
 
 @dataclass(frozen=True)
 class CircleTuning:
-    """What counts as a circle in space.
-
-    Attributes
-    ----------
-    largest_normal_sigma : float
-        Radians of uncertainty of the plane's normal.
-    largest_thickness : float
-        Root mean square distance from the plane as a share of the radius: more is a tumble.
-    """
+    """What counts as a circle in space."""
 
     largest_normal_sigma: float = np.radians(10.0)
+    """Radians of uncertainty of the plane's normal."""
     largest_thickness: float = 0.25
+    """Root mean square distance from the plane as a share of the radius: more is a tumble."""
 
 
 TUNING = CircleTuning()
@@ -38,30 +32,20 @@ TUNING = CircleTuning()
 
 @dataclass(frozen=True, eq=False)
 class FieldCircle:
-    """The field's circle in sensor axes, gains taken off.
-
-    Parameters
-    ----------
-    basis : ndarray, shape (3, 3)
-        Columns: two axes in the plane and the normal, right-handed.
-    offsets : ndarray, shape (n, 3)
-        Samples relative to the centre, in sensor axes, tesla.
-    phasor : ndarray, shape (n,), complex
-        Samples relative to the centre, in the plane, tesla.
-    height : float
-        Distance of the plane from the origin along the normal, tesla.
-    conic : Conic
-        The fitted curve in the plane's axes.
-    plane : Plane
-        The fitted plane of the raw samples.
-    """
+    """The field's circle in sensor axes, gains taken off."""
 
     basis: FloatArray
+    """Columns: two axes in the plane and the normal, right-handed. Shape (3, 3)."""
     offsets: FloatArray
+    """Samples relative to the centre, in sensor axes, tesla. Shape (n, 3)."""
     phasor: np.ndarray[tuple[int], np.dtype[np.complex128]]
+    """Samples relative to the centre, in the plane, tesla. Shape (n,)."""
     height: float
+    """Distance of the plane from the origin along the normal, tesla."""
     conic: Conic
+    """The fitted curve in the plane's axes."""
     plane: Plane
+    """The fitted plane of the raw samples."""
 
     @property
     def normal(self) -> FloatArray:
@@ -104,17 +88,6 @@ class FieldCircle:
 
 def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
     """Fit the plane to the raw field and the circle to the field without its gains.
-
-    Parameters
-    ----------
-    samples : TipSamples
-        The turn.
-    options : Options
-        Which fits.
-
-    Returns
-    -------
-    FieldCircle
 
     Raises
     ------

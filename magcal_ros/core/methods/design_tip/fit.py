@@ -29,33 +29,22 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class TipTuning:
-    """Which turns can be answered, and when two answers are told apart.
-
-    Attributes
-    ----------
-    shortest_arc : float
-        Radians of turn.
-    steepest_inclination : float
-        Radians.
-    smallest_radius : float
-        Share of the field's strength below which the circle shows no direction.
-    tilted_axis : float
-        Radians of tilt from which a small circle is blamed on an axis along the field.
-    strength_margin : float
-        Share of the strength by which an installation may fit the reference worse than the best.
-    rival_margin : float
-        Radians by which a rival's installation may be larger than the chosen one's and as likely.
-    rival_distance : float
-        Rivals nearer than this are one answer.
-    """
+    """Which turns can be answered, and when two answers are told apart."""
 
     shortest_arc: float = math.radians(45.0)
+    """Radians of turn."""
     steepest_inclination: float = math.radians(80.0)
+    """Radians."""
     smallest_radius: float = 0.15
+    """Share of the field's strength below which the circle shows no direction."""
     tilted_axis: float = math.radians(20.0)
+    """Radians of tilt from which a small circle is blamed on an axis along the field."""
     strength_margin: float = 0.1
+    """Share of the strength by which an installation may fit the reference worse than the best."""
     rival_margin: float = math.radians(2.0)
+    """Radians by which a rival's installation may be larger than the chosen one's and as likely."""
     rival_distance: float = math.radians(5.0)
+    """Rivals nearer than this are one answer."""
 
 
 TUNING = TipTuning()
@@ -118,19 +107,6 @@ def fit(
 
 def solve(window: Window, knowledge: Knowledge, options: Options) -> TipSolution:
     """Take the tip's steps on whatever samples there are.
-
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    knowledge : Knowledge
-        Reference field and mounting.
-    options : Options
-        Choice of the fits.
-
-    Returns
-    -------
-    TipSolution
 
     Raises
     ------

@@ -21,23 +21,16 @@ from magcal_ros.core.methods.design_tip.tip_frame import ROUNDING, TipSamples
 
 @dataclass(frozen=True)
 class InstallationTuning:
-    """When the sense of the rotation and the pitch are believed.
-
-    Attributes
-    ----------
-    clear_sense : float
-        Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
-        counts for less than its number of samples; below this the smaller installation decides
-        well.
-    least_gyro_agreement : float
-        Slope of the field's phase against the gyro's angle from which the gyro's sense is believed.
-    smallest_lever : float
-        Length of the axis across body y; below it the pitch turns about the axis and is not seen.
-    """
+    """When the sense of the rotation and the pitch are believed."""
 
     clear_sense: float = 20.0
+    """Standard errors by which gravity must show the sense of rotation. Wobble is correlated and
+    counts for less than its number of samples; below this the smaller installation decides well."""
     least_gyro_agreement: float = 0.5
+    """Slope of the field's phase against the gyro's angle from which the gyro's sense is
+    believed."""
     smallest_lever: float = math.sin(math.radians(10.0))
+    """Length of the axis across body y; below it the pitch turns about the axis and is not seen."""
 
 
 TUNING = InstallationTuning()
@@ -45,22 +38,15 @@ TUNING = InstallationTuning()
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One installation that fits the two normals, in the tip's sense.
-
-    Parameters
-    ----------
-    roll, pitch : float
-        Of the passive rotation Rx(roll) Ry(pitch), radians.
-    circle : FieldCircle
-        The field's circle with the normal that this installation needs.
-    gravity_dot_field : float
-        Mean product of gravity and field across the axis, tesla.
-    """
+    """One installation that fits the two normals, in the tip's sense."""
 
     roll: float
     pitch: float
+    """Of the passive rotation Rx(roll) Ry(pitch), radians."""
     circle: FieldCircle
+    """The field's circle with the normal that this installation needs."""
     gravity_dot_field: float
+    """Mean product of gravity and field across the axis, tesla."""
 
     @property
     def angle(self) -> float:

@@ -21,22 +21,6 @@ class AxisSource(str, Enum):
 class Options:
     """Choices of the design tip.
 
-    Parameters
-    ----------
-    plane : PlaneFit
-        Fit of the planes of gravity and field.
-    conic : ConicFit
-        Fit of the field's circle.
-    axis : AxisSource
-        Centre of the accelerometer's circle, normal of its plane, or both by their variances.
-    min_samples : int
-        Fewer are refused.
-    jackknife_blocks : int
-        Pieces of time that the covariance leaves out one by one.
-    axial_sigma : float
-        Tesla, standard deviation of the hard iron along the axis when neither strength nor
-        inclination is known.
-
     Raises
     ------
     ValueError
@@ -44,11 +28,18 @@ class Options:
     """
 
     plane: PlaneFit = PlaneFit.EIGEN
+    """Fit of the planes of gravity and field."""
     conic: ConicFit = ConicFit.TAUBIN
+    """Fit of the field's circle."""
     axis: AxisSource = AxisSource.AUTO
+    """Centre of the accelerometer's circle, normal of its plane, or both by their variances."""
     min_samples: int = 20
+    """Fewer are refused."""
     jackknife_blocks: int = 16
+    """Pieces of time that the covariance leaves out one by one."""
     axial_sigma: float = 50e-6
+    """Tesla, standard deviation of the hard iron along the axis when neither strength nor
+    inclination is known."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "plane", PlaneFit(self.plane))

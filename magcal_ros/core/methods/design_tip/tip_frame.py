@@ -23,27 +23,18 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TipSamples:
-    """A window as the design tip sees it.
-
-    Parameters
-    ----------
-    down : ndarray, shape (n, 3)
-        Gravity in body axes, forward-right-down, scaled to a mean length of one.
-    raw : ndarray, shape (n, 3)
-        Raw field in the sensor's own axes, tesla.
-    field : ndarray, shape (n, 3)
-        Field with gains and nominal pose taken off, forward-right-down, tesla.
-    mounting : ndarray, shape (3, 3)
-        Takes `field` back to `raw`.
-    turned : ndarray, shape (n - 1, 3), or None
-        Rotation between neighbouring samples by the gyro, body axes, radians.
-    """
+    """A window as the design tip sees it."""
 
     down: FloatArray
+    """Gravity in body axes, forward-right-down, scaled to a mean length of one. Shape (n, 3)."""
     raw: FloatArray
+    """Raw field in the sensor's own axes, tesla. Shape (n, 3)."""
     field: FloatArray
+    """Field with gains and nominal pose taken off, forward-right-down, tesla. Shape (n, 3)."""
     mounting: FloatArray
+    """Takes `field` back to `raw`. Shape (3, 3)."""
     turned: FloatArray | None
+    """Rotation between neighbouring samples by the gyro, body axes, radians. Shape (n - 1, 3)."""
 
 
 def enter(window: Window, mounting: Mounting) -> TipSamples:

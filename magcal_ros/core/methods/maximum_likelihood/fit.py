@@ -256,7 +256,7 @@ def conclude(solved: Solved, knowledge: Knowledge) -> Estimate:
     figures = measure_figures(fit, covariance, knowledge, scale, arc) | solved.figures
     axis = fit.shared.body_axis[:, 2]
     return build_estimate(
-        fit, EstimateParts([solved.prepared], covariance, axis, arc, figures, swing)
+        fit, EstimateParts(solved.prepared, covariance, axis, arc, figures, swing)
     )
 
 

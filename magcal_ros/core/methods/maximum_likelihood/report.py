@@ -1,9 +1,8 @@
-"""From the optimum, of one turn or of several, to what the caller sees."""
+"""From the optimum to what the caller sees."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,20 +27,20 @@ class EstimateParts:
 
     Parameters
     ----------
-    prepared : sequence of Prepared
-        The samples of each turn. Inliers and residuals are those of the last.
+    prepared : Prepared
+        The samples.
     covariance : ndarray, shape (12, 12)
         Of the twelve numbers in SI units.
     axis : ndarray, shape (3,)
-        The last turn's axis in body axes.
+        The turn's axis in body axes.
     arc : float
         Radians.
     figures : dict
     swing : GyroSwing or None
-        Of gyro and compass over the last turn.
+        Of gyro and compass over the turn.
     """
 
-    prepared: Sequence[Prepared]
+    prepared: Prepared
     covariance: FloatArray
     axis: FloatArray
     arc: float
@@ -51,9 +50,11 @@ class EstimateParts:
 
 def build_estimate(fit: Fit, parts: EstimateParts) -> Estimate:
     """Put the numbers into the package's own form."""
-    shared, scale = fit.shared, parts.prepared[-1].scale
-    inliers, residual = samples_inliers(fit.blocks[-1], parts.prepared[-1])
-    noises = [block.weighting.noise for block in fit.blocks]
+    shared, prepared = fit.shared, parts.prepared
+    scale, noise = prepared.scale, fit.block.weighting.noise
+    inliers, residual = samples_inliers(fit.block, prepared)
+    # The noise of one sample; the fit may be on averages.
+    single = math.sqrt(prepared.width)
     return Estimate(
         method=METHOD,
         correction=correction_from(shared, fit.mounting, scale),
@@ -63,20 +64,14 @@ def build_estimate(fit: Fit, parts: EstimateParts) -> Estimate:
         arc=parts.arc,
         strength=scale * shared.strength,
         inclination=shared.inclination,
-        noise_field=scale * _single_noise([noise.field for noise in noises], parts.prepared),
-        noise_up=_single_noise([noise.up for noise in noises], parts.prepared),
+        noise_field=scale * single * noise.field,
+        noise_up=single * noise.up,
         inliers=inliers,
         residual=scale * residual,
         figures=parts.figures | convergence_figures(fit),
         message=message(fit),
         swing=parts.swing,
     )
-
-
-def _single_noise(sigmas: Sequence[float], prepared: Sequence[Prepared]) -> float:
-    """Return the noise of one sample over all turns; some were fitted on averages."""
-    squares = [p.width * sigma**2 for p, sigma in zip(prepared, sigmas, strict=True)]
-    return math.sqrt(float(np.mean(squares)))
 
 
 def samples_inliers(block: TurnBlock, prepared: Prepared) -> tuple[BoolArray, FloatArray]:
@@ -106,8 +101,6 @@ def convergence_figures(fit: Fit) -> dict[Figure, float]:
 def message(fit: Fit) -> str:
     """Say why the fit ended, and on which model."""
     iron = "with soft iron" if fit.prior.has_soft_iron else "without soft iron"
-    if len(fit.blocks) > 1:
-        return f"{len(fit.blocks)} turns {fit.convergence.status.value} together, {iron}"
     axis = "a wobbling axis" if fit.block.leans else "a rigid axis"
     if not isinstance(fit.block, FreeBlock):
         axis = "the gyro's attitude"

@@ -12,7 +12,7 @@ from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.estimate import yaw_jacobian
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit, wrapped
@@ -24,64 +24,6 @@ from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.session.external_heading import DEGREES, TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, STANDING
-
-
-def standing_of(
-    pairs: Sequence[Pair],
-    given: ExternalHeading,
-    knowledge: Knowledge,
-    forward: FloatArray,
-    since: TurnSince | None = None,
-    bias: Triple = (0.0, 0.0, 0.0),
-) -> Standing:
-    """Return what a robot measured while it stood.
-
-    Parameters
-    ----------
-    pairs : sequence of Pair
-    given : ExternalHeading
-    knowledge : Knowledge
-        With the declination, if the heading is to true north.
-    forward : ndarray, shape (3,)
-        Direction in the IMU's axes whose heading it is.
-    since : TurnSince, optional
-        By the gyro since the standing before.
-    bias : tuple of float
-        The gyro's, as far as it is known, rad/s.
-
-    Raises
-    ------
-    Refusal
-        If the robot did not stand, samples are too few, or the declination is missing.
-    """
-    declination = _declination(knowledge) if given.is_true else 0.0
-    if len(pairs) < TUNING.fewest:
-        raise Refusal(
-            Reason.TOO_FEW_SAMPLES,
-            f"only {len(pairs)} samples of field and acceleration came in {TUNING.seconds:g} s; "
-            f"{TUNING.fewest} are needed: see whether both sensors publish, and their stamps",
-        )
-    time = np.array([pair.field.stamp for pair in pairs])
-    field = np.array([pair.field.field for pair in pairs])
-    force = np.array([pair.imu.force for pair in pairs])
-    rate = np.array([pair.imu.rate for pair in pairs]) - bias
-    noise = float(np.sqrt(np.mean(np.diff(field, axis=0) ** 2) / 2.0))
-    _refuse_motion(field, rate, noise)
-    mean, _ = mean_and_sigma(time, field)
-    up = unit(force)
-    sigma = math.inf if since is None else since.sigma
-    return Standing(
-        mean,
-        force.mean(axis=0),
-        wrapped(given.yaw + declination),
-        given.sigma,
-        by_declination=given.is_true,
-        forward=forward,
-        turned=0.0 if since is None else since.angle,
-        turned_sigma=sigma,
-        noise_field=max(noise, 1e-9),
-        noise_up=float(np.sqrt(np.mean(np.diff(up, axis=0) ** 2) / 2.0)),
-    )
 
 
 def _declination(knowledge: Knowledge) -> float:
@@ -113,77 +55,101 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Docked:
-    """What came of a standing at a known heading.
-
-    Parameters
-    ----------
-    standings : tuple of Standing
-        All that count from now on.
-    outcome : Outcome
-    applies : bool
-        Whether what was found is to be put in force.
-    words : str
-        What is known now, and what the next heading would show.
-    """
+class HeadingResult:
+    """What came of a standing at a known heading."""
 
     standings: tuple[Standing, ...]
+    """All that count from now on."""
     outcome: Outcome
     applies: bool
+    """Whether what was found is to be put in force."""
     words: str
+    """What is known now, and what the next heading would show."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stood:
-    """What was collected where a robot stood at a known heading: parameters of `standing_of`."""
+class CollectedSamples:
+    """What was collected where a robot stood at a known heading."""
 
     pairs: tuple[Pair, ...]
     given: ExternalHeading
     knowledge: Knowledge
+    """With the declination, if the heading is to true north."""
     forward: FloatArray
+    """Direction in the IMU's axes whose heading it is. Shape (3,)."""
     since: TurnSince | None = None
+    """By the gyro since the standing before."""
     bias: Triple = (0.0, 0.0, 0.0)
+    """The gyro's, as far as it is known, rad/s."""
+
+    def standing(self) -> Standing:
+        """Return what the robot measured while it stood.
+
+        Raises
+        ------
+        Refusal
+            If it did not stand, samples are too few, or the declination is missing.
+        """
+        declination = _declination(self.knowledge) if self.given.is_true else 0.0
+        if len(self.pairs) < TUNING.fewest:
+            raise Refusal(
+                Reason.TOO_FEW_SAMPLES,
+                f"only {len(self.pairs)} samples of field and acceleration came in "
+                f"{TUNING.seconds:g} s; "
+                f"{TUNING.fewest} are needed: see whether both sensors publish, and their stamps",
+            )
+        time = np.array([pair.field.stamp for pair in self.pairs])
+        field = np.array([pair.field.field for pair in self.pairs])
+        force = np.array([pair.imu.force for pair in self.pairs])
+        rate = np.array([pair.imu.rate for pair in self.pairs]) - self.bias
+        noise = float(np.sqrt(np.mean(np.diff(field, axis=0) ** 2) / 2.0))
+        _refuse_motion(field, rate, noise)
+        mean, _ = mean_and_sigma(time, field)
+        up = unit(force)
+        sigma = math.inf if self.since is None else self.since.sigma
+        return Standing(
+            mean,
+            force.mean(axis=0),
+            wrapped(self.given.yaw + declination),
+            self.given.sigma,
+            by_declination=self.given.is_true,
+            forward=self.forward,
+            turned=0.0 if self.since is None else self.since.angle,
+            turned_sigma=sigma,
+            noise_field=max(noise, 1e-9),
+            noise_up=float(np.sqrt(np.mean(np.diff(up, axis=0) ** 2) / 2.0)),
+        )
 
 
-def dock_stood(
-    before: tuple[Standing, ...], stood: Stood, in_force: Calibration | None = None
-) -> Docked:
-    """Make a standing of what was collected, and `dock` it."""
+def calibrate_standing(
+    before: tuple[Standing, ...],
+    collected: CollectedSamples,
+    in_force: Calibration | None = None,
+) -> HeadingResult:
+    """Make a standing of what was collected, and calibrate with those before."""
     try:
-        sample = stood.pairs, stood.given, stood.knowledge, stood.forward
-        new = standing_of(*sample, stood.since, stood.bias)
+        new = collected.standing()
     except Refusal as refusal:
         return _refused(before, refusal)
-    return dock(before, new, stood.knowledge, in_force)
+    return add_standing(before, new, collected.knowledge, in_force)
 
 
-def _refused(before: tuple[Standing, ...], refusal: Refusal) -> Docked:
+def _refused(before: tuple[Standing, ...], refusal: Refusal) -> HeadingResult:
     kept = f" The {len(before)} before it stay." if before else ""
     words = str(refusal).rstrip(".")
-    return Docked(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
+    return HeadingResult(before, Outcome.refused(refusal), False, f"Refused: {words}.{kept}")
 
 
-def dock(
+def add_standing(
     before: tuple[Standing, ...],
     new: Standing,
     knowledge: Knowledge,
     in_force: Calibration | None = None,
-) -> Docked:
+) -> HeadingResult:
     """Join a standing to those before, fit, and judge.
 
-    Parameters
-    ----------
-    before : tuple of Standing
-    new : Standing
-    knowledge : Knowledge
-    in_force : Calibration, optional
-        What is in force. One that is not of known headings stays where it is the more certain one,
-        and refuses a heading that contradicts it.
-
-    Returns
-    -------
-    Docked
-        Never raises for bad data: then those before stay as they are.
+    A calibration in force that is not of known headings stays where it is the more certain one,
+    and refuses a heading that contradicts it. Bad data raise nothing: those before stay.
     """
     other = None if in_force is None or in_force.evidence.method == METHOD else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
@@ -201,7 +167,7 @@ def dock(
     words.append(_next_in_words(standings, knowledge))
     applies = verdict.accepted
     if applies and other is not None:
-        own, theirs = (predicted_heading_sigma(each) for each in (calibration, other))
+        own, theirs = (calibration_sigma(each) for each in (calibration, other))
         if theirs < own:
             applies = False
             words.insert(
@@ -210,7 +176,7 @@ def dock(
                 f"and promises ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
-    return Docked(standings, outcome, applies, said.replace(":.", ":"))
+    return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
 
 
 def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:

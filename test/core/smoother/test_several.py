@@ -1,0 +1,79 @@
+"""Several turns as blocks of nodes that share the calibration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slope_turns import EAST, KNOWN, LEVEL, NORTH, ROBOT, motion_on, window_on
+
+from magcal_ros.core.knowledge import Systematics
+from magcal_ros.core.simulation.simulator import measure
+from magcal_ros.core.smoother.fit import Fit
+from magcal_ros.core.smoother.kinds_of_motion import smooth
+from magcal_ros.core.smoother.several import Together, fit_together, imagined_information
+from magcal_ros.core.smoother.turn_by_field import smooth_by_field
+from magcal_ros.core.smoother.unknowns import AT, TURNED
+
+SIGMA = KNOWN.mounting.yaw_sigma
+
+
+@pytest.fixture(scope="module")
+def alone() -> list[Fit]:
+    rng = np.random.default_rng(3)
+    return [smooth_by_field(window_on(slope, rng), KNOWN).fit for slope in (LEVEL, EAST)]
+
+
+@pytest.fixture(scope="module")
+def joint(alone: list[Fit]) -> Together:
+    return fit_together(alone, SIGMA)
+
+
+def test_turns_of_one_robot_agree_on_it_and_keep_what_is_their_own(joint: Together) -> None:
+    one, other = (fit.state.shared for fit in joint.fits)
+    for name in ("iron", "installation", "turned", "earth", "soft_iron"):
+        np.testing.assert_allclose(one[AT[name]], other[AT[name]], rtol=1e-9)
+    assert joint.fits[0].point.sizes != joint.fits[1].point.sizes
+
+
+def test_the_information_of_turns_adds_up_to_the_covariance(joint: Together) -> None:
+    known = joint.prior + np.sum(joint.informations, axis=0)
+    rows = np.flatnonzero(np.diag(known) > 0.0)
+    covariance = np.linalg.inv(known[np.ix_(rows, rows)])
+    iron = np.isin(rows, np.arange(AT["iron"].start, AT["iron"].stop))
+    np.testing.assert_allclose(
+        covariance[np.ix_(iron, iron)], joint.fits[0].covariance[AT["iron"], AT["iron"]], rtol=1e-3
+    )
+
+
+def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: Together) -> None:
+    other = fit_together(alone[::-1], SIGMA)
+    assert other.evidence == pytest.approx(joint.evidence, abs=1.0)
+    sigma = np.sqrt(np.diag(joint.fits[0].covariance))[AT["iron"]]
+    off = other.fits[0].state.shared[AT["iron"]] - joint.fits[0].state.shared[AT["iron"]]
+    assert np.all(np.abs(off) < 0.2 * sigma)
+
+
+def test_a_turn_imagined_where_it_was_made_says_what_it_said(joint: Together) -> None:
+    again = imagined_information(joint.fits[1], np.eye(3), np.eye(3))
+    found = np.diag(again)[AT["iron"]] / np.diag(joint.informations[1])[AT["iron"]]
+    assert np.all((found > 0.7) & (found < 1.5))
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_a_field_that_differs_from_place_to_place_is_in_the_sigma(gyro: bool) -> None:
+    rng = np.random.default_rng(4)
+    knowledge = replace(KNOWN, systematics=Systematics())
+    fit = smooth if gyro else smooth_by_field
+    fits = []
+    for slope in (LEVEL, EAST, NORTH):
+        motion = motion_on(slope, rng.uniform(0.0, math.tau))
+        window = measure(ROBOT, motion, rng, gyro=gyro)
+        there = motion.attitude @ (0.5e-6 * rng.standard_normal(3))
+        window = replace(window, field=window.field + there @ ROBOT.distortion.T)
+        fits.append(fit(window, knowledge).fit)
+    found = fit_together(fits, SIGMA).fits[0]
+    sigma = math.sqrt(found.covariance[TURNED, TURNED])
+    assert abs(found.state.shared[TURNED] - ROBOT.yaw) < 3.0 * sigma
