@@ -34,9 +34,7 @@ METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "elli
 """Names that `find_method` knows, the recommended one first."""
 
 DRIVES, SMOOTHER = METHODS[1:3]
-"""The methods that take a drive without a turn, and any window."""
-ALSO_CALLED = {METHODS[0]: SMOOTHER}
-"""The recommended method keeps the name by which parameters and scripts know it."""
+"""The methods that take a drive without a turn, and a turn without a gyro."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -88,7 +86,7 @@ def find_method(name: str) -> Fit:
     """
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
-    module = importlib.import_module(f"magcal_ros.core.methods.{ALSO_CALLED.get(name, name)}")
+    module = importlib.import_module(f"magcal_ros.core.methods.{name}")
     return cast("Fit", module.fit)
 
 
@@ -98,7 +96,7 @@ def calibrate(
     method: str = METHODS[0],
     told: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Fit a window by a method, and judge the result.
+    """Fit a window as a turn, or as the drive that it was, and judge the result.
 
     Parameters
     ----------
@@ -107,8 +105,8 @@ def calibrate(
     knowledge : Knowledge
         What is known beforehand.
     method : str
-        One of `METHODS`. By the first, as by `smoother_one`, the smoother answers, with a gyro or
-        without, whether the robot turned on the spot or drove.
+        One of `METHODS`. By the first the smoother answers, with a gyro or without, whether the
+        robot turned on the spot or drove.
     told : callable, optional
         Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
@@ -117,13 +115,37 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
+    return calibrate_by(window, knowledge, _best_method(knowledge, method), told)
+
+
+def _best_method(knowledge: Knowledge, method: str) -> str:
+    """Return the method that answers where the recommended one was asked for.
+
+    Only for sensors without systematic errors it is the turn's model.
+    """
+    return SMOOTHER if method == METHODS[0] and not knowledge.systematics.are_none else method
+
+
+def _has_gyro(window: Window) -> bool:
+    from magcal_ros.core.smoother.without_gyro import living_axes
+
+    return living_axes(window.angular_rate)[2]
+
+
+def calibrate_by(
+    window: Window,
+    knowledge: Knowledge,
+    method: str,
+    told: Callable[[float], object] | None = None,
+) -> Outcome:
+    """Fit a window by one method alone, and judge the result; otherwise as `calibrate`."""
     from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_reading
 
     wrong = wrong_reading(window, knowledge)
     if wrong is not None:
         return Outcome.refused(wrong, window)
     fit = find_method(method)
-    if told is not None and ALSO_CALLED.get(method, method) == SMOOTHER:
+    if told is not None and method == SMOOTHER:
         fit = partial(cast("Callable[..., Estimate]", fit), told=told)
     try:
         estimate = fit(window, knowledge)
@@ -195,7 +217,7 @@ def calibrate_turns(
     -------
     Outcome
         Never raises for bad data. A turn that does not belong to the others is left out, with
-        the reason, and the rest stands. One turn alone gives what `calibrate` gives.
+        the reason, and the rest stands. One turn alone gives what `calibrate` makes of a turn.
 
     Raises
     ------
@@ -204,11 +226,11 @@ def calibrate_turns(
     """
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
-        return calibrate(pooled(windows), knowledge, method)
+        return calibrate_by(pooled(windows), knowledge, method)
     if method != JOINS:
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
-        return calibrate(windows[0], knowledge, method)
+        return calibrate_by(windows[0], knowledge, method)
     from magcal_ros.core.multi_turn.joined import join
     from magcal_ros.core.multi_turn.turn import survey
 
@@ -221,7 +243,7 @@ def calibrate_turns(
         each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in joined.turns)
         words = f"none of the turns can be used: {each}"
         return Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
-    if turn.estimate is not None:
+    if turn.estimate is not None and _best_method(knowledge, method) == SMOOTHER:
         outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
     else:
         outcome = calibrate(turn.window, knowledge)
@@ -300,17 +322,16 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
+    best = _best_method(knowledge, method)
     try:
-        if ALSO_CALLED.get(method, method) == SMOOTHER:
+        if best == SMOOTHER and _has_gyro(window):
             from magcal_ros.core.methods.checks import refuse_empty
             from magcal_ros.core.methods.smoother_one import FEWEST_SAMPLES
             from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
-            from magcal_ros.core.smoother.without_gyro import living_axes
 
-            if living_axes(window.angular_rate)[2]:
-                refuse_empty(window, FEWEST_SAMPLES)
-                return promised_sigma(window, knowledge)
-        estimate = find_method(method)(window, knowledge)
+            refuse_empty(window, FEWEST_SAMPLES)
+            return promised_sigma(window, knowledge)
+        estimate = find_method(best)(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

@@ -7,7 +7,7 @@ import pytest
 from long_form import first_of
 
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.methods.smoother_one import fit
+from magcal_ros.core.methods.maximum_likelihood import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
 from magcal_ros.core.smoother.gyro_swing import lasting_stray

@@ -167,4 +167,4 @@ def test_a_fit_tells_how_much_of_it_is_done():
     told: list[float] = []
     assert calibrate(window, known(ROBOT), told=told.append).verdict.accepted
     assert told == sorted(told)
-    assert 0.0 <= told[0] < 0.1 < 0.3 < told[-1] <= 1.0
+    assert 0.0 <= told[0] < 0.1 < 0.25 < told[-1] <= 1.0
