@@ -86,56 +86,38 @@ def _refuse_nonsense(window: Window) -> None:
 
 @dataclass(frozen=True)
 class Screening:
-    """Bounds beyond which a turn is refused.
-
-    Parameters
-    ----------
-    fewest_samples : int
-    least_motion : float
-        The raw field must move by this many times its own noise.
-    smallest_motion : float
-        Spread of the field, or of the force, over its own size.
-    least_arc, least_arc_alone : float
-        Radians; the latter without a known field or a gyro.
-    full_arc : float
-        Radians from which a full circle is not asked for again.
-    arc_tolerance : float
-        Radians: the ends of an arc are known to no better.
-    smallest_radius : float
-        Of the circle, over the field's strength: below it the heading drowns in noise.
-    smallest_alone : float
-        The same in field scales where the reference field is not known: of one turn strength and
-        inclination are then a guess, and only the circle is seen.
-    steepest : float
-        Radians of inclination at which too little of the field is level. Up to there the heading's
-        sigma tells what the steepness costs.
-    worst_field_noise : float
-        Over the field's strength.
-    worst_wobble : float
-        Radians: such a robot does not turn about an axis.
-    fewest_inliers : float
-        Share of the samples.
-    widest_rival : float
-        Radians of heading by which rival solutions may differ.
-    worst_deviation : float
-        Radians between gyro and compass: no room distorts so much.
-    """
+    """Bounds beyond which a turn is refused."""
 
     fewest_samples: int = 20
     least_motion: float = 2.5
+    """The raw field must move by this many times its own noise."""
     smallest_motion: float = 0.005
+    """Spread of the field, or of the force, over its own size."""
     least_arc: float = math.radians(45.0)
     least_arc_alone: float = math.radians(90.0)
+    """Radians; the latter without a known field or a gyro."""
     full_arc: float = math.radians(300.0)
+    """Radians from which a full circle is not asked for again."""
     arc_tolerance: float = math.radians(1.5)
+    """Radians: the ends of an arc are known to no better."""
     smallest_radius: float = 0.1
+    """Of the circle, over the field's strength: below it the heading drowns in noise."""
     smallest_alone: float = 0.05
+    """The same in field scales where the reference field is not known: of one turn strength and
+    inclination are then a guess, and only the circle is seen."""
     steepest: float = math.radians(84.0)
+    """Radians of inclination at which too little of the field is level. Up to there the heading's
+    sigma tells what the steepness costs."""
     worst_field_noise: float = 0.15
+    """Over the field's strength."""
     worst_wobble: float = math.radians(30.0)
+    """Radians: such a robot does not turn about an axis."""
     fewest_inliers: float = 0.4
+    """Share of the samples."""
     widest_rival: float = math.radians(5.0)
+    """Radians of heading by which rival solutions may differ."""
     worst_deviation: float = math.radians(20.0)
+    """Radians between gyro and compass: no room distorts so much."""
 
 
 SCREENING = Screening()

@@ -26,21 +26,14 @@ METHOD = "smoother"
 
 @dataclass(frozen=True)
 class DriveScreening:
-    """Bounds beyond which a drive is refused.
-
-    Parameters
-    ----------
-    fewest_samples : int
-    fewest_sectors : int
-        Of twelve of heading.
-    largest_street, largest_noise : float
-        Over the usual: beyond them the field does not follow gyro and gravity.
-    """
+    """Bounds beyond which a drive is refused."""
 
     fewest_samples: int = 20
     fewest_sectors: int = 4
+    """Of twelve of heading."""
     largest_street: float = 2.5
     largest_noise: float = 2.5
+    """Over the usual: beyond them the field does not follow gyro and gravity."""
 
 
 SCREENING = DriveScreening()

@@ -25,18 +25,12 @@ IRON = AT["iron"]
 
 @dataclass(frozen=True)
 class Agreement:
-    """How turns agree.
-
-    Parameters
-    ----------
-    misfit : float
-        How many times as far as noise explains the hard iron of one is off that of all, at worst.
-    odd : int or None
-        The turn that most likely has another calibration than the rest; None if none has.
-    """
+    """How turns agree."""
 
     misfit: float
+    """How many times as far as noise explains the hard iron of one is off that of all, at worst."""
     odd: int | None = None
+    """The turn that most likely has another calibration than the rest; None if none has."""
 
 
 def agreement(alone: Sequence[Fit], together: Together, yaw_sigma: float) -> Agreement:

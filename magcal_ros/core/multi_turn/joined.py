@@ -41,16 +41,10 @@ WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """Turns that agree.
-
-    Parameters
-    ----------
-    together : Together
-        With the yaw of the installation free.
-    agreement : Agreement
-    """
+    """Turns that agree."""
 
     together: Together
+    """With the yaw of the installation free."""
     agreement: Agreement
 
 
@@ -168,24 +162,16 @@ def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Turns put together.
-
-    Parameters
-    ----------
-    turns : list of Turn
-        All of them.
-    members : list of Turn
-        Those that joined.
-    estimate : Estimate or None
-        Of two members or more; one stands by its own estimate.
-    several : Several or None
-        What became of each turn; None where none joined.
-    """
+    """Turns put together."""
 
     turns: list[Turn]
+    """All of them."""
     members: list[Turn]
+    """Those that joined."""
     estimate: Estimate | None = None
+    """Of two members or more; one stands by its own estimate."""
     several: Several | None = None
+    """What became of each turn; None where none joined."""
 
 
 def join(surveyed: list[Turn], knowledge: Knowledge) -> Joined:

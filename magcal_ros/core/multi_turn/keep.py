@@ -14,18 +14,12 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class KeptTuning:
-    """How much is kept of the turns: the oldest leaves first, and a long one is thinned.
-
-    Attributes
-    ----------
-    most_turns : int
-        Turns.
-    most_samples : int
-        Samples of each.
-    """
+    """How much is kept of the turns: the oldest leaves first, and a long one is thinned."""
 
     most_turns: int = 12
+    """Turns."""
     most_samples: int = 4000
+    """Samples of each."""
 
 
 TUNING = KeptTuning()
@@ -33,20 +27,13 @@ TUNING = KeptTuning()
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Turns that agree, in their order.
-
-    Parameters
-    ----------
-    windows : tuple of Window
-    names : tuple of str
-        What each is called.
-    count : int
-        How many turns were tried, for the next one's name.
-    """
+    """Turns that agree, in their order."""
 
     windows: tuple[Window, ...] = ()
     names: tuple[str, ...] = ()
+    """What each is called."""
     count: int = 0
+    """How many turns were tried, for the next one's name."""
 
     def joined(self, window: Window, several: Several) -> Kept:
         """Return what is kept once a turn has joined; a turn that had to go for it goes."""

@@ -16,32 +16,23 @@ class Shown:
 
     Soft iron and the yaw of the installation count as unknown up to their priors, which are known
     beforehand, so that the numbers after one turn and after several can be compared.
-
-    Parameters
-    ----------
-    installation_yaw : float
-        Radians.
-    soft_iron : tuple of six float
-        Elements xx, yy, zz, xy, xz, yz; dimensionless.
-    axial_hard_iron : float
-        Along body z, tesla.
-    strength, inclination : float
-        Tesla, radians.
-    level, tilted : float
-        Heading on the level and on slopes of 10° after one common offset is taken off, radians.
-    absolute_level, absolute_tilted : float
-        The same with that offset, which the yaw of the installation brings.
     """
 
     installation_yaw: float
+    """Radians."""
     soft_iron: tuple[float, ...]
+    """Elements xx, yy, zz, xy, xz, yz; dimensionless."""
     axial_hard_iron: float
+    """Along body z, tesla."""
     strength: float
     inclination: float
+    """Tesla, radians."""
     level: float
     tilted: float
+    """Heading on the level and on slopes of 10° after one common offset is taken off, radians."""
     absolute_level: float
     absolute_tilted: float
+    """The same with that offset, which the yaw of the installation brings."""
 
     @property
     def in_words(self) -> str:
@@ -112,59 +103,38 @@ def changes(before: Shown, after: Shown) -> list[str]:
 
 @dataclass(frozen=True)
 class Advice:
-    """A further turn, and what it would bring.
-
-    Parameters
-    ----------
-    pose : str
-        How the robot should stand, to be read after "turn".
-    after : Shown
-        What would then be shown.
-    """
+    """A further turn, and what it would bring."""
 
     pose: str
+    """How the robot should stand, to be read after "turn"."""
     after: Shown
+    """What would then be shown."""
 
 
 @dataclass(frozen=True)
 class TurnFate:
-    """What became of one turn.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    joined : bool
-        Whether it is part of the estimate.
-    words : str
-        What it added, or why it was left out.
-    shown : Shown or None
-        What was shown once it had joined; None if it did not.
-    """
+    """What became of one turn."""
 
     name: str
+    """What to call it."""
     joined: bool
+    """Whether it is part of the estimate."""
     words: str
+    """What it added, or why it was left out."""
     shown: Shown | None = None
+    """What was shown once it had joined; None if it did not."""
 
 
 @dataclass(frozen=True)
 class Several:
-    """The report on turns that were put together.
-
-    Parameters
-    ----------
-    fates : tuple of TurnFate
-        One for each turn, in their order.
-    shown : Shown
-        What is shown by those that joined.
-    advice : tuple of Advice
-        Further turns, the best first.
-    """
+    """The report on turns that were put together."""
 
     fates: tuple[TurnFate, ...]
+    """One for each turn, in their order."""
     shown: Shown
+    """What is shown by those that joined."""
     advice: tuple[Advice, ...]
+    """Further turns, the best first."""
 
     @property
     def joined(self) -> tuple[int, ...]:

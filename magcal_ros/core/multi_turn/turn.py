@@ -31,32 +31,21 @@ COPIED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """One turn and its own fit.
-
-    Parameters
-    ----------
-    name : str
-        What to call it.
-    window : Window
-    verdict : Verdict
-        As if it were the only turn.
-    answer : Estimate or None
-        What its own fit comes to; None where there is no fit.
-    smoothed : Smoothed or None
-        Its fits; None where there is none.
-    reason : Reason or None
-        Why it cannot stand alone, if it cannot.
-    unfit : str
-        Why it cannot join; empty if it may.
-    """
+    """One turn and its own fit."""
 
     name: str
+    """What to call it."""
     window: Window
     verdict: Verdict
+    """As if it were the only turn."""
     answer: Estimate | None = None
+    """What its own fit comes to; None where there is no fit."""
     smoothed: Smoothed | None = None
+    """Its fits; None where there is none."""
     reason: Reason | None = None
+    """Why it cannot stand alone, if it cannot."""
     unfit: str = ""
+    """Why it cannot join; empty if it may."""
 
     @property
     def estimate(self) -> Estimate | None:

@@ -59,23 +59,17 @@ LEVEL_AXES, UP_AXIS = slice(0, 2), slice(2, 3)
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Residuals of one kind with their derivatives.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (k, d)
-    here : ndarray, shape (k, d, LOCAL)
-        By the unknowns of node k.
-    there : ndarray, shape (k, d, LOCAL), or None
-        By those of node k + 1, for residuals between neighbours.
-    shared : ndarray, shape (k, d, s), or None
-        By the shared unknowns; those of the centres of `Places` may be left out at the end.
-    """
+    """Residuals of one kind with their derivatives."""
 
     residual: FloatArray
+    """Shape (k, d)."""
     here: FloatArray
+    """By the unknowns of node k. Shape (k, d, LOCAL)."""
     there: FloatArray | None = None
+    """By those of node k + 1, for residuals between neighbours. Shape (k, d, LOCAL)."""
     shared: FloatArray | None = None
+    """By the shared unknowns; those of the centres of `Places` may be left out at the end. Shape
+    (k, d, s)."""
 
     def part(self, components: slice) -> Linear:
         """Return some components of the residuals."""

@@ -32,61 +32,38 @@ from magcal_ros.core.smoother.unknowns import (
 
 @dataclass(frozen=True)
 class Tolerances:
-    """When the iterations stop.
-
-    Parameters
-    ----------
-    rounds, fewest : int
-        Steps at most and at least.
-    step : float
-        Of the answer, in its own sigmas.
-    evidence : float
-        Change of minus twice the logarithm of the evidence.
-    largest_turn : float
-        Radians that a step may turn any node; longer steps are shortened.
-    places_at : tuple of int
-        Rounds in which the places passed are reckoned anew.
-    held : int
-        Rounds in which the sigmas of effects keep their usual sizes, until the rest fits.
-    gaussian : int
-        Rounds in which all residuals count fully.
-    """
+    """When the iterations stop."""
 
     rounds: int = 80
     fewest: int = 8
+    """Steps at most and at least."""
     step: float = 0.05
+    """Of the answer, in its own sigmas."""
     evidence: float = 0.5
+    """Change of minus twice the logarithm of the evidence."""
     largest_turn: float = 0.4
+    """Radians that a step may turn any node; longer steps are shortened."""
     places_at: tuple[int, ...] = (7, 11)
+    """Rounds in which the places passed are reckoned anew."""
     held: int = 3
+    """Rounds in which the sigmas of effects keep their usual sizes, until the rest fits."""
     gaussian: int = 5
+    """Rounds in which all residuals count fully."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """The optimum for one kind of motion.
-
-    Parameters
-    ----------
-    kind : KindOfMotion
-    model : Model
-    point : Point
-    covariance : ndarray, shape (SHARED, SHARED)
-        Of the shared unknowns.
-    evidence : float
-        Minus twice the logarithm of the evidence, but for a constant of the window.
-    weighted : dict of str to Weighted
-        The residuals at the optimum.
-    rounds : int
-    converged : bool
-    """
+    """The optimum for one kind of motion."""
 
     kind: KindOfMotion
     model: Model
     point: Point
     covariance: FloatArray
+    """Of the shared unknowns. Shape (SHARED, SHARED)."""
     evidence: float
+    """Minus twice the logarithm of the evidence, but for a constant of the window."""
     weighted: dict[str, Weighted]
+    """The residuals at the optimum."""
     rounds: int
     converged: bool
 

@@ -32,26 +32,18 @@ Z = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """One way in which axis, circle and dip fit together.
-
-    Parameters
-    ----------
-    attitude : ndarray, shape (n, 3, 3)
-        Magnetic ENU to body axes.
-    iron : ndarray, shape (3,)
-        Hard iron, µT.
-    roll, pitch : float
-        Of the installation, radians.
-    strength, inclination : float
-        µT, radians.
-    """
+    """One way in which axis, circle and dip fit together."""
 
     attitude: FloatArray
+    """Magnetic ENU to body axes. Shape (n, 3, 3)."""
     iron: FloatArray
+    """Hard iron, µT. Shape (3,)."""
     roll: float
     pitch: float
+    """Of the installation, radians."""
     strength: float
     inclination: float
+    """µT, radians."""
 
 
 def starts(field: FloatArray, up: FloatArray, reference: ReferenceField) -> list[Guess]:

@@ -48,30 +48,20 @@ NEARLY = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What a window came to.
-
-    Parameters
-    ----------
-    nodes : Nodes
-    mode : str
-        The most likely kind of motion.
-    fits : dict of str to Fit
-        By kind of motion.
-    weights : dict of str to float
-        Their probabilities.
-    posterior : Posterior
-        Of all kinds together.
-    by_pull : float
-        Standard deviation of the level heading, radians, that is left as nothing shows whether
-        the robot or its accelerometer makes up lean: between and within the kinds of motion.
-    """
+    """What a window came to."""
 
     nodes: Nodes
     mode: str
+    """The most likely kind of motion."""
     fits: dict[str, Fit]
+    """By kind of motion."""
     weights: dict[str, float]
+    """Their probabilities."""
     posterior: Posterior
+    """Of all kinds together."""
     by_pull: float
+    """Standard deviation of the level heading, radians, that is left as nothing shows whether the
+    robot or its accelerometer makes up lean: between and within the kinds of motion."""
 
     @property
     def fit(self) -> Fit:

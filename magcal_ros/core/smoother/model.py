@@ -49,25 +49,16 @@ LARGEST_MOTORS = UNKNOWNS["motors_moving"].sigma[0] * UNKNOWNS["motors_moving"].
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What does not change while the smoother iterates.
-
-    Parameters
-    ----------
-    nodes : Nodes
-    axes : ndarray, shape (3, 3)
-        The body's level axes (`level_axes`).
-    priors : Priors
-    speed : ndarray, shape (2,)
-        m/s per axis, ahead and sideways, that are usual for the kind of motion.
-    travels : bool
-        Whether the kind of motion leaves the spot.
-    """
+    """What does not change while the smoother iterates."""
 
     nodes: Nodes
     axes: FloatArray
+    """The body's level axes (`level_axes`). Shape (3, 3)."""
     priors: Priors
     speed: FloatArray
+    """m/s per axis, ahead and sideways, that are usual for the kind of motion. Shape (2,)."""
     travels: bool
+    """Whether the kind of motion leaves the spot."""
 
     @classmethod
     def of(cls, nodes: Nodes, priors: Priors, start: State, kind: KindOfMotion) -> Model:
@@ -102,34 +93,22 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A value of all unknowns and of the sizes of noises and effects.
-
-    Parameters
-    ----------
-    state : State
-    course : Course
-    sizes : dict of str to float
-        Of the noises (`SIZES`).
-    groups : dict of str to float
-        Factors of the sigmas of the shared unknowns (`Unknown`).
-    places : Places
-    doubt : ndarray, shape (n,)
-        Variance of the nodes' velocities, both axes together, (m/s)².
-    is_robust : bool
-        Whether residuals follow Student distributions; at first they are Gaussian, or the few
-        residuals that show an effect, as rests show the motors, would pass for outliers.
-    tails : dict of str to float
-        Degrees of freedom of the noises of which they are estimated.
-    """
+    """A value of all unknowns and of the sizes of noises and effects."""
 
     state: State
     course: Course
     sizes: dict[str, float]
+    """Of the noises (`SIZES`)."""
     groups: dict[str, float]
+    """Factors of the sigmas of the shared unknowns (`Unknown`)."""
     places: Places
     doubt: FloatArray = field(repr=False)
+    """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
     is_robust: bool = False
+    """Whether residuals follow Student distributions; at first they are Gaussian, or the few
+    residuals that show an effect, as rests show the motors, would pass for outliers."""
     tails: dict[str, float] = field(default_factory=dict)
+    """Degrees of freedom of the noises of which they are estimated."""
 
     @classmethod
     def begin(cls, model: Model, state: State) -> Point:

@@ -17,86 +17,60 @@ from magcal_ros.core.up import unseen_angles
 
 @dataclass(frozen=True)
 class Spacing:
-    """How samples are averaged to nodes.
-
-    Parameters
-    ----------
-    longest : float
-        Seconds of a node.
-    most_turn : float
-        Radians that a robot turns during a node.
-    most_unseen : float
-        Radians within a node that samples which come slowly may miss.
-    most : int
-        Nodes; beyond, all become longer.
-    """
+    """How samples are averaged to nodes."""
 
     longest: float = 0.6
+    """Seconds of a node."""
     most_turn: float = math.radians(6.0)
+    """Radians that a robot turns during a node."""
     most_unseen: float = math.radians(0.1)
+    """Radians within a node that samples which come slowly may miss."""
     most: int = 1000
+    """Nodes; beyond, all become longer."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Means of samples, and the links between the middles of neighbouring nodes.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds of the middles.
-    field : ndarray, shape (n, 3)
-        Mean raw field in nominal body axes, microtesla.
-    inside : ndarray, shape (n, 3, 3)
-        Mean rotation from the body axes in the middle to those of the samples.
-    rate : ndarray, shape (n, 3)
-        Mean turn rate by the gyro, rad/s.
-    count : ndarray, shape (n,)
-        Samples in each mean.
-    quiet : ndarray of bool, shape (n,)
-        Whether force and rate shake as little as they do at rest.
-    seconds : ndarray, shape (n - 1,)
-        Between the middles of neighbours.
-    turned : ndarray, shape (n - 1, 3, 3)
-        Rotation from the body axes of a node to those of the next, by the gyro.
-    angle : ndarray, shape (n - 1, 3)
-        The integral of the turn rate there, radians.
-    force : ndarray, shape (n - 1, 3)
-        Mean specific force between the middles, m/s².
-    along : ndarray, shape (n - 1, 3, 3)
-        Mean rotation from the body axes of the first node to those of the force's samples.
-    swing : ndarray, shape (n - 1, 3)
-        Change of the turn rate, rad/s².
-    samples : ndarray, shape (n - 1,)
-        Of force in each mean; zero where there is none.
-    unseen : ndarray, shape (n - 1, 3)
-        Variance of the angle there by what samples that come slowly miss, radians².
-    noise : float
-        White noise of a field sample per axis, microtesla.
-    mean_force : ndarray, shape (n, 3)
-        Mean specific force of the same samples as the field, m/s².
-    tied_to : ndarray, shape (3, 3), or None
-        Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
-        those that the field shows, and serve to average.
-    """
+    """Means of samples, and the links between the middles of neighbouring nodes."""
 
     time: FloatArray
+    """Seconds of the middles. Shape (n,)."""
     field: FloatArray
+    """Mean raw field in nominal body axes, microtesla. Shape (n, 3)."""
     inside: FloatArray
+    """Mean rotation from the body axes in the middle to those of the samples. Shape (n, 3, 3)."""
     rate: FloatArray
+    """Mean turn rate by the gyro, rad/s. Shape (n, 3)."""
     count: FloatArray
+    """Samples in each mean. Shape (n,)."""
     quiet: BoolArray
+    """Whether force and rate shake as little as they do at rest. Shape (n,)."""
     seconds: FloatArray
+    """Between the middles of neighbours. Shape (n - 1,)."""
     turned: FloatArray
+    """Rotation from the body axes of a node to those of the next, by the gyro. Shape (n - 1, 3,
+    3)."""
     angle: FloatArray
+    """The integral of the turn rate there, radians. Shape (n - 1, 3)."""
     force: FloatArray
+    """Mean specific force between the middles, m/s². Shape (n - 1, 3)."""
     along: FloatArray
+    """Mean rotation from the body axes of the first node to those of the force's samples. Shape (n
+    - 1, 3, 3)."""
     swing: FloatArray
+    """Change of the turn rate, rad/s². Shape (n - 1, 3)."""
     samples: FloatArray
+    """Of force in each mean; zero where there is none. Shape (n - 1,)."""
     unseen: FloatArray
+    """Variance of the angle there by what samples that come slowly miss, radians². Shape (n - 1,
+    3)."""
     noise: float
+    """White noise of a field sample per axis, microtesla."""
     mean_force: FloatArray
+    """Mean specific force of the same samples as the field, m/s². Shape (n, 3)."""
     tied_to: FloatArray | None = None
+    """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
+    those that the field shows, and serve to average. Shape (3, 3)."""
 
     def __len__(self) -> int:
         return len(self.time)

@@ -27,30 +27,20 @@ SMALL = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Centres of the disturbance's field, and what they say at the nodes.
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n, k)
-        The expected disturbance at the nodes is `weights @ values at the centres`.
-    chosen : ndarray of int, shape (k,)
-        The nodes where the centres are.
-    rest : ndarray, shape (n,)
-        Standard deviation of what is left, over the disturbance's own.
-    information : ndarray, shape (k, k)
-        Inverse correlation of the centres.
-    log_determinant : float
-        Of the correlation.
-    length : float
-        Metres over which what is left is alike.
-    """
+    """Centres of the disturbance's field, and what they say at the nodes."""
 
     weights: FloatArray
+    """The expected disturbance at the nodes is `weights @ values at the centres`. Shape (n, k)."""
     chosen: IntArray
+    """The nodes where the centres are. Shape (k,)."""
     rest: FloatArray
+    """Standard deviation of what is left, over the disturbance's own. Shape (n,)."""
     information: FloatArray
+    """Inverse correlation of the centres. Shape (k, k)."""
     log_determinant: float
+    """Of the correlation."""
     length: float
+    """Metres over which what is left is alike."""
 
     @classmethod
     def none(cls, count: int, length: float) -> Places:

@@ -44,25 +44,17 @@ ONE_WAY = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """A calibration with its covariance, SI units.
-
-    Parameters
-    ----------
-    numbers : ndarray, shape (18,)
-        The twelve, then the motors' field while moving and per turn rate (`MOTORS`).
-    joint : ndarray, shape (18, 18)
-        Their covariance.
-    by_offset : ndarray, shape (12, 12)
-        The part of it that knowing the accelerometer's offset would take away.
-    strength, inclination : float
-        Of the Earth's field after the fit: tesla, radians.
-    """
+    """A calibration with its covariance, SI units."""
 
     numbers: FloatArray
+    """The twelve, then the motors' field while moving and per turn rate (`MOTORS`). Shape (18,)."""
     joint: FloatArray
+    """Their covariance. Shape (18, 18)."""
     by_offset: FloatArray
+    """The part of it that knowing the accelerometer's offset would take away. Shape (12, 12)."""
     strength: float
     inclination: float
+    """Of the Earth's field after the fit: tesla, radians."""
 
     @property
     def correction(self) -> Correction:

@@ -20,30 +20,21 @@ def level_axes(up: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What does not change while the smoother iterates.
-
-    Parameters
-    ----------
-    nodes : Nodes
-    axes : ndarray, shape (3, 3)
-        The body's level axes: ahead, left and up in body axes, as columns.
-    moving : ndarray, shape (n,)
-        Expected share of the node in which the robot moves: one, zero at rest, and a half where
-        it starts or stops.
-    edge : ndarray of bool, shape (n,)
-        Whether the robot starts or stops there; the share is between zero and one then.
-    still : ndarray of bool, shape (n,)
-        Whether the robot rests there.
-    span : ndarray, shape (n,)
-        Time over the window's length, its middle at zero.
-    """
+    """What does not change while the smoother iterates."""
 
     nodes: Nodes
     axes: FloatArray
+    """The body's level axes: ahead, left and up in body axes, as columns. Shape (3, 3)."""
     moving: FloatArray
+    """Expected share of the node in which the robot moves: one, zero at rest, and a half where it
+    starts or stops. Shape (n,)."""
     edge: BoolArray
+    """Whether the robot starts or stops there; the share is between zero and one then. Shape
+    (n,)."""
     still: BoolArray
+    """Whether the robot rests there. Shape (n,)."""
     span: FloatArray
+    """Time over the window's length, its middle at zero. Shape (n,)."""
 
     @classmethod
     def of(cls, nodes: Nodes, axes: FloatArray, bias: FloatArray, lengths: Lengths) -> Course:

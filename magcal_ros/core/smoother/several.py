@@ -53,45 +53,28 @@ from magcal_ros.core.smoother.unknowns import AT, NOTHING, SHARED, STREET, TURNE
 
 @dataclass(frozen=True, eq=False)
 class Together:
-    """The optimum of several windows.
-
-    Parameters
-    ----------
-    fits : list of Fit
-        Of each window, with what all of them say; its own evidence is that of all.
-    informations : list of ndarray, shape (SHARED, SHARED)
-        What each window says of the unknowns that all share.
-    prior : ndarray, shape (SHARED, SHARED)
-        What is known of these beforehand.
-    evidence : float
-        Minus twice the logarithm of the evidence, but for a constant of the windows.
-    """
+    """The optimum of several windows."""
 
     fits: list[Fit]
+    """Of each window, with what all of them say; its own evidence is that of all."""
     informations: list[FloatArray]
+    """What each window says of the unknowns that all share. Shape (SHARED, SHARED)."""
     prior: FloatArray
+    """What is known of these beforehand. Shape (SHARED, SHARED)."""
     evidence: float
+    """Minus twice the logarithm of the evidence, but for a constant of the windows."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A Gauss-Newton step of all windows.
-
-    Parameters
-    ----------
-    weighted : list of dict
-    solutions : list of Solution
-        Each with what all windows say of the shared unknowns.
-    layout : Layout
-    prior : ndarray, shape (s, s)
-        Information on all shared unknowns before the samples.
-    log_determinant : float
-    """
+    """A Gauss-Newton step of all windows."""
 
     weighted: list[dict[str, Weighted]]
     solutions: list[Solution]
+    """Each with what all windows say of the shared unknowns."""
     layout: Layout
     prior: FloatArray
+    """Information on all shared unknowns before the samples. Shape (s, s)."""
     log_determinant: float
 
     @classmethod

@@ -18,20 +18,13 @@ from magcal_ros.core.smoother.unknowns import LOCAL
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals with their variance, and the Student weights that go with it.
-
-    Parameters
-    ----------
-    linear : Linear
-    variance : ndarray, shape (k,)
-        Per component; infinite where there was no measurement.
-    freedom : float
-        Degrees of freedom of the Student distribution.
-    """
+    """Residuals with their variance, and the Student weights that go with it."""
 
     linear: Linear
     variance: FloatArray
+    """Per component; infinite where there was no measurement. Shape (k,)."""
     freedom: float
+    """Degrees of freedom of the Student distribution."""
 
     @property
     def chi2(self) -> FloatArray:
@@ -62,36 +55,25 @@ def student_constant(freedom: float, width: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """One Gauss-Newton step, and the covariance at the point where it was taken.
-
-    Parameters
-    ----------
-    local : ndarray, shape (n, LOCAL)
-        Step of the nodes' unknowns.
-    shared : ndarray, shape (s,)
-        Step of the shared unknowns that are free.
-    covariance : ndarray, shape (s, s)
-        Of the shared unknowns that are free.
-    follow : ndarray, shape (n, LOCAL, s)
-        By how much the nodes' unknowns follow the shared ones, with the opposite sign.
-    information : ndarray, shape (s, s)
-        Of the shared unknowns, with the nodes' unknowns integrated out.
-    gradient : ndarray, shape (s,)
-        What the step of the shared unknowns solves for: `information @ shared`.
-    log_determinant : float
-        Of the information matrix of all unknowns.
-    chain : Chain
-        The information matrix of the nodes' unknowns.
-    """
+    """One Gauss-Newton step, and the covariance at the point where it was taken."""
 
     local: FloatArray
+    """Step of the nodes' unknowns. Shape (n, LOCAL)."""
     shared: FloatArray
+    """Step of the shared unknowns that are free. Shape (s,)."""
     covariance: FloatArray
+    """Of the shared unknowns that are free. Shape (s, s)."""
     follow: FloatArray
+    """By how much the nodes' unknowns follow the shared ones, with the opposite sign. Shape (n,
+    LOCAL, s)."""
     information: FloatArray
+    """Of the shared unknowns, with the nodes' unknowns integrated out. Shape (s, s)."""
     gradient: FloatArray
+    """What the step of the shared unknowns solves for: `information @ shared`. Shape (s,)."""
     log_determinant: float
+    """Of the information matrix of all unknowns."""
     chain: Chain
+    """The information matrix of the nodes' unknowns."""
 
     def given(self, shared: FloatArray, covariance: FloatArray) -> Solution:
         """Return the step where more is known of the shared unknowns than this window tells."""
@@ -101,22 +83,16 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Gaussian priors at the point where the step is taken.
-
-    Parameters
-    ----------
-    local_information, local_offset : ndarray, shape (n, LOCAL)
-        Information of each of the nodes' unknowns, and its expectation less its value.
-    information : ndarray, shape (s, s)
-        Of the shared unknowns that are free.
-    offset : ndarray, shape (s,)
-        Their expectation less their value.
-    """
+    """Gaussian priors at the point where the step is taken."""
 
     local_information: FloatArray
     local_offset: FloatArray
+    """Information of each of the nodes' unknowns, and its expectation less its value. Shape (n,
+    LOCAL)."""
     information: FloatArray
+    """Of the shared unknowns that are free. Shape (s, s)."""
     offset: FloatArray
+    """Their expectation less their value. Shape (s,)."""
 
 
 def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
@@ -215,19 +191,12 @@ def _stacked(parts: list[Weighted], free: IntArray) -> tuple[FloatArray, FloatAr
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """A block tridiagonal matrix with its nodes eliminated, one after the other.
-
-    Parameters
-    ----------
-    inverse : ndarray, shape (n, LOCAL, LOCAL)
-        Of each node's block, when those before it are eliminated.
-    gain : ndarray, shape (n - 1, LOCAL, LOCAL)
-        By how much a node follows the next, with the opposite sign.
-    log_determinant : float
-    """
+    """A block tridiagonal matrix with its nodes eliminated, one after the other."""
 
     inverse: FloatArray
+    """Of each node's block, when those before it are eliminated. Shape (n, LOCAL, LOCAL)."""
     gain: FloatArray
+    """By how much a node follows the next, with the opposite sign. Shape (n - 1, LOCAL, LOCAL)."""
     log_determinant: float
 
     def solve(self, right: FloatArray) -> FloatArray:

@@ -52,42 +52,29 @@ BY_MOTION = (
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What a robot measured while it stood at a known heading.
-
-    Parameters
-    ----------
-    field : array_like, shape (3,)
-        Mean raw field, tesla, in the magnetometer's axes.
-    force : array_like, shape (3,)
-        Mean specific force, m/s², body axes.
-    heading : float
-        ENU yaw to magnetic north of `forward`, radians.
-    sigma : float
-        Its standard deviation.
-    by_declination : bool
-        Whether it was told to true north: such headings share the declination's error.
-    forward : array_like, shape (3,)
-        Direction in body axes whose heading it is; body x unless given.
-    turned, turned_sigma : float
-        Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
-        tells.
-    noise_field, noise_up : float
-        Standard deviations of single samples: tesla per axis, radians of tilt per axis.
-    force_sigma : float
-        m/s² per axis of `force`; larger where up is of a robot that moves.
-    """
+    """What a robot measured while it stood at a known heading."""
 
     field: FloatArray
+    """Mean raw field, tesla, in the magnetometer's axes. Shape (3,)."""
     force: FloatArray
+    """Mean specific force, m/s², body axes. Shape (3,)."""
     heading: float
+    """ENU yaw to magnetic north of `forward`, radians."""
     sigma: float
+    """Its standard deviation."""
     by_declination: bool = False
+    """Whether it was told to true north: such headings share the declination's error."""
     forward: FloatArray = member(default_factory=lambda: X)
+    """Direction in body axes whose heading it is; body x unless given. Shape (3,)."""
     turned: float = 0.0
     turned_sigma: float = math.inf
+    """Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
+    tells."""
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
+    """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
     force_sigma: float = SIZES["force"].usual
+    """m/s² per axis of `force`; larger where up is of a robot that moves."""
 
     def __post_init__(self) -> None:
         for name in ("field", "force", "forward"):

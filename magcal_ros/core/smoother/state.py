@@ -13,23 +13,16 @@ from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A value of all unknowns.
-
-    Parameters
-    ----------
-    attitude : ndarray, shape (n, 3, 3)
-        Magnetic ENU to body axes.
-    local : ndarray, shape (n, LOCAL)
-        The nodes' other unknowns; the attitude's columns are zero.
-    shared : ndarray, shape (SHARED,)
-    centres : ndarray, shape (k, 3)
-        Local disturbance at the centres of `Places`, µT, world axes.
-    """
+    """A value of all unknowns."""
 
     attitude: FloatArray
+    """Magnetic ENU to body axes. Shape (n, 3, 3)."""
     local: FloatArray
+    """The nodes' other unknowns; the attitude's columns are zero. Shape (n, LOCAL)."""
     shared: FloatArray
+    """Shape (SHARED,)."""
     centres: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    """Local disturbance at the centres of `Places`, µT, world axes. Shape (k, 3)."""
 
     def moved(self, local: FloatArray, shared: FloatArray) -> State:
         """Return the state after a step; `shared` holds the steps of the centres at its end."""

@@ -33,26 +33,17 @@ TILT = [ROLL, PITCH]
 
 @dataclass(frozen=True, eq=False)
 class Twelve:
-    """The calibration in the package's own form.
-
-    Parameters
-    ----------
-    correction : Correction
-    covariance : ndarray, shape (12, 12)
-        Of the twelve numbers, SI.
-    field : ndarray, shape (3,)
-        The Earth's in magnetic ENU, tesla.
-    heading_sigma : float
-        Radians on the level.
-    widened : float
-        By how much more the roads differ than the model has it, at least one (variance).
-    """
+    """The calibration in the package's own form."""
 
     correction: Correction
     covariance: FloatArray
+    """Of the twelve numbers, SI. Shape (12, 12)."""
     field: FloatArray
+    """The Earth's in magnetic ENU, tesla. Shape (3,)."""
     heading_sigma: float
+    """Radians on the level."""
     widened: float
+    """By how much more the roads differ than the model has it, at least one (variance)."""
 
 
 def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) -> Twelve:

@@ -19,48 +19,32 @@ so the band is as wide as one node."""
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Normal equations of a chain and of what its nodes share.
-
-    Parameters
-    ----------
-    blocks : ndarray, shape (n, 4, 4)
-        Information of each node on itself.
-    ties : ndarray, shape (n - 1, 4)
-        Diagonal of the information between each node and the next.
-    coupling : ndarray, shape (n, 4, g)
-        Information between each node and what is shared.
-    shared : ndarray, shape (g, g)
-        Information on what is shared.
-    local_gradient, shared_gradient : ndarray, shape (n, 4), (g,)
-        Downhill.
-    """
+    """Normal equations of a chain and of what its nodes share."""
 
     blocks: FloatArray
+    """Information of each node on itself. Shape (n, 4, 4)."""
     ties: FloatArray
+    """Diagonal of the information between each node and the next. Shape (n - 1, 4)."""
     coupling: FloatArray
+    """Information between each node and what is shared. Shape (n, 4, g)."""
     shared: FloatArray
+    """Information on what is shared. Shape (g, g)."""
     local_gradient: FloatArray
     shared_gradient: FloatArray
+    """Downhill. Shape (n, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """A chain's unknowns taken out.
-
-    Parameters
-    ----------
-    shared_step, local_step : ndarray, shape (g,), (n, 4)
-        To the optimum of the normal equations.
-    information : ndarray, shape (g, g)
-        Schur complement: what is known of the shared numbers.
-    follow : ndarray, shape (n, 4, g)
-        How the nodes follow the shared numbers, with the sign reversed.
-    """
+    """A chain's unknowns taken out."""
 
     shared_step: FloatArray
     local_step: FloatArray
+    """To the optimum of the normal equations. Shape (g,)."""
     information: FloatArray
+    """Schur complement: what is known of the shared numbers. Shape (g, g)."""
     follow: FloatArray
+    """How the nodes follow the shared numbers, with the sign reversed. Shape (n, 4, g)."""
 
 
 def eliminate(chain: Chain) -> Eliminated | None:

@@ -24,21 +24,14 @@ from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 @dataclass(frozen=True, eq=False)
 class IronChange:
-    """Iron that was added.
-
-    Parameters
-    ----------
-    since : float
-        Clock from which it is there, seconds.
-    gain : float
-        Fall of minus twice the log likelihood against no change, over `counts`.
-    fit : DriveFit
-        Its `twelve` is of the raw field since then.
-    """
+    """Iron that was added."""
 
     since: float
+    """Clock from which it is there, seconds."""
     gain: float
+    """Fall of minus twice the log likelihood against no change, over `counts`."""
     fit: DriveFit
+    """Its `twelve` is of the raw field since then."""
 
 
 def find_change(

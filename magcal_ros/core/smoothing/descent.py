@@ -38,21 +38,12 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A drive, what is known, and how it is weighed.
-
-    Parameters
-    ----------
-    nodes : Nodes
-    prior : SharedPrior
-    declination : float
-        Radians, for the course.
-    sizes : Sizes
-    tuning : SmootherTuning
-    """
+    """A drive, what is known, and how it is weighed."""
 
     nodes: Nodes
     prior: SharedPrior
     declination: float = 0.0
+    """Radians, for the course."""
     sizes: Sizes = Sizes()
     tuning: SmootherTuning = TUNING
 
@@ -88,13 +79,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Residuals, weights and cost at one linearisation point.
-
-    Parameters
-    ----------
-    problem : Problem
-    unknowns : Unknowns
-    """
+    """Residuals, weights and cost at one linearisation point."""
 
     problem: Problem
     unknowns: Unknowns
@@ -230,23 +215,15 @@ class Linearisation:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """The optimum.
-
-    Parameters
-    ----------
-    here : Linearisation
-    eliminated : Eliminated
-        Of the normal equations there.
-    rounds : int
-        Steps that were taken.
-    converged : bool
-        Whether the last one moved nothing.
-    """
+    """The optimum."""
 
     here: Linearisation
     eliminated: Eliminated
+    """Of the normal equations there."""
     rounds: int
+    """Steps that were taken."""
     converged: bool
+    """Whether the last one moved nothing."""
 
     @property
     def problem(self) -> Problem:

@@ -37,22 +37,15 @@ ALONG_Y: FloatArray = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Everything that is sought.
-
-    Parameters
-    ----------
-    shared : ndarray, shape (15,)
-        Hard iron (3, nominal body axes), installation roll and pitch, soft iron (5), level and
-        downward field, the gyro's bias and scale, compass less course.
-    yaw : ndarray, shape (n,)
-        Of each node, to magnetic north.
-    street : ndarray, shape (n, 3)
-        The disturbance there, magnetic ENU.
-    """
+    """Everything that is sought."""
 
     shared: FloatArray
+    """Hard iron (3, nominal body axes), installation roll and pitch, soft iron (5), level and
+    downward field, the gyro's bias and scale, compass less course. Shape (15,)."""
     yaw: FloatArray
+    """Of each node, to magnetic north. Shape (n,)."""
     street: FloatArray
+    """The disturbance there, magnetic ENU. Shape (n, 3)."""
 
     def moved(self, shared: FloatArray, local: FloatArray) -> Unknowns:
         """Return what a step in the shared numbers (15,) and in yaw and street (n, 4) leads to."""

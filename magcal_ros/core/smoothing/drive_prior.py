@@ -32,16 +32,12 @@ HELD = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SharedPrior:
-    """A Gaussian on the shared numbers.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (15,)
-    covariance : ndarray, shape (15, 15)
-    """
+    """A Gaussian on the shared numbers."""
 
     mean: FloatArray
+    """Shape (15,)."""
     covariance: FloatArray
+    """Shape (15, 15)."""
 
     @property
     def information(self) -> FloatArray:

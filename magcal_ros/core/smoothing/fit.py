@@ -32,20 +32,13 @@ SECTORS = 12
 
 @dataclass(frozen=True, eq=False)
 class DriveFit:
-    """What a drive shows.
-
-    Parameters
-    ----------
-    smoothed : Smoothed
-    twelve : Twelve
-        The calibration.
-    level_pull : float
-        Level field found less the one believed, in sigmas of the belief.
-    """
+    """What a drive shows."""
 
     smoothed: Smoothed
     twelve: Twelve
+    """The calibration."""
     level_pull: float
+    """Level field found less the one believed, in sigmas of the belief."""
 
     @property
     def nodes(self) -> Nodes:
@@ -239,18 +232,12 @@ def _held(
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodRatio:
-    """The log likelihood ratio of nodes between a new calibration and an old one.
-
-    Parameters
-    ----------
-    gain : float
-        Fall of minus twice the log likelihood, over `counts`: neighbours are alike.
-    by_sector : ndarray, shape (12,)
-        What of it each of twelve headings has.
-    """
+    """The log likelihood ratio of nodes between a new calibration and an old one."""
 
     gain: float = 0.0
+    """Fall of minus twice the log likelihood, over `counts`: neighbours are alike."""
     by_sector: FloatArray = field(default_factory=lambda: np.zeros(SECTORS))
+    """What of it each of twelve headings has. Shape (12,)."""
 
     @property
     def elsewhere(self) -> float:

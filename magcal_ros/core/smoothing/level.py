@@ -27,24 +27,16 @@ SMALL_BIAS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """Up along a drive.
-
-    Parameters
-    ----------
-    up : ndarray, shape (m, 3)
-        Unit vectors in body axes.
-    stays : bool
-        Whether nothing pulls, as starts, stops and bends do: then nobody travels.
-    doubt : LeanDoubt
-        There is none for who stays.
-    wander : ndarray, shape (m, 3), or None
-        About what is wrong with how up varies; None for who stays.
-    """
+    """Up along a drive."""
 
     up: FloatArray
+    """Unit vectors in body axes. Shape (m, 3)."""
     stays: bool
+    """Whether nothing pulls, as starts, stops and bends do: then nobody travels."""
     doubt: LeanDoubt
+    """There is none for who stays."""
     wander: FloatArray | None = None
+    """About what is wrong with how up varies; None for who stays. Shape (m, 3)."""
 
 
 def level_of(

@@ -26,34 +26,22 @@ OWN = [*range(3), *range(6, 9)]
 
 @dataclass(frozen=True, eq=False)
 class Bias:
-    """What a drive shows of the gyro's bias.
-
-    Parameters
-    ----------
-    rate : ndarray, shape (3,)
-        rad/s.
-    information : float
-        What the drive alone says of its worst seen component across up, per (rad/s)².
-    """
+    """What a drive shows of the gyro's bias."""
 
     rate: FloatArray
+    """rad/s. Shape (3,)."""
     information: float
+    """What the drive alone says of its worst seen component across up, per (rad/s)²."""
 
 
 @dataclass(frozen=True)
 class Leans:
-    """What leans the specific force beside the gyro's bias, over gravity; one sigma.
-
-    Parameters
-    ----------
-    jolt : float
-        Of the mean over `SmootherTuning.jolt_seconds`.
-    pull_per_rate : float
-        Per rad/s of turning.
-    """
+    """What leans the specific force beside the gyro's bias, over gravity; one sigma."""
 
     jolt: float
+    """Of the mean over `SmootherTuning.jolt_seconds`."""
     pull_per_rate: float
+    """Per rad/s of turning."""
 
     @classmethod
     def travelling(cls, tuning: SmootherTuning = TUNING) -> Leans:
@@ -68,27 +56,18 @@ class Leans:
 
 @dataclass(frozen=True, eq=False)
 class ForceLog:
-    """The specific force along a drive, over gravity.
-
-    Parameters
-    ----------
-    time : ndarray, shape (m,)
-        Seconds, increasing.
-    force : ndarray, shape (m, 3)
-        Body axes.
-    rate : ndarray, shape (m, 3)
-        rad/s, body axes.
-    weight : ndarray, shape (m,)
-        Of each row: how many there are, less what is not believed of them.
-    pieces : ndarray of int
-        Rows from which on the gyro was heard anew; the first is zero.
-    """
+    """The specific force along a drive, over gravity."""
 
     time: FloatArray
+    """Seconds, increasing. Shape (m,)."""
     force: FloatArray
+    """Body axes. Shape (m, 3)."""
     rate: FloatArray
+    """rad/s, body axes. Shape (m, 3)."""
     weight: FloatArray
+    """Of each row: how many there are, less what is not believed of them. Shape (m,)."""
     pieces: IntArray
+    """Rows from which on the gyro was heard anew; the first is zero."""
 
     def stretches(self, seconds: float) -> IntArray:
         """Return the first rows of stretches that last so long at most, none across a gap."""

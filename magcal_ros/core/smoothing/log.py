@@ -20,31 +20,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class DriveLog:
-    """Means over short stretches, one row each.
-
-    Parameters
-    ----------
-    time : ndarray, shape (m,)
-        Seconds, increasing.
-    field : ndarray, shape (m, 3)
-        Raw field, tesla.
-    force : ndarray, shape (m, 3)
-        Specific force, m/s², body axes; the vehicle's own acceleration taken off where it is known.
-    rate : ndarray, shape (m, 3)
-        rad/s, body axes.
-    speed : ndarray, shape (m,)
-        m/s; NaN where nobody measures it.
-    bias_sigma : float
-        rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
-        and it was taken off; infinite where none has.
-    """
+    """Means over short stretches, one row each."""
 
     time: FloatArray
+    """Seconds, increasing. Shape (m,)."""
     field: FloatArray
+    """Raw field, tesla. Shape (m, 3)."""
     force: FloatArray
+    """Specific force, m/s², body axes; the vehicle's own acceleration taken off where it is known.
+    Shape (m, 3)."""
     rate: FloatArray
+    """rad/s, body axes. Shape (m, 3)."""
     speed: FloatArray
+    """m/s; NaN where nobody measures it. Shape (m,)."""
     bias_sigma: float = math.inf
+    """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
+    and it was taken off; infinite where none has."""
 
     def __len__(self) -> int:
         return len(self.time)

@@ -18,25 +18,17 @@ MICROTESLA = 1e6
 
 @dataclass(frozen=True)
 class LeanDoubt:
-    """How far up may lean all along, with the robot: in steady bends a gyro's bias is a lean.
-
-    Parameters
-    ----------
-    information : float
-        What a drive says of the bias across up, per (rad/s)².
-    per_bias : float
-        Radians that up leans for each rad/s of bias.
-    usual : float
-        rad/s per axis: one sigma of a bias beforehand.
-    wander : float
-        Share of the square by which up varies that is error of up. The downward field is found by
-        so much too small, and the hard iron along up with it.
-    """
+    """How far up may lean all along, with the robot: in steady bends a gyro's bias is a lean."""
 
     information: float = math.inf
+    """What a drive says of the bias across up, per (rad/s)²."""
     per_bias: float = 0.0
+    """Radians that up leans for each rad/s of bias."""
     usual: float = TUNING.usual_bias
+    """rad/s per axis: one sigma of a bias beforehand."""
     wander: float = 0.0
+    """Share of the square by which up varies that is error of up. The downward field is found by so
+    much too small, and the hard iron along up with it."""
 
     def sigma(self, about_up: float) -> float:
         """Return it in radians, for a gyro whose bias about up is known to be so large, rad/s.
@@ -48,43 +40,31 @@ class LeanDoubt:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Stretches of driving, one after another; each is told from the one before.
-
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds of the middle.
-    field : ndarray, shape (n, 3)
-        Mean field in nominal body axes, microtesla.
-    axes : ndarray, shape (n, 3, 3)
-        Mean rotation from levelled axes, whose x lies under body x in the middle of the node, to
-        body axes. Where the robot turned inside the node it is shorter than a rotation.
-    turned : ndarray, shape (n,)
-        Radians of yaw by the gyro from the middle of the node before.
-    seconds, metres : ndarray, shape (n,)
-        From there, too.
-    is_tied : ndarray of bool, shape (n,)
-        Whether the gyro was heard all the way from there; never for the first.
-    course, course_sigma : ndarray, shape (n,)
-        Course over ground to true north, radians ENU, and its standard deviation; infinite where
-        there is none.
-    lean : LeanDoubt
-        Of up.
-    iron_from : float
-        Clock from which the hard iron that is sought is there, seconds.
-    """
+    """Stretches of driving, one after another; each is told from the one before."""
 
     time: FloatArray
+    """Seconds of the middle. Shape (n,)."""
     field: FloatArray
+    """Mean field in nominal body axes, microtesla. Shape (n, 3)."""
     axes: FloatArray
+    """Mean rotation from levelled axes, whose x lies under body x in the middle of the node, to
+    body axes. Where the robot turned inside the node it is shorter than a rotation. Shape (n, 3,
+    3)."""
     turned: FloatArray
+    """Radians of yaw by the gyro from the middle of the node before. Shape (n,)."""
     seconds: FloatArray
     metres: FloatArray
+    """From there, too. Shape (n,)."""
     is_tied: BoolArray
+    """Whether the gyro was heard all the way from there; never for the first. Shape (n,)."""
     course: FloatArray
     course_sigma: FloatArray
+    """Course over ground to true north, radians ENU, and its standard deviation; infinite where
+    there is none. Shape (n,)."""
     lean: LeanDoubt = LeanDoubt()
+    """Of up."""
     iron_from: float = -math.inf
+    """Clock from which the hard iron that is sought is there, seconds."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -146,33 +126,22 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Samples of a drive with their up, before they are averaged.
-
-    Parameters
-    ----------
-    time : ndarray, shape (m,)
-        Seconds, increasing.
-    field : ndarray, shape (m, 3)
-        Raw field, tesla.
-    up : ndarray, shape (m, 3)
-        Body axes, unit.
-    rate : ndarray, shape (m, 3)
-        rad/s, body axes.
-    speed : ndarray, shape (m,), or None
-        m/s along the way; None where nobody measures it.
-    lean : LeanDoubt
-        Of up.
-    wander : ndarray, shape (m, 3), or None
-        About what is wrong with how up varies.
-    """
+    """Samples of a drive with their up, before they are averaged."""
 
     time: FloatArray
+    """Seconds, increasing. Shape (m,)."""
     field: FloatArray
+    """Raw field, tesla. Shape (m, 3)."""
     up: FloatArray
+    """Body axes, unit. Shape (m, 3)."""
     rate: FloatArray
+    """rad/s, body axes. Shape (m, 3)."""
     speed: FloatArray | None = None
+    """m/s along the way; None where nobody measures it. Shape (m,)."""
     lean: LeanDoubt = LeanDoubt()
+    """Of up."""
     wander: FloatArray | None = None
+    """About what is wrong with how up varies. Shape (m, 3)."""
 
 
 def levelled_axes(up: FloatArray) -> FloatArray:

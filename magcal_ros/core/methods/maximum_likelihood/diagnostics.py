@@ -23,21 +23,14 @@ from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 
 @dataclass(frozen=True)
 class FigureTuning:
-    """How the figures of one turn are measured.
-
-    Parameters
-    ----------
-    ellipse_arc : float
-        Radians below which an arc shows no ellipse.
-    sector : float
-        Radians of the turn over which noise of up is averaged before it is graded.
-    split_damping : float
-        Of the step to the optimum of half a turn, which may leave a direction open.
-    """
+    """How the figures of one turn are measured."""
 
     ellipse_arc: float = math.radians(270.0)
+    """Radians below which an arc shows no ellipse."""
     sector: float = math.radians(10.0)
+    """Radians of the turn over which noise of up is averaged before it is graded."""
     split_damping: float = 1e-6
+    """Of the step to the optimum of half a turn, which may leave a direction open."""
 
 
 TUNING = FigureTuning()

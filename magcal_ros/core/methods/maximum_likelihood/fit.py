@@ -69,15 +69,10 @@ most often it is the other that is."""
 
 @dataclass(frozen=True)
 class Options:
-    """How the fit works; the defaults are meant to be left alone.
-
-    Parameters
-    ----------
-    largest : int
-        Neighbouring samples are averaged until no more than this number remain.
-    """
+    """How the fit works; the defaults are meant to be left alone."""
 
     largest: int = 800
+    """Neighbouring samples are averaged until no more than this number remain."""
 
 
 def fit(
@@ -137,44 +132,29 @@ def solve(
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """What the fit came to, before it is judged.
-
-    Parameters
-    ----------
-    prepared : Prepared
-    choice : Choice
-        The optimum of the model that the samples ask for.
-    rival_gap : float
-        Radians of heading to a rival that explains the samples as well.
-    window : Window
-        The samples.
-    swing : GyroSwing or None
-        Of gyro and compass; None without a gyro.
-    gyro_gap : float
-        Radians of heading that another explanation, or the fit without the gyro, leaves in doubt.
-    motors : ndarray, shape (m, 3), or None
-        Field of the motors (`motor_field`), tesla; None where no rest tells.
-    pull : float
-        Radians by which the mean specific force leans from the gyro's up.
-    doubtful_pull : float
-        Radians of it that may be there in the turn and not at rest, one sigma.
-    lever_arm : float
-        Metres of it that the gyro leaves possible, one sigma.
-    explained : bool
-        Whether the gyro's turning explains the samples, even where it is not followed.
-    """
+    """What the fit came to, before it is judged."""
 
     prepared: Prepared
     choice: Choice
+    """The optimum of the model that the samples ask for."""
     rival_gap: float
+    """Radians of heading to a rival that explains the samples as well."""
     window: Window
+    """The samples."""
     swing: GyroSwing | None = None
+    """Of gyro and compass; None without a gyro."""
     gyro_gap: float = 0.0
+    """Radians of heading that another explanation, or the fit without the gyro, leaves in doubt."""
     motors: FloatArray | None = None
+    """Field of the motors (`motor_field`), tesla; None where no rest tells. Shape (m, 3)."""
     pull: float = 0.0
+    """Radians by which the mean specific force leans from the gyro's up."""
     doubtful_pull: float = 0.0
+    """Radians of it that may be there in the turn and not at rest, one sigma."""
     lever_arm: float = math.inf
+    """Metres of it that the gyro leaves possible, one sigma."""
     explained: bool = False
+    """Whether the gyro's turning explains the samples, even where it is not followed."""
 
     @property
     def turning(self) -> Turning:

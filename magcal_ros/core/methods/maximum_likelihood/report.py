@@ -23,29 +23,19 @@ METHOD = "maximum_likelihood"
 
 @dataclass(frozen=True, eq=False)
 class EstimateParts:
-    """What belongs to an estimate beside the optimum.
-
-    Parameters
-    ----------
-    prepared : Prepared
-        The samples.
-    covariance : ndarray, shape (12, 12)
-        Of the twelve numbers in SI units.
-    axis : ndarray, shape (3,)
-        The turn's axis in body axes.
-    arc : float
-        Radians.
-    figures : dict
-    swing : GyroSwing or None
-        Of gyro and compass over the turn.
-    """
+    """What belongs to an estimate beside the optimum."""
 
     prepared: Prepared
+    """The samples."""
     covariance: FloatArray
+    """Of the twelve numbers in SI units. Shape (12, 12)."""
     axis: FloatArray
+    """The turn's axis in body axes. Shape (3,)."""
     arc: float
+    """Radians."""
     figures: dict[Figure, float]
     swing: GyroSwing | None
+    """Of gyro and compass over the turn."""
 
 
 def build_estimate(fit: Fit, parts: EstimateParts) -> Estimate:

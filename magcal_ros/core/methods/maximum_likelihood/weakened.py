@@ -20,32 +20,22 @@ from magcal_ros.core.samples.window import Window
 
 @dataclass(frozen=True)
 class WeakenedTuning:
-    """When a body is taken to weaken the level field.
-
-    Parameters
-    ----------
-    weak : float
-        Share of the reference's level field below which a circle is taken for weakened.
-    weakest : float
-        Share below which little more than noise is left.
-    earths_field : tuple of float
-        Tesla. A reference outside is none, and no circle is weak beside it.
-    least_phases, phases : int
-        A circle's radius is believed where so many of so many sectors were seen.
-    largest_lean : float
-        Radians of the circle's plane from the level.
-    sideways : float
-        Share of up along one of the magnetometer's axes from which the other two are the level
-        ones.
-    """
+    """When a body is taken to weaken the level field."""
 
     weak: float = 0.75
+    """Share of the reference's level field below which a circle is taken for weakened."""
     weakest: float = 0.15
+    """Share below which little more than noise is left."""
     earths_field: tuple[float, float] = (20e-6, 70e-6)
+    """Tesla. A reference outside is none, and no circle is weak beside it."""
     least_phases: int = 30
     phases: int = 36
+    """A circle's radius is believed where so many of so many sectors were seen."""
     largest_lean: float = math.radians(25.0)
+    """Radians of the circle's plane from the level."""
     sideways: float = 0.95
+    """Share of up along one of the magnetometer's axes from which the other two are the level
+    ones."""
 
 
 TUNING = WeakenedTuning()
