@@ -185,6 +185,7 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
     swing = _swing(found) if nodes.tied_to is None else None
     if swing is None:
         del figures[Figure.GYRO_CARRIED]
+        figures[Figure.WOBBLE] = _wobble(best)
     else:
         figures[Figure.GYRO_COMPASS_SWING] = swing.rms
     return Estimate(
@@ -205,6 +206,15 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
         swing=swing,
         motors=motors_of(posterior, best),
     )
+
+
+def _wobble(best: Fit) -> float:
+    """Return the RMS lean of the turn's axis in the body, radians per axis."""
+    up = best.state.attitude[:, :, 2]
+    across = np.cross(unit(up.mean(axis=0)), up)
+    # On a slope the axis goes round in the body as the robot turns: what stays in world axes.
+    world = np.einsum("nji,nj->ni", best.state.attitude, across)
+    return math.sqrt(float(np.mean(np.sum((world - world.mean(axis=0)) ** 2, axis=1))) / 2.0)
 
 
 def _swing(found: Smoothed) -> GyroSwing:

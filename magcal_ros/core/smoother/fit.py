@@ -16,7 +16,6 @@ from magcal_ros.core.smoother.sizes import (
     effect_factors,
     expected_square,
     noise_sizes,
-    tails,
 )
 from magcal_ros.core.smoother.solver import Solution, Weighted
 from magcal_ros.core.smoother.state import State
@@ -188,7 +187,7 @@ class SizeSteps:
         """Return the change and the point after it; where steps alternate, they get shorter."""
         if not counted:
             return self, point
-        wanted, shown, doubt = noise_sizes(model, point, weighted, solution)
+        wanted, _, doubt = noise_sizes(model, point, weighted, solution)
         pace, steps = {}, {}
         for name, size in wanted.items():
             step = math.log(size / point.sizes[name])
@@ -197,10 +196,7 @@ class SizeSteps:
             pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
-        point = replace(point, sizes=sizes, doubt=doubt)
-        if any(math.isnan(each.freedom) for each in model.priors.sizes.values()):
-            point = replace(point, tails=tails(weighted, shown))
-        return SizeSteps(pace, steps), point
+        return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)
 
 
 def _covariance(

@@ -19,31 +19,22 @@ from magcal_ros.core.geometry.rotations import turns_about_z
 
 @dataclass(frozen=True)
 class SwingTuning:
-    """How what is the gyro's own is told from a swing of the compass.
-
-    Parameters
-    ----------
-    sector : float
-        Radians of the turn over which the deviation is averaged.
-    bias, scale : float
-        What gyros have of both (rad/s and one). A slope beyond it is taken off only where it
-        leaves little behind: a swing once a turn looks like a slope in part, and must not pass for
-        the gyro's.
-    rounds : int
-        Of Cauchy weights; they settle sooner.
-    spike : float
-        Times the median deviation beyond which a sector does not count.
-    most_radial : float
-        Radians up to which a deviation along the radius stands for one across it. A turn with more
-        does not fit: its halves and residuals show it, and a wide sigma would hide it.
-    """
+    """How what is the gyro's own is told from a swing of the compass."""
 
     sector: float = math.radians(12.0)
+    """Radians of the turn over which the deviation is averaged."""
     bias: float = 0.003
     scale: float = 0.01
+    """What gyros have of both (rad/s and one). A slope beyond it is taken off only where it leaves
+    little behind: a swing once a turn looks like a slope in part, and must not pass for the
+    gyro's."""
     rounds: int = 10
+    """Of Cauchy weights; they settle sooner."""
     spike: float = 6.0
+    """Times the median deviation beyond which a sector does not count."""
     most_radial: float = math.radians(2.0)
+    """Radians up to which a deviation along the radius stands for one across it. A turn with more
+    does not fit: its halves and residuals show it, and a wide sigma would hide it."""
 
 
 SWING = SwingTuning()

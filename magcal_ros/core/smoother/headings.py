@@ -36,24 +36,16 @@ BELIEVED = -2
 
 @dataclass(frozen=True)
 class HeadingAgreement:
-    """How well known headings, field and gyro agree.
-
-    Parameters
-    ----------
-    cost : float
-        Minus twice the logarithm of the evidence, but for a constant of the number of standings.
-    misfit : float
-        Squared deviations over their variances at the usual size of the local disturbance.
-    least : float
-        The same at the largest size that is believed.
-    freedom : int
-        How many deviations that adds up: those of the field but for the hard iron.
-    """
+    """How well known headings, field and gyro agree."""
 
     cost: float
+    """Minus twice the logarithm of the evidence, but for a constant of the number of standings."""
     misfit: float
+    """Squared deviations over their variances at the usual size of the local disturbance."""
     least: float
+    """The same at the largest size that is believed."""
     freedom: int
+    """How many deviations that adds up: those of the field but for the hard iron."""
 
     @property
     def chance(self) -> float:
@@ -70,27 +62,17 @@ class HeadingAgreement:
 
 @dataclass(frozen=True, eq=False)
 class HeadingFit:
-    """What known headings show.
-
-    Parameters
-    ----------
-    state : State
-    covariance : ndarray, shape (SHARED, SHARED)
-        Of the shared unknowns.
-    posterior : Posterior
-    agreement : HeadingAgreement
-    residual : ndarray, shape (n, 3)
-        Field less the model's without the local disturbance, tesla, sensor axes.
-    yaw_sigma : float
-        Of the installation's yaw, radians.
-    """
+    """What known headings show."""
 
     state: State
     covariance: FloatArray
+    """Of the shared unknowns. Shape (SHARED, SHARED)."""
     posterior: Posterior
     agreement: HeadingAgreement
     residual: FloatArray
+    """Field less the model's without the local disturbance, tesla, sensor axes. Shape (n, 3)."""
     yaw_sigma: float
+    """Of the installation's yaw, radians."""
 
 
 def fit_headings(

@@ -107,8 +107,6 @@ class Point:
     is_robust: bool = False
     """Whether residuals follow Student distributions; at first they are Gaussian, or the few
     residuals that show an effect, as rests show the motors, would pass for outliers."""
-    tails: dict[str, float] = field(default_factory=dict)
-    """Degrees of freedom of the noises of which they are estimated."""
 
     @classmethod
     def begin(cls, model: Model, state: State) -> Point:
@@ -127,10 +125,7 @@ class Point:
 
     def freedom(self, model: Model, name: str) -> float:
         """Return the degrees of freedom of a noise's Student distribution."""
-        if not self.is_robust:
-            return GAUSSIAN
-        freedom = model.priors.sizes[name].freedom
-        return self.tails.get(name, GAUSSIAN) if math.isnan(freedom) else freedom
+        return model.priors.sizes[name].freedom if self.is_robust else GAUSSIAN
 
     def moved_to(self, model: Model) -> Point:
         """Return the same value of the unknowns as a beginning for another kind of motion."""
@@ -152,7 +147,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
         scale = priors.scale[at]
         if priors.spread[name] > 0.0 and scale.all():
             off = (state.shared - priors.mean)[at] / scale
-            found[name] = float(np.clip(np.sqrt(np.mean(off**2)), 1.0, priors.most[name]))
+            found[name] = float(np.clip(np.sqrt(np.mean(off**2)), 1.0, UNKNOWNS[name].most))
     return found
 
 

@@ -19,19 +19,12 @@ OF_A_TURN = ("gyro_matrix", "lever_arm", "height", "axis", "upright")
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the unknowns of each window stand among those of all.
-
-    Parameters
-    ----------
-    rows : list of ndarray of int
-        For each window, where its free shared unknowns and its centres stand.
-    common : ndarray of int
-        Which shared unknowns the first rows are.
-    count : int
-    """
+    """Where the unknowns of each window stand among those of all."""
 
     rows: list[IntArray]
+    """For each window, where its free shared unknowns and its centres stand."""
     common: IntArray
+    """Which shared unknowns the first rows are."""
     count: int
 
     @classmethod

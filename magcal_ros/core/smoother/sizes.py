@@ -9,14 +9,12 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
-from magcal_ros.core.smoother.model import GAUSSIAN, Model, Point, counted_unknowns
-from magcal_ros.core.smoother.solver import Solution, Weighted, student_constant
-from magcal_ros.core.smoother.unknowns import AT, MEASURED, VELOCITY, Size
+from magcal_ros.core.smoother.model import Model, Point, counted_unknowns
+from magcal_ros.core.smoother.solver import Solution, Weighted
+from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
 
 GRID = 60
 """Factors of an effect's sigma that are tried."""
-TAILS = (3.0, 4.0, 6.0, 10.0, 20.0, 50.0, GAUSSIAN)
-"""Degrees of freedom of a Student distribution that are tried."""
 SMALLEST = 4.0
 """Spreads below the median to which a size may fall; what is smaller makes no difference."""
 
@@ -122,34 +120,6 @@ def _next_size(size: float, total: float, shown: float, belief: Size) -> float:
     return min(belief.most, max(least, size * math.exp(max(-0.7, min(0.7, change)))))
 
 
-def tails(weighted: dict[str, Weighted], shown: dict[str, float]) -> dict[str, float]:
-    """Return the most likely degrees of freedom of the noises of measurements.
-
-    `shown` says by how many residuals each is shown: what the fit takes away of them shortens
-    their squares alike.
-    """
-    found = {}
-    for name in MEASURED:
-        if name in weighted:
-            part = weighted[name]
-            square = part.chi2[np.isfinite(part.variance)]
-            found[name] = _tail(square, shown[name] / max(len(square), 1))
-    return found
-
-
-def _tail(square: FloatArray, width: float) -> float:
-    """Return the degrees of freedom of squares (k,) of so many components each."""
-    costs = []
-    for freedom in TAILS:
-        scale = 1.0
-        for _ in range(10):
-            weight = (freedom + width) / (freedom + square / scale)
-            scale = float(np.mean(weight * square)) / width
-        spread = (freedom + width) * float(np.mean(np.log1p(square / scale / freedom)))
-        costs.append(spread + width * math.log(scale) + student_constant(freedom, width))
-    return TAILS[int(np.argmin(costs))]
-
-
 def expected_square(size: float, shown: float, belief: Size) -> float:
     """Return the root mean square of a size under its posterior.
 
@@ -190,8 +160,7 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        most = model.priors.most[name]
-        factor = _factor(most, spread, own, mean, found[name], is_expected=name in expected)
+        factor = _factor(name, spread, own, mean, found[name], is_expected=name in expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
             covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
@@ -200,7 +169,7 @@ def effect_factors(
 
 
 def _factor(
-    most: float,
+    name: str,
     spread: float,
     posterior: FloatArray,
     mean: FloatArray,
@@ -216,7 +185,7 @@ def _factor(
     values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
     drawn = vectors.T @ posterior @ mean
-    x = np.linspace(-3.0 * spread, math.log(most), GRID)
+    x = np.linspace(-3.0 * spread, math.log(UNKNOWNS[name].most), GRID)
     square = np.exp(2.0 * x)[:, None]
     likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
     likely -= 0.5 * np.sum(np.log1p(square * values), axis=1) + 0.5 * (x / spread) ** 2

@@ -6,7 +6,6 @@ complement, whose inverse is their covariance. The time is linear in the nodes.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,14 +42,7 @@ class Weighted:
         counted = np.isfinite(self.variance)
         width = self.linear.residual.shape[1]
         spread = (self.freedom + width) * np.log1p(self.chi2[counted] / self.freedom)
-        constant = student_constant(self.freedom, width)
-        return float(np.sum(spread + width * np.log(self.variance[counted]) + constant))
-
-
-def student_constant(freedom: float, width: float) -> float:
-    """Return what the degrees of freedom add to minus twice a logarithm of the likelihood."""
-    gammas = math.lgamma(0.5 * freedom) - math.lgamma(0.5 * (freedom + width))
-    return 2.0 * gammas + width * math.log(0.5 * freedom)
+        return float(np.sum(spread + width * np.log(self.variance[counted])))
 
 
 @dataclass(frozen=True, eq=False)

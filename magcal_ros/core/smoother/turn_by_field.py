@@ -27,8 +27,6 @@ from magcal_ros.core.smoother.unknowns import (
     priors_of,
 )
 from magcal_ros.core.smoother.without_gyro import (
-    NODE,
-    SHORT,
     apart,
     guesses,
     in_a_bent_field,
@@ -68,12 +66,11 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     Refusal
         If no fit could be had.
     """
-    exact = knowledge.systematics.are_none
-    nodes = nodes_by_field(window, knowledge.mounting.to_body, SHORT if exact else NODE)
+    nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
-    priors = without_rates(usual, rests=rests, exact=exact)
+    priors = without_rates(usual, rests=rests)
     led = (
         _fitted(nodes, like.model.priors, like.state, AGAIN, like)
         for like in _best(nodes, priors, knowledge)
@@ -84,6 +81,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     fits: dict[str, Fit] = {}
     for each, root in zip(roots, ("", OTHER), strict=False):
         # Sensors that are exact move no more than their robot does.
+        exact = knowledge.systematics.are_none
         found = {ON_THE_SPOT: each} if exact else _elsewhere(each)
         fits |= {name + root: other for name, other in found.items()}
     return mixed(fits, nodes, knowledge, USUAL)

@@ -55,8 +55,7 @@ class Size(NamedTuple):
     spread: float
     """Standard deviation of its natural logarithm."""
     freedom: float
-    """Degrees of freedom of the Student distribution of the noise itself; NaN where they are
-    estimated."""
+    """Degrees of freedom of the Student distribution of the noise itself."""
     unit: str
     meaning: str
     source: str
@@ -189,16 +188,10 @@ STANDING = Size(
 """Of a robot at a known heading, which stands on one spot instead of passing along a street."""
 
 
-MEASURED = ("field", "force", "force_up")
-"""Noises of measurements; the others are of processes."""
 NOTHING = 1e-3
-"""Share of the usual size that is left of what is known to be none."""
-RARE_IRON = 0.0001, 2.5
+"""µT of a local disturbance or of currents that are known to be none."""
+RARE_IRON = 0.0005, 2.0
 """Median size of soft iron and its spread, where the sensors have no errors of their own."""
-
-PASSING = Size(
-    0.001, 1.5, 3.0, "µT", "what passes by sensors that have no error", "most: none", 0.1
-)
 
 
 class KindOfMotion(NamedTuple):
@@ -297,10 +290,6 @@ class Priors:
     """Of the groups' factors (`Unknown`)."""
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = Lengths()
-    most: Mapping[str, float] = field(
-        default_factory=lambda: {name: each.most for name, each in UNKNOWNS.items()}
-    )
-    """Largest factors of the groups."""
 
     def about(self, iron: FloatArray, level: float) -> Priors:
         """Return the priors about a start: hard iron, and the level field where it is unknown."""
@@ -330,7 +319,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     for name in ("height", "axis", "upright", "gradient", "turned", "place"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
-    sizes, most = dict(SIZES), {name: each.most for name, each in UNKNOWNS.items()}
+    sizes = dict(SIZES)
     if knowledge.systematics.are_none:
         for name in (
             "gyro_matrix",
@@ -345,23 +334,13 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "shielding",
         ):
             scale[AT[name]] = 0.0
-        most["soft_iron"] *= UNKNOWNS["soft_iron"].sigma[0] / RARE_IRON[0]
         scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON
-        for name in MEASURED:
-            sizes[name] = sizes[name]._replace(freedom=math.nan)
-        for name in ("street", "body_field"):
-            sizes[name] = none_of(sizes[name])
-        sizes["motors_noise"] = PASSING
+        for name in ("street", "body_field", "motors_noise"):
+            sizes[name] = sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    return Priors(mean, scale, earth, spread, sizes, most=most)
-
-
-def none_of(size: Size) -> Size:
-    """Return the size of a noise that is known to be none."""
-    little = NOTHING * size.usual
-    return size._replace(usual=little, spread=0.1, start=little)
+    return Priors(mean, scale, earth, spread, sizes)
 
 
 def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:

@@ -33,15 +33,12 @@ from magcal_ros.core.smoother.unknowns import (
     UNKNOWNS,
     Priors,
     Size,
-    none_of,
 )
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
 NODE = 0.3
 """Seconds of a node; a sway of more than 1 Hz is not followed."""
-SHORT = 0.1
-"""The same where nothing else is in doubt."""
 AXIS = 0.3
 """Radians by which the turn's axis may lean from the one that is guessed, per axis."""
 CIRCLE = 0.6
@@ -59,7 +56,6 @@ SWAY: Mapping[str, Size] = {
         0.003, 1.2, 4.0, "m/s", "velocity that neither turn nor sway explains", "on the spot: none"
     ),
 }
-RIGID = Size(0.001, 2.5, 6.0, "rad", "lean where nothing else is in doubt", "0 to .2", 0.03)
 
 
 def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
@@ -76,7 +72,7 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
     return x, y, z
 
 
-def nodes_by_field(window: Window, to_body: FloatArray, longest: float = NODE) -> Nodes:
+def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     """Average a window that has no gyro by the turn rate that its field shows."""
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
@@ -86,7 +82,7 @@ def nodes_by_field(window: Window, to_body: FloatArray, longest: float = NODE) -
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate)
-    nodes = nodes_of(made, to_body, Spacing(longest=longest))
+    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 
@@ -119,18 +115,8 @@ def with_dead_axes(priors: Priors, living: tuple[bool, bool, bool]) -> Priors:
     return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, "gyro": DEAD})
 
 
-def without_rates(priors: Priors, *, rests: bool, exact: bool) -> Priors:
-    """Return the priors of a window that has no gyro.
-
-    Parameters
-    ----------
-    priors : Priors
-        Of a window that has one.
-    rests : bool
-        Whether it shows a rest.
-    exact : bool
-        Whether sensors and place have no errors of their own.
-    """
+def without_rates(priors: Priors, *, rests: bool) -> Priors:
+    """Return the priors of a window that has no gyro; `rests` says whether it shows a rest."""
     scale = priors.scale.copy()
     scale[AT["gyro_bias"]] = scale[AT["gyro_matrix"]] = 0.0
     for name in ("axis", "upright", "height"):
@@ -141,12 +127,7 @@ def without_rates(priors: Priors, *, rests: bool, exact: bool) -> Priors:
         scale[AT["shielding"]] = 0.0
     # Without a rest nothing shows how large a shift is that lasts while the robot moves.
     spread = priors.spread if rests else {**priors.spread, "force_moving": 0.0}
-    sizes = {**priors.sizes, **SWAY}
-    if exact:
-        scale[AT["height"]] = 0.0
-        sizes["speed_change"] = none_of(SWAY["speed_change"])
-        sizes["lean"] = RIGID
-    return replace(priors, scale=scale, spread=spread, sizes=sizes)
+    return replace(priors, scale=scale, spread=spread, sizes={**priors.sizes, **SWAY})
 
 
 def in_a_bent_field(priors: Priors) -> Priors:
