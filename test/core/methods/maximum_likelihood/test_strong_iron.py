@@ -15,7 +15,7 @@ from magcal_ros.core.estimation.parameters import Globals
 from magcal_ros.core.estimation.uncertainty import correction_from
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
 from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods import maximum_likelihood, smoother_one
 from magcal_ros.core.methods.maximum_likelihood.weakened import level_share, weakened
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
@@ -118,9 +118,10 @@ def long_drive(seconds, *, weak, seed=0):
     ("seconds", "weak"),
     [(120.0, False), *(pytest.param(600.0, w, marks=pytest.mark.nightly) for w in (False, True))],
 )
-def test_a_long_window_with_strong_iron_is_better_than_a_short_one(seconds, weak):
+@pytest.mark.parametrize("method", [maximum_likelihood, smoother_one])
+def test_a_long_window_with_strong_iron_is_better_than_a_short_one(method, seconds, weak):
     robot, window = long_drive(seconds, weak=weak)
-    assert level_error(fit(window, known(robot)), robot) < 0.4 * DEGREE
+    assert level_error(method.fit(window, known(robot)), robot) < 0.4 * DEGREE
 
 
 def test_there_and_back_is_not_taken_for_a_pull():
