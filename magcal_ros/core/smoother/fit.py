@@ -209,7 +209,7 @@ def _covariance(
     not tell, so that each may be as large as both together.
     """
     _, shown, _ = noise_sizes(model, point, weighted, solution)
-    _, solution = solve_at(model, widened(model, point, solution, shown))
+    _, solution = solve_at(model, widened(model, point, solution, shown), is_expected=True)
     out, free = np.zeros((SHARED, SHARED)), model.free
     out[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
     return out

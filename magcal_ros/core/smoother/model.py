@@ -312,8 +312,10 @@ def counted_unknowns(model: Model, places: Places) -> IntArray:
     return np.concatenate([model.free, np.arange(SHARED, SHARED + 3 * len(places))])
 
 
-def solve_at(model: Model, point: Point) -> tuple[dict[str, Weighted], Solution]:
-    """Return the residuals at a point and the step from there.
+def solve_at(
+    model: Model, point: Point, *, is_expected: bool = False
+) -> tuple[dict[str, Weighted], Solution]:
+    """Return the residuals at a point and the step from there, or the covariance there.
 
     Raises
     ------
@@ -321,6 +323,8 @@ def solve_at(model: Model, point: Point) -> tuple[dict[str, Weighted], Solution]
         If the matrix is not positive definite.
     """
     weighted = weigh(model, point)
+    if is_expected:
+        weighted = {name: replace(part, is_expected=True) for name, part in weighted.items()}
     counted = counted_unknowns(model, point.places)
     return weighted, solve(list(weighted.values()), prior_at(model, point), counted)
 

@@ -24,6 +24,10 @@ class Weighted:
     """Per component; infinite where there was no measurement. Shape (k,)."""
     freedom: float
     """Degrees of freedom of the Student distribution."""
+    is_expected: bool = False
+    """Whether the weights are the expected curvature of the cost, of which the inverse is the
+    covariance; those of the steps bound the cost from above (Lange, Little and Taylor, JASA 84,
+    1989)."""
 
     @property
     def chi2(self) -> FloatArray:
@@ -33,8 +37,9 @@ class Weighted:
     @property
     def weight(self) -> FloatArray:
         """Student weights over the variance, shape (k,)."""
-        width = self.linear.residual.shape[1]
-        return np.asarray((self.freedom + width) / (self.freedom + self.chi2) / self.variance)
+        reach = self.freedom + self.linear.residual.shape[1]
+        weight = reach / (self.freedom + self.chi2) / self.variance
+        return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
 
     @property
     def cost(self) -> float:

@@ -119,7 +119,7 @@ UNKNOWNS: dict[str, Unknown] = {
         "vibration: most none, some .1",
     ),
     "force_offset": Unknown(
-        (0.08, 0.08, 0.08), 0.9, 10.0, "m/s²", "offset of the accelerometer", "MEMS: .02 to .8"
+        (0.06,) * 3, 0.5, 10.0, "m/s²", "offset of the accelerometer", "MEMS: .02 to .5"
     ),
     "height": Unknown(
         (0.2,), 0.0, 1.0, "m", "accelerometer above the pivot of its sway", "robots: 0 to .6"
