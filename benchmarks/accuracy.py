@@ -19,7 +19,7 @@ from limit import Scene, covariance_limit, heading_rms
 from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -128,7 +128,7 @@ def run(condition: Condition, runs: int, seed: int, tip: Callable[..., Estimate]
         scene, window = draw(condition, rng)
         knowledge = draw_knowledge(condition, scene.robot, rng)
         limit = covariance_limit(
-            scene, knowledge, soft_iron=condition.soft_iron > 0.0, gyro=condition.gyro
+            [scene], knowledge, soft_iron=condition.soft_iron > 0.0, gyro=condition.gyro
         )
         began = time.perf_counter()
         try:

@@ -1,34 +1,32 @@
 """The Cramér-Rao limit: no unbiased estimator can do better on these samples.
 
-Fisher information at the truth, under the same model and beliefs as the maximum-likelihood fit,
-carried to the covariance of the twelve numbers and from there to the heading.
+Fisher information at the truth for sensors that are exact but for noise, with the estimator's
+priors of the field, carried to the covariance of the twelve numbers and to the heading.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from magcal_ros.core.calibration.estimate import yaw_jacobian
-from magcal_ros.core.estimation.free_attitude import FreeBlock
-from magcal_ros.core.estimation.free_equations import SchurSystem
-from magcal_ros.core.estimation.information import inverse_information, without_own
-from magcal_ros.core.estimation.model import Evaluation, Samples, State, predict
-from magcal_ros.core.estimation.parameters import Globals
-from magcal_ros.core.estimation.prior import Prior, prior_from
-from magcal_ros.core.estimation.uncertainty import correction_jacobian
-from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
-from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.geometry.rotations import exp_rotations, minimal_rotation, rotation_from_rpy
+from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.simulation.simulator import LEVEL_TILT, UP_ENU, Motion, Robot, trial_attitudes
 
 GYRO_SCALE_SIGMA = 0.02
 SOFT_IRON_ROWS = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
-"""Where E holds the fit's six soft-iron numbers."""
+"""Where E holds its six numbers."""
+YAW, STRENGTH, DIP, SOFT_IRON = 2, 6, 7, slice(8, 14)
+"""Among the shared parameters: roll, pitch, yaw, hard iron over the strength (3), relative
+strength, inclination, soft iron (6)."""
+STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,69 +41,131 @@ class Scene:
 
 
 def covariance_limit(
-    scene: Scene, knowledge: Knowledge, *, soft_iron: bool = False, gyro: bool = False
+    scenes: Sequence[Scene],
+    knowledge: Knowledge,
+    *,
+    soft_iron: bool = False,
+    gyro: bool = False,
+    yaw: bool = False,
 ) -> FloatArray:
-    """Return the smallest covariance of the twelve numbers, shape (12, 12)."""
-    robot = scene.robot
-    prior = prior_from(knowledge, robot.strength, soft_iron=soft_iron)
-    state = true_state(scene)
-    mounting = robot.mounting.matrix
-    blank = Samples(
-        np.zeros((len(state.attitude), 3)), np.zeros((len(state.attitude), 3)), mounting
+    """Return the smallest covariance of the twelve numbers, shape (12, 12).
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Turns of one robot.
+    knowledge : Knowledge
+    soft_iron, gyro, yaw : bool
+        Whether soft iron is unknown, a gyro is used, and the installation's yaw is unknown.
+    """
+    robot = scenes[0].robot
+    prior = _prior(knowledge, robot, soft_iron=soft_iron, yaw=yaw)
+    free = np.flatnonzero(np.isfinite(prior))
+    information = np.diag(prior[free])
+    for scene in scenes:
+        information += _information(scene, free, gyro=gyro)
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-12 * values[-1])
+
+    def numbers(which: int, by: float) -> FloatArray:
+        return _moved(robot, which, by).true_correction.parameters
+
+    jacobian = np.stack([_slope(partial(numbers, int(k))) for k in free], axis=1)
+    by_free = jacobian @ vectors
+    return np.asarray((by_free / values) @ by_free.T)
+
+
+def _prior(knowledge: Knowledge, robot: Robot, *, soft_iron: bool, yaw: bool) -> FloatArray:
+    """Return the information beforehand on the shared parameters; infinite where they are known."""
+    reference, believed = knowledge.reference, knowledge.soft_iron
+
+    def of(belief: Belief, unit: float) -> float:
+        if belief.is_unknown:
+            return 0.0
+        return (belief.sigma / unit) ** -2.0 if belief.sigma > 0.0 else math.inf
+
+    out = np.zeros(14)
+    out[YAW] = knowledge.mounting.yaw_sigma**-2.0 if yaw else math.inf
+    out[STRENGTH] = of(reference.strength, robot.strength)
+    out[DIP] = of(reference.inclination, 1.0)
+    sigma = np.repeat([believed.sigma_diagonal, believed.sigma_cross], 3)
+    out[SOFT_IRON] = sigma**-2.0 if soft_iron else math.inf
+    return out
+
+
+def _moved(robot: Robot, which: int, by: float) -> Robot:
+    """Return the robot with one of its shared parameters changed."""
+    change = np.zeros(14)
+    change[which] = by
+    iron = np.zeros((3, 3))
+    iron[SOFT_IRON_ROWS] = change[SOFT_IRON]
+    return replace(
+        robot,
+        roll=robot.roll + change[0],
+        pitch=robot.pitch + change[1],
+        yaw=robot.yaw + change[YAW],
+        hard_iron=robot.hard_iron + robot.strength * change[3:6],
+        strength=robot.strength * (1.0 + change[STRENGTH]),
+        inclination=robot.inclination + change[DIP],
+        soft_iron=robot.soft_iron + iron + np.triu(iron, 1).T,
     )
-    said = predict(state, blank)
-    samples = Samples(-said.up_residual @ state.shared.body_axis.T, -said.field_residual, mounting)
-    noise = Noise(
-        robot.noise_force / STANDARD_GRAVITY,
-        robot.noise_field / robot.strength,
-        max(scene.wobble, 1e-5),
-    )
-    weighting = Weighting(noise, Weights.ones(len(samples)))
-    block = FreeBlock(Evaluation(state, samples), weighting, leans=scene.wobble > 0.0)
-    system = block.equations(np.concatenate([block.own, prior.free])).system
-    information = _with_gyro(system, scene) if gyro else system.reduced(0.0).information
-    information = without_own(information, len(block.own))
-    information += np.diag(prior.information[prior.free])
-    return _twelve(information, state, prior, scene)
 
 
-def true_state(scene: Scene) -> State:
-    """Return the truth in the fit's own parameters."""
-    robot = scene.robot
-    body_axis = minimal_rotation(UP_ENU, scene.axis / np.linalg.norm(scene.axis))
-    world_axis = rotation_from_rpy(*scene.start_rpy) @ body_axis
-    shared = Globals(
-        body_axis,
-        world_axis,
-        robot.roll,
-        robot.pitch,
-        robot.hard_iron / robot.strength,
-        1.0,
-        robot.inclination,
-        robot.soft_iron[SOFT_IRON_ROWS],
-    )
-    return State(shared, body_axis.T @ scene.motion.attitude @ world_axis)
+def _slope(of: Callable[[float], FloatArray]) -> FloatArray:
+    """Return a derivative at zero by central differences."""
+    return np.asarray((of(STEP) - of(-STEP)) / (2.0 * STEP))
 
 
-def _with_gyro(system: SchurSystem, scene: Scene) -> FloatArray:
-    """Eliminate a start angle and a scale error instead of one attitude a sample."""
-    n = len(scene.motion.time)
-    attitude = system.place.state.attitude
-    angle = np.unwrap(np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0]))
-    basis = np.column_stack([np.ones(n), angle - angle.mean()])
-    column = -1
-    information = system.local.information[:, column, column]
-    coupling = system.coupling[:, column]
-    small = basis.T @ (basis * information[:, None]) + np.diag([0.0, GYRO_SCALE_SIGMA**-2])
-    cross = basis.T @ coupling
-    return np.asarray(system.information - cross.T @ np.linalg.solve(small, cross))
+def _information(scene: Scene, free: IntArray, *, gyro: bool) -> FloatArray:
+    """Return what a turn says of the free shared parameters: its attitudes are eliminated."""
+    robot, attitude = scene.robot, scene.motion.attitude
+    noise = np.repeat([robot.noise_force / STANDARD_GRAVITY, robot.noise_field], 3)
+
+    def measured(body: FloatArray, which: int = 0, by: float = 0.0) -> FloatArray:
+        other = _moved(robot, which, by)
+        field = other.raw_field(body @ other.field_enu)
+        return np.asarray(np.hstack([body[:, :, 2], field]) / noise)
+
+    def turned_in_body(axis: FloatArray, by: float) -> FloatArray:
+        return measured(exp_rotations(by * axis[None]) @ attitude)
+
+    def turned_in_world(axis: FloatArray, by: float) -> FloatArray:
+        return measured(attitude @ exp_rotations(by * axis[None]))
+
+    axes = minimal_rotation(UP_ENU, scene.axis / np.linalg.norm(scene.axis))
+    upright = rotation_from_rpy(*scene.start_rpy) @ axes
+    shared = [_slope(partial(measured, attitude, k)) for k in free]
+    in_body = [_slope(partial(turned_in_body, axis)) for axis in axes.T]
+    in_world = [_slope(partial(turned_in_world, axis)) for axis in upright.T[:2]]
+    own, own_prior = [*in_body[:2], *in_world], [0.0] * 4
+    local, local_prior = [], []
+    if scene.wobble > 1e-5:
+        local, local_prior = list(in_body[:2]), [scene.wobble**-2.0] * 2
+    if gyro:
+        swept = np.unwrap(_angle(attitude, axes, upright))
+        own += [in_body[2], (swept - swept.mean())[:, None] * in_body[2]]
+        own_prior += [0.0, GYRO_SCALE_SIGMA**-2.0]
+    else:
+        local, local_prior = [*local, in_body[2]], [*local_prior, 0.0]
+    rest = np.stack([*shared, *own], axis=2)
+    information = np.einsum("nij,nik->jk", rest, rest)
+    if local:
+        by = np.stack(local, axis=2)
+        inner = np.einsum("nij,nik->njk", by, by) + np.diag(local_prior)
+        cross = np.einsum("nij,nik->njk", by, rest)
+        information -= np.einsum("nij,nik->jk", cross, np.linalg.solve(inner, cross))
+    count = len(free)
+    outer = information[count:, count:] + np.diag(own_prior)
+    values, vectors = np.linalg.eigh(outer)
+    seen = values > 1e-9 * values[-1]
+    across = information[:count, count:] @ vectors[:, seen]
+    return np.asarray(information[:count, :count] - (across / values[seen]) @ across.T)
 
 
-def _twelve(information: FloatArray, state: State, prior: Prior, scene: Scene) -> FloatArray:
-    robot = scene.robot
-    jacobian = correction_jacobian(state.shared, robot.mounting.matrix, robot.strength)
-    jacobian = jacobian[:, prior.free]
-    return np.asarray(jacobian @ inverse_information(information) @ jacobian.T)
+def _angle(attitude: FloatArray, axes: FloatArray, upright: FloatArray) -> FloatArray:
+    """Return the angle of the turn about its axis, radians, shape (n,)."""
+    about = axes.T @ attitude @ upright
+    return np.asarray(np.arctan2(about[:, 1, 0], about[:, 0, 0]))
 
 
 def heading_rms(covariance: FloatArray, robot: Robot) -> tuple[float, float]:

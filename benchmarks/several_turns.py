@@ -12,17 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from limit import Scene, heading_rms, true_state
+from limit import Scene, covariance_limit, heading_rms
 
 from magcal_ros.core.calibrate import calibrate_turns
-from magcal_ros.core.estimation.free_attitude import FreeBlock
-from magcal_ros.core.estimation.model import Evaluation, Samples, predict
-from magcal_ros.core.estimation.prior import prior_from
-from magcal_ros.core.estimation.solver import Fit
-from magcal_ros.core.estimation.uncertainty import correction_jacobian
-from magcal_ros.core.estimation.weighting import Noise, Weighting, Weights
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA, Knowledge
+from magcal_ros.core.knowledge import MOUNTING_YAW_SIGMA
 from magcal_ros.core.simulation.simulator import (
     LEVEL_TILT,
     UP_ENU,
@@ -78,28 +71,6 @@ def draw(slopes: Sequence[float | None], soft_iron: float, rng: np.random.Genera
     return made
 
 
-def limit(made: Sequence[Scene], knowledge: Knowledge) -> tuple[float, float]:
-    """Return the smallest heading error, degrees: level poses, all tilts."""
-    robot = made[0].robot
-    prior = prior_from(knowledge, robot.strength, soft_iron=True, yaw=True)
-    joint = Fit(tuple(_true_block(scene) for scene in made), prior)
-    jacobian = correction_jacobian(joint.shared, joint.mounting, robot.strength)
-    return heading_rms(jacobian @ joint.covariance @ jacobian.T, robot)
-
-
-def _true_block(scene: Scene) -> FreeBlock:
-    robot, state = scene.robot, true_state(scene)
-    iron = robot.soft_iron[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    state = replace(state, shared=replace(state.shared, yaw=robot.yaw, soft_iron=iron))
-    n, mounting = len(state.attitude), robot.mounting.matrix
-    said = predict(state, Samples(np.zeros((n, 3)), np.zeros((n, 3)), mounting))
-    samples = Samples(-said.up_residual @ state.shared.body_axis.T, -said.field_residual, mounting)
-    noise = Noise(
-        robot.noise_force / STANDARD_GRAVITY, robot.noise_field / robot.strength, wobble=1.0
-    )
-    return FreeBlock(Evaluation(state, samples), Weighting(noise, Weights.ones(n)), leans=False)
-
-
 def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) -> Run:
     """Draw, join and compare."""
     rng = np.random.default_rng(seed)
@@ -116,7 +87,8 @@ def run(slopes: Sequence[float | None], options: argparse.Namespace, seed: int) 
     assert several is not None
     errors = heading_errors(estimate.correction, robot)
     level = errors[:, LEVEL_TILT]
-    least, least_tilted = limit(made, knowledge)
+    covariance = covariance_limit(made, knowledge, soft_iron=True, yaw=True)
+    least, least_tilted = heading_rms(covariance, robot)
     shown = several.shown.installation_yaw
     return Run(
         level=float(np.mean(level**2)),

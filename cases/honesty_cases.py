@@ -14,7 +14,7 @@ from magcal_ros.core.calibrate import Outcome, calibrate
 from magcal_ros.core.calibration import Estimate, calibration_sigma
 from magcal_ros.core.geometry import FloatArray, rotation_about
 from magcal_ros.core.geometry import yaw_from_up_and_field as yaw_of
-from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField, Systematics
+from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import (
     DEGREE,
@@ -128,7 +128,7 @@ def draw_turn(rng: np.random.Generator, wild: bool) -> Draw:
 def draw_knowledge(rng: np.random.Generator, robot: Robot, reference: str) -> Knowledge:
     """Tell the estimator of the reference field, as wrong as it says."""
     if reference == "exact":
-        return replace(robot.knowledge(), systematics=Systematics())
+        return replace(robot.knowledge(), exact_sensors=False)
     if reference == "unknown":
         return Knowledge(ReferenceField())
     share, angle = (0.03, 1.0 * DEGREE) if reference == "model" else (0.15, 5.0 * DEGREE)

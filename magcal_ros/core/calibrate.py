@@ -32,9 +32,10 @@ Fit = Callable[[Window, Knowledge], Estimate]
 
 METHODS = ("maximum_likelihood", "smoother", "smoother_one", "design_tip", "ellipsoid", "min_max")
 """Names that `find_method` knows, the recommended one first."""
-
-DRIVES, SMOOTHER = METHODS[1:3]
-"""The methods that take a drive without a turn, and a turn without a gyro."""
+DRIVES = METHODS[1]
+"""The method that takes a drive without a turn."""
+ONE_SMOOTHER = METHODS[0], METHODS[2]
+"""Two names of one method (doc/smoother.md)."""
 JOINS = METHODS[0]
 """The method that joins turns."""
 POOL = ("ellipsoid", "min_max")
@@ -86,6 +87,7 @@ def find_method(name: str) -> Fit:
     """
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
+    name = ONE_SMOOTHER[1] if name in ONE_SMOOTHER else name
     module = importlib.import_module(f"magcal_ros.core.methods.{name}")
     return cast("Fit", module.fit)
 
@@ -115,15 +117,7 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, _best_method(knowledge, method), told)
-
-
-def _best_method(knowledge: Knowledge, method: str) -> str:
-    """Return the method that answers where the recommended one was asked for.
-
-    Only for sensors without systematic errors it is the turn's model.
-    """
-    return SMOOTHER if method == METHODS[0] and not knowledge.systematics.are_none else method
+    return calibrate_by(window, knowledge, method, told)
 
 
 def _has_gyro(window: Window) -> bool:
@@ -145,7 +139,7 @@ def calibrate_by(
     if wrong is not None:
         return Outcome.refused(wrong, window)
     fit = find_method(method)
-    if told is not None and method == SMOOTHER:
+    if told is not None and method in ONE_SMOOTHER:
         fit = partial(cast("Callable[..., Estimate]", fit), told=told)
     try:
         estimate = fit(window, knowledge)
@@ -243,7 +237,7 @@ def calibrate_turns(
         each = "; ".join(f"{turn.name}: {turn.unfit}" for turn in joined.turns)
         words = f"none of the turns can be used: {each}"
         return Outcome.refused(Refusal(turn.reason or Reason.NO_SOLUTION, words), turn.window)
-    if turn.estimate is not None and _best_method(knowledge, method) == SMOOTHER:
+    if turn.estimate is not None:
         outcome = _judged_by_axes_too(turn.estimate, knowledge, turn.window)
     else:
         outcome = calibrate(turn.window, knowledge)
@@ -322,16 +316,14 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
-    best = _best_method(knowledge, method)
     try:
-        if best == SMOOTHER and _has_gyro(window):
-            from magcal_ros.core.methods.checks import refuse_empty
-            from magcal_ros.core.methods.smoother_one import FEWEST_SAMPLES
+        if method in ONE_SMOOTHER and _has_gyro(window):
+            from magcal_ros.core.methods.checks import check_window
             from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
 
-            refuse_empty(window, FEWEST_SAMPLES)
+            check_window(window, knowledge)
             return promised_sigma(window, knowledge)
-        estimate = find_method(best)(window, knowledge)
+        estimate = find_method(method)(window, knowledge)
     except Refusal:
         return math.inf
     return predicted_heading_sigma(estimate, 0.0)

@@ -135,48 +135,6 @@ class Mounting:
 
 
 @dataclass(frozen=True)
-class Systematics:
-    """Errors of sensors and places that the residuals of one turn do not show; one sigma each.
-
-    They repeat from sample to sample, so that no number of samples averages them out. The
-    defaults are a MEMS set on a robot that turns in the open: with them the squared error over
-    the variance is about one where all typical errors come together (doc/measured/turns.md).
-    """
-
-    axes: float = 0.002
-    """How far the magnetometer's axes are out of square, and its linearity: relative."""
-    field: float = 0.035e-6
-    """Tesla per axis of a field that turns with the robot and is taken for hard iron, or stands
-    still and is not: currents of motors, the crust over the patch of the turn."""
-    lever_arm: float = 0.06
-    """Metres of the accelerometer from the turn's axis: the centripetal acceleration leans up."""
-    latency: float = 0.003
-    """Seconds between gyro, accelerometer and field that nobody took off."""
-    crooked: float = 0.03
-    """Axes are seldom further out of square than this; what is seen beyond it is soft iron, which
-    turns no axes."""
-    gains: float = 0.005
-    """How far each gain of the magnetometer and each angle between its axes is off: relative.
-    Sheets of MEMS sensors give 0.2 to 1% for cross-axis sensitivity. A whole turn shows it, and
-    part of a turn takes it for hard iron."""
-
-    def __post_init__(self) -> None:
-        sizes = (self.axes, self.field, self.lever_arm, self.latency, self.gains)
-        if not all(0.0 <= size < math.inf for size in sizes):
-            raise ValueError("a systematic error is finite, and zero or more")
-
-    @classmethod
-    def none(cls) -> Systematics:
-        """Return the belief in sensors without fault: the samples' own noise is all there is."""
-        return cls(0.0, 0.0, 0.0, 0.0, gains=0.0)
-
-    @property
-    def are_none(self) -> bool:
-        """Whether only what the samples show widens a sigma."""
-        return self == Systematics.none()
-
-
-@dataclass(frozen=True)
 class Knowledge:
     """Everything a method may use besides the samples.
 
@@ -187,7 +145,9 @@ class Knowledge:
     reference: ReferenceField = field(default_factory=ReferenceField)
     mounting: Mounting = field(default_factory=Mounting)
     soft_iron: SoftIron = field(default_factory=SoftIron)
-    systematics: Systematics = field(default_factory=Systematics)
+    exact_sensors: bool = False
+    """Whether the sensors have no errors but those above and the noise that the samples show, as in
+    a simulation. Real sensors have others, which the smoother estimates."""
 
 
 def knowledge_of(

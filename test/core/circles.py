@@ -7,8 +7,7 @@ import numpy as np
 
 from magcal_ros.core.calibration import predicted_heading_sigma
 from magcal_ros.core.geometry import rotation_about
-from magcal_ros.core.knowledge import Systematics
-from magcal_ros.core.methods.maximum_likelihood import fit
+from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import DEGREE, LEVEL_TILT, Motion, Robot, heading_errors, measure
 
@@ -29,7 +28,7 @@ def circles(bias=(0.0, 0.0, 0.0), radius=0.0, unevenness=0.4, seed=1):
 
 
 def known(robot):
-    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
 
 
 def error_and_sigma(robot, window):

@@ -22,7 +22,6 @@ from slope_turns import (
 
 from magcal_ros.core.calibrate import calibrate, calibrate_turns, pooled
 from magcal_ros.core.errors import Misuse, Reason
-from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation import heading_errors
 
 FOREIGN = replace(ROBOT, hard_iron=ROBOT.hard_iron + np.array([2.5e-6, 0.0, 0.0]))
@@ -226,7 +225,7 @@ def test_a_sigma_knows_of_sensors_with_errors_of_their_own():
     iron = np.array([[0.004, 0.003, -0.002], [0.003, -0.005, 0.002], [-0.002, 0.002, 0.003]])
     robot = replace(ROBOT, soft_iron=iron)
     windows = windows_on([LEVEL, EAST, NORTH], 5, robot, gyro=True)
-    real = replace(KNOWN, systematics=Systematics())
+    real = replace(KNOWN, exact_sensors=False)
     outcome, believed = calibrate_turns(windows, real), calibrate_turns(windows, KNOWN)
     sigmas = [each.several.shown.absolute_level for each in (outcome, believed)]
     assert sigmas[0] > 1.2 * sigmas[1]

@@ -12,7 +12,6 @@ from uneven_turns import ROBOT, collected, driven, evenly
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
 
 
@@ -25,7 +24,7 @@ def test_the_heading_at_rest_is_right_and_the_motors_are_named(case):
     rate = motion.angular_rate[:, 2]
     shape = rate / np.abs(rate).max() if by_rate else (np.abs(rate) > 0.02).astype(float)
     field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     outcome = calibrate(collected(replace(window, field=field)), knowledge)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     assert math.sqrt(np.mean(gap**2)) < 0.5 * DEGREE
@@ -54,7 +53,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
     full = float(np.abs(rate).max())
     shape = rate / full if by_rate else (np.abs(rate) > 0.02).astype(float)
     field = window.field + size * np.outer(shape, [0.6, -0.8, 0.0])
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(replace(window, field=field)), knowledge).calibration.motors
     for turn_rate, least, most in ((full, 0.02e-6, 0.5e-6), (0.0, 0.7e-6, 6e-6)):
         u = np.kron([1.0, turn_rate, 1.0], np.eye(3))
@@ -68,7 +67,7 @@ def test_the_field_of_the_motors_is_kept_with_its_doubt(by_rate):
 
 def test_a_robot_without_motors_has_none():
     _, window = driven(evenly, ROBOT, 6.0)
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     motors = calibrate(collected(window), knowledge).calibration.motors
     assert np.abs(motors.gain).max() < 0.15e-6
     assert motors.sigma(0) < 0.3e-6
@@ -76,7 +75,7 @@ def test_a_robot_without_motors_has_none():
 
 def test_a_magnetometer_that_saturates_is_said():
     _, window = driven(evenly, ROBOT, 6.0)
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     limit = float(np.quantile(np.abs(window.field[:, 0]), 0.7))
     field = np.clip(window.field, -limit, limit)
     outcome = calibrate(collected(replace(window, field=field)), knowledge)
@@ -88,7 +87,7 @@ def test_motors_of_half_the_level_field_are_no_reason_to_refuse():
     motion, window = driven(evenly, ROBOT, 6.0)
     runs = (np.abs(motion.angular_rate[:, 2]) > 0.02).astype(float)
     field = window.field + 25e-6 * np.outer(runs, [0.6, -0.8, 0.0])
-    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    knowledge = replace(ROBOT.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
     outcome = calibrate(collected(replace(window, field=field)), knowledge)
     assert outcome.verdict.accepted
     assert "taken off while the robot moves" in outcome.verdict.summary

@@ -11,7 +11,6 @@ from uneven_turns import collected, driven, evenly
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
-from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import DEGREE, LEVEL_TILT, heading_errors
 
@@ -25,7 +24,7 @@ def judged(course, rest, radius=2.5):
     force = window.specific_force + pull
     pulled = collected(Window(window.time, window.field, force, window.angular_rate))
     faultless = ROBOT.knowledge(1.5e-6, 1.0 * DEGREE)
-    knowledge = replace(faultless, systematics=Systematics())
+    knowledge = replace(faultless, exact_sensors=False)
     outcome = calibrate(pulled, knowledge)
     gap = heading_errors(outcome.estimate.correction, ROBOT)[:, LEVEL_TILT]
     sigma = predicted_heading_sigma(outcome.estimate, 0.0)

@@ -53,7 +53,7 @@ def refuse_empty(window: Window, min_samples: int) -> None:
 
 def too_slow(window: Window, knowledge: Knowledge) -> Refusal | None:
     """Return why samples come too slowly for any fit that believes their gyro; None if not."""
-    if window.angular_rate is None or len(window) < 2 or knowledge.systematics.are_none:
+    if window.angular_rate is None or len(window) < 2 or knowledge.exact_sensors:
         return None
     step = float(np.median(np.diff(window.time)))
     if step <= SWAY:

@@ -10,11 +10,11 @@ import numpy as np
 from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import (
+    SCREENING,
     check_agreement,
     check_arc,
     check_radius,
@@ -53,7 +53,6 @@ DEAD_AXES = (
     "the gyro measures about its z axis only, so that acceleration and lean of a robot that drives"
     " cannot be separated; turn once on the spot, or mend the gyro"
 )
-FEWEST_SAMPLES = 20
 BELIEVED = 0.3
 """Student weight above which a node counts as an inlier."""
 SIGMAS = 3.0
@@ -102,11 +101,11 @@ def smoothed(
     Refusal
         If there is nothing to be found in the samples.
     """
-    refuse_empty(window, FEWEST_SAMPLES)
+    refuse_empty(window, SCREENING.fewest_samples)
     _check_unit(window)
+    check_window(window, knowledge)
     if living_axes(window.angular_rate)[2]:
         return smooth(window, knowledge, too_slow(window, knowledge), told)
-    check_window(window, knowledge)
     return smooth_by_field(window, knowledge)
 
 
@@ -194,7 +193,7 @@ def estimate_of(found: Smoothed, window: Window, knowledge: Knowledge) -> Estima
         covariance=posterior.covariance,
         installation=Installation(float(roll), float(pitch), float(shared[YAW] + shared[TURNED])),
         axis=unit(up.mean(axis=0)) if nodes.tied_to is None else nodes.tied_to[:, 2],
-        arc=_arc(best.state.attitude, nodes.tied_to),
+        arc=_arc(found, window),
         strength=posterior.strength,
         inclination=posterior.inclination,
         noise_field=max(float(steps), 1e-9),
@@ -232,14 +231,19 @@ def _swing(found: Smoothed) -> GyroSwing:
     return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
 
 
-def _arc(attitude: FloatArray, tied_to: FloatArray | None) -> float:
+def _arc(found: Smoothed, window: Window) -> float:
     """Return the radians of heading that were seen, or of turning about the axis."""
-    if tied_to is None:
+    attitude, nodes = found.fit.state.attitude, found.nodes
+    if nodes.tied_to is None:
         angle = np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
     else:
         steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
-        angle = np.append(0.0, np.cumsum(steps @ tied_to[:, 2]))
-    return min(float(np.ptp(angle)), math.tau)
+        angle = np.append(0.0, np.cumsum(steps @ nodes.tied_to[:, 2]))
+    # The first and the last samples lie half a node beyond the middles.
+    pace = np.diff(angle) / nodes.seconds
+    first = angle[0] - pace[0] * (nodes.time[0] - window.time[0])
+    last = angle[-1] + pace[-1] * (window.time[-1] - nodes.time[-1])
+    return min(float(np.ptp(np.concatenate([[first], angle, [last]]))), math.tau)
 
 
 def _pull(best: Fit) -> float:
@@ -270,7 +274,7 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
         Figure.NOT_CONVERGED: float(not best.converged),
         Figure.ITERATIONS: float(best.rounds),
-        Figure.SOFT_IRON: 1.0,
+        Figure.SOFT_IRON: float(best.model.priors.scale[AT["soft_iron"]].any()),
         Figure.LATENCY: float(shared[AT["latency"]][0]),
         Figure.MOTOR_FIELD: size / MICROTESLA if size > SIGMAS * doubt else 0.0,
         Figure.ON_THE_SPOT: sum(

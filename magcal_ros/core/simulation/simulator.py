@@ -29,7 +29,6 @@ from magcal_ros.core.knowledge import (
     Knowledge,
     Mounting,
     ReferenceField,
-    Systematics,
 )
 from magcal_ros.core.samples.window import Window
 
@@ -100,7 +99,7 @@ class Robot:
             Belief(self.inclination, inclination_sigma),
             self.declination,
         )
-        return Knowledge(reference, self.mounting, systematics=Systematics.none())
+        return Knowledge(reference, self.mounting, exact_sensors=True)
 
     def raw_field(self, field_body: FloatArray) -> FloatArray:
         """Return the noise-free raw field (n, 3) for the field in body axes (n, 3), tesla."""

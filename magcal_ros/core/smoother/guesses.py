@@ -36,6 +36,8 @@ class Guess:
 
     attitude: FloatArray
     """Magnetic ENU to body axes. Shape (n, 3, 3)."""
+    axis: FloatArray
+    """Of the turn, in body axes. Shape (3,)."""
     iron: FloatArray
     """Hard iron, µT. Shape (3,)."""
     roll: float
@@ -128,6 +130,7 @@ class _Dips:
         world = np.stack([east, np.cross(up, east), up])
         return Guess(
             turned @ world.T,
+            turned[0, :, 2],
             iron,
             *tilt,
             self.strength if self.strength is not None else strength,

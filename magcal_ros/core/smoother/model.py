@@ -147,7 +147,7 @@ def _usual_groups(priors: Priors, state: State) -> dict[str, float]:
         scale = priors.scale[at]
         if priors.spread[name] > 0.0 and scale.all():
             off = (state.shared - priors.mean)[at] / scale
-            found[name] = float(np.clip(np.sqrt(np.mean(off**2)), 1.0, UNKNOWNS[name].most))
+            found[name] = float(np.clip(np.sqrt(np.mean(off**2)), 1.0, priors.most[name]))
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -74,6 +74,23 @@ class Nodes:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def in_axes(self, rotation: FloatArray) -> Nodes:
+        """Return nodes that turn as these do, in body axes that a rotation (3, 3) leads to.
+
+        Field and force stay what they are.
+        """
+        back = rotation.T
+        return replace(
+            self,
+            inside=rotation @ self.inside @ back,
+            rate=self.rate @ back,
+            turned=rotation @ self.turned @ back,
+            angle=self.angle @ back,
+            along=rotation @ self.along @ back,
+            swing=self.swing @ back,
+            tied_to=None if self.tied_to is None else rotation @ self.tied_to,
+        )
 
     @property
     def link_rate(self) -> FloatArray:

@@ -154,17 +154,7 @@ def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> Float
     ndarray, shape (SHARED, SHARED)
         As of `information_of`.
     """
-    nodes, state = fit.point.course.nodes, fit.state
-    turned = replace(
-        nodes,
-        inside=body @ nodes.inside @ body.T,
-        rate=nodes.rate @ body.T,
-        turned=body @ nodes.turned @ body.T,
-        angle=nodes.angle @ body.T,
-        along=body @ nodes.along @ body.T,
-        swing=nodes.swing @ body.T,
-        tied_to=None if nodes.tied_to is None else body @ nodes.tied_to,
-    )
+    state, turned = fit.state, fit.point.course.nodes.in_axes(body)
     model = replace(fit.model, nodes=turned)
     point = replace(
         fit.point,

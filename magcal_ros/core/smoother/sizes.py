@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.smoother.factors import Linear
 from magcal_ros.core.smoother.model import Model, Point, counted_unknowns
 from magcal_ros.core.smoother.solver import Solution, Weighted
-from magcal_ros.core.smoother.unknowns import AT, UNKNOWNS, VELOCITY, Size
+from magcal_ros.core.smoother.unknowns import AT, VELOCITY, Size
 
 GRID = 60
 """Factors of an effect's sigma that are tried."""
@@ -160,7 +160,8 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        factor = _factor(name, spread, own, mean, found[name], is_expected=name in expected)
+        bounds = spread, model.priors.most[name]
+        factor = _factor(bounds, own, mean, found[name], is_expected=name in expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
             covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
@@ -169,8 +170,7 @@ def effect_factors(
 
 
 def _factor(
-    name: str,
-    spread: float,
+    bounds: tuple[float, float],
     posterior: FloatArray,
     mean: FloatArray,
     before: float,
@@ -180,12 +180,14 @@ def _factor(
     """Return the most likely factor of a group's sigmas, or the root of its mean square.
 
     Of a group the posterior less its prior is what the samples say, with all else integrated out.
-    From that the marginal likelihood of any other factor follows in closed form.
+    From that the marginal likelihood of any other factor follows in closed form. `bounds` are the
+    spread of the factor's logarithm and its largest value.
     """
+    spread, most = bounds
     values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
     drawn = vectors.T @ posterior @ mean
-    x = np.linspace(-3.0 * spread, math.log(UNKNOWNS[name].most), GRID)
+    x = np.linspace(-3.0 * spread, math.log(most), GRID)
     square = np.exp(2.0 * x)[:, None]
     likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
     likely -= 0.5 * np.sum(np.log1p(square * values), axis=1) + 0.5 * (x / spread) ** 2

@@ -66,13 +66,13 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     Refusal
         If no fit could be had.
     """
-    nodes = nodes_by_field(window, knowledge.mounting.to_body)
+    nodes = nodes_by_field(window, knowledge)
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
     priors = without_rates(usual, rests=rests)
     led = (
-        _fitted(nodes, like.model.priors, like.state, AGAIN, like)
+        _fitted(like.model.nodes, like.model.priors, like.state, AGAIN, like)
         for like in _best(nodes, priors, knowledge)
     )
     roots = _distinct([each for each in led if each is not None and is_upright(each)], HOPELESS)
@@ -81,10 +81,9 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     fits: dict[str, Fit] = {}
     for each, root in zip(roots, ("", OTHER), strict=False):
         # Sensors that are exact move no more than their robot does.
-        exact = knowledge.systematics.are_none
-        found = {ON_THE_SPOT: each} if exact else _elsewhere(each)
+        found = {ON_THE_SPOT: each} if knowledge.exact_sensors else _elsewhere(each)
         fits |= {name + root: other for name, other in found.items()}
-    return mixed(fits, nodes, knowledge, USUAL)
+    return mixed(fits, roots[0].model.nodes, knowledge, USUAL)
 
 
 def _elsewhere(first: Fit) -> dict[str, Fit]:
@@ -136,8 +135,8 @@ def _fitted(
 def _best(nodes: Nodes, priors: Priors, knowledge: Knowledge) -> list[Fit]:
     """Return the distinct starts that lead furthest in a few rounds, the best one first."""
     led = [
-        _fitted(nodes, about, state, SKETCH)
-        for state, about in guesses(nodes, priors, knowledge.reference)
+        _fitted(turning, about, state, SKETCH)
+        for turning, state, about in guesses(nodes, priors, knowledge.reference)
     ]
     return _distinct([each for each in led if each is not None], FURTHEST)[:ROOTS]
 

@@ -190,8 +190,8 @@ STANDING = Size(
 
 NOTHING = 1e-3
 """µT of a local disturbance or of currents that are known to be none."""
-RARE_IRON = 0.0005, 2.0
-"""Median size of soft iron and its spread, where the sensors have no errors of their own."""
+EXACT_IRON = 1e-5, 2.5, 1e4
+"""Median size of soft iron, its spread and its largest factor, where the sensors are exact."""
 
 
 class KindOfMotion(NamedTuple):
@@ -288,6 +288,10 @@ class Priors:
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
     """Of the groups' factors (`Unknown`)."""
+    most: Mapping[str, float] = field(
+        default_factory=lambda: {name: each.most for name, each in UNKNOWNS.items()}
+    )
+    """Largest factors."""
     sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
     lengths: Lengths = Lengths()
 
@@ -319,8 +323,9 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     for name in ("height", "axis", "upright", "gradient", "turned", "place"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
+    most = {name: each.most for name, each in UNKNOWNS.items()}
     sizes = dict(SIZES)
-    if knowledge.systematics.are_none:
+    if knowledge.exact_sensors:
         for name in (
             "gyro_matrix",
             "lever_arm",
@@ -334,13 +339,13 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
             "shielding",
         ):
             scale[AT[name]] = 0.0
-        scale[AT["soft_iron"]], spread["soft_iron"] = RARE_IRON
+        scale[AT["soft_iron"]], spread["soft_iron"], most["soft_iron"] = EXACT_IRON
         for name in ("street", "body_field", "motors_noise"):
             sizes[name] = sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    return Priors(mean, scale, earth, spread, sizes)
+    return Priors(mean, scale, earth, spread, most, sizes)
 
 
 def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
-from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.guesses import Guess, starts
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
@@ -37,8 +37,8 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE = 0.3
-"""Seconds of a node; a sway of more than 1 Hz is not followed."""
+NODE, EXACT_NODE = 0.3, 0.1
+"""Seconds of a node, a sway of more than 1 Hz is not followed; and of exact sensors."""
 AXIS = 0.3
 """Radians by which the turn's axis may lean from the one that is guessed, per axis."""
 CIRCLE = 0.6
@@ -72,8 +72,9 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
     return x, y, z
 
 
-def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
+def nodes_by_field(window: Window, knowledge: Knowledge) -> Nodes:
     """Average a window that has no gyro by the turn rate that its field shows."""
+    to_body = knowledge.mounting.to_body
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
@@ -82,7 +83,8 @@ def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate)
-    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
+    spacing = Spacing(longest=EXACT_NODE if knowledge.exact_sensors else NODE)
+    nodes = nodes_of(made, to_body, spacing)
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 
@@ -144,10 +146,18 @@ def in_a_circle(priors: Priors) -> Priors:
     return replace(priors, scale=scale, spread={**priors.spread, "lever_arm": 0.0})
 
 
-def guesses(nodes: Nodes, priors: Priors, reference: ReferenceField) -> list[tuple[State, Priors]]:
+def guesses(
+    nodes: Nodes, priors: Priors, reference: ReferenceField
+) -> list[tuple[Nodes, State, Priors]]:
     """Return starts: every way in which the axis, the field's circle and the dip fit together."""
     up = unit(_smooth(nodes.time, nodes.mean_force))
-    return [_as_state(guess, nodes, priors) for guess in starts(nodes.field, up, reference)]
+    found = []
+    assert nodes.tied_to is not None
+    for guess in starts(nodes.field, up, reference):
+        # The axis that the field shows leans by the installation.
+        turning = nodes.in_axes(minimal_rotation(nodes.tied_to[:, 2], guess.axis))
+        found.append((turning, *_as_state(guess, turning, priors)))
+    return found
 
 
 def apart(one: State, other: State) -> float:

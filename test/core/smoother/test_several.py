@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from slope_turns import EAST, KNOWN, LEVEL, NORTH, ROBOT, motion_on, window_on
 
-from magcal_ros.core.knowledge import Systematics
 from magcal_ros.core.simulation.simulator import measure
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import smooth
@@ -65,7 +64,7 @@ def test_a_turn_imagined_where_it_was_made_says_what_it_said(joint: Together) ->
 @pytest.mark.parametrize("gyro", [True, False])
 def test_a_field_that_differs_from_place_to_place_is_in_the_sigma(gyro: bool) -> None:
     rng = np.random.default_rng(4)
-    knowledge = replace(KNOWN, systematics=Systematics())
+    knowledge = replace(KNOWN, exact_sensors=False)
     fit = smooth if gyro else smooth_by_field
     fits = []
     for slope in (LEVEL, EAST, NORTH):

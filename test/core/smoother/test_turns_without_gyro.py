@@ -11,7 +11,7 @@ import pytest
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.knowledge import Knowledge, Systematics
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
@@ -30,7 +30,7 @@ ROBOT = Robot(noise_field=0.3e-6, noise_force=0.05)
 
 
 def known(robot: Robot) -> Knowledge:
-    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), systematics=Systematics())
+    return replace(robot.knowledge(1.5e-6, 1.0 * DEGREE), exact_sensors=False)
 
 
 def error_of(estimate, robot: Robot) -> float:

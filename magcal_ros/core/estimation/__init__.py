@@ -1,1 +1,0 @@
-"""The estimator: joint maximum likelihood over accelerometer, magnetometer and gyro."""
