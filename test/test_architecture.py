@@ -201,7 +201,6 @@ ORDER_OF_ROOMS = (
     "driving",
     "simulation",
     "heading",
-    "estimation",
     "smoothing",
     "smoother",
     "methods",
@@ -243,8 +242,8 @@ def twice(names):
     return {name for name in names if names.count(name) > 1} - SAME_MEANING
 
 
-REPLACED = {"estimation", "smoothing"}
-"""The rooms that `smoother` replaces: until they go, names of theirs may stand there, too."""
+REPLACED = {"smoothing"}
+"""The room that `smoother` replaces: until it goes, names of its may stand there, too."""
 
 
 def test_no_name_in_core_has_two_meanings():

@@ -100,7 +100,7 @@ def test_a_matrix_that_loses_a_direction_and_an_iron_in_microtesla_are_refused(f
         require_possible(replace(found, correction=unit))
 
 
-@pytest.mark.parametrize("gains", [1e3, 1e-3, np.diag([1.0, 50.0, 1.0])])
+@pytest.mark.parametrize("gains", [1e3, 3e-3, np.diag([1.0, 50.0, 1.0])])
 def test_a_matrix_in_another_unit_is_refused(found, gains):
     edited = Correction(found.correction.matrix @ (gains * np.eye(3)), np.zeros(3))
     with pytest.raises(ValueError, match="correction_matrix multiplies"):

@@ -226,7 +226,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     Bound(
         Figure.AXIS_LEAN,
         45.0,
-        90.0,
+        75.0,
         "the turn's axis is tilted from the body's z by",
         Z_NOT_UP,
         excellent=20.0,

@@ -25,7 +25,7 @@ from magcal_ros.core.methods.checks import (
 )
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.factors import QUARTER, distortion, gyro_matrix
+from magcal_ros.core.smoother.factors import QUARTER, distortion, gyro_matrix, soft_iron
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
@@ -44,7 +44,8 @@ from magcal_ros.core.smoother.unknowns import (
 )
 from magcal_ros.core.smoother.without_gyro import living_axes
 
-METHOD = "smoother_one"
+METHOD = "maximum_likelihood"
+"""As the parameter `method` calls it."""
 SECTORS, FEWEST_SECTORS = 12, 4
 """Of heading, and how many of them a drive has to go to."""
 LARGEST_STREET = 12.0
@@ -264,11 +265,11 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     at_rate[:, AT["motors_rate"]] = turning * np.eye(3)
     size = float(np.linalg.norm(at_rate @ shared))
     doubt = math.sqrt(float(np.trace(at_rate @ best.covariance @ at_rate.T)))
-    share = 1.0 + shared[SHIELDING]
+    share = float(np.trace(soft_iron(shared)[:2, :2])) / 2.0
     weakened = 1.0 - share > max(WEAKENED, SIGMAS * sigma[SHIELDING])
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
-        Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: float(share),
+        Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
         Figure.STEADY_PULL: _pull(best) / STANDARD_GRAVITY,
         Figure.POSSIBLE_PULL: found.by_pull,
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),

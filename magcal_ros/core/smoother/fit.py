@@ -193,7 +193,7 @@ class SizeSteps:
             step = math.log(size / point.sizes[name])
             before = (self.steps or {}).get(name, 0.0)
             last = (self.pace or {}).get(name, 1.0)
-            pace[name] = 0.5 * last if step * before < 0.0 else min(1.0, 1.3 * last)
+            pace[name] = 0.5 * last if step * before < 0.0 else min(2.0, 1.3 * last)
             steps[name] = pace[name] * step
         sizes = {name: size * math.exp(steps.get(name, 0.0)) for name, size in point.sizes.items()}
         return SizeSteps(pace, steps), replace(point, sizes=sizes, doubt=doubt)

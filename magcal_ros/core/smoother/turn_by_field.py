@@ -66,7 +66,7 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     Refusal
         If no fit could be had.
     """
-    nodes = nodes_by_field(window, knowledge)
+    nodes = nodes_by_field(window, knowledge.mounting.to_body)
     usual = priors_of(knowledge)
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())

@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.circle3d import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
-from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.guesses import Guess, starts
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
@@ -37,8 +37,8 @@ from magcal_ros.core.smoother.unknowns import (
 
 SMOOTHED = 0.5
 """Seconds (one sigma) over which the angle of the field is averaged for the turn rate."""
-NODE, EXACT_NODE = 0.3, 0.1
-"""Seconds of a node, a sway of more than 1 Hz is not followed; and of exact sensors."""
+NODE = 0.3
+"""Seconds of a node; a sway of more than 1 Hz is not followed."""
 AXIS = 0.3
 """Radians by which the turn's axis may lean from the one that is guessed, per axis."""
 CIRCLE = 0.6
@@ -72,9 +72,8 @@ def living_axes(rate: FloatArray | None) -> tuple[bool, bool, bool]:
     return x, y, z
 
 
-def nodes_by_field(window: Window, knowledge: Knowledge) -> Nodes:
+def nodes_by_field(window: Window, to_body: FloatArray) -> Nodes:
     """Average a window that has no gyro by the turn rate that its field shows."""
-    to_body = knowledge.mounting.to_body
     window = window.take(without_spikes(window.field) & without_spikes(window.specific_force))
     field = window.field @ to_body.T * MICROTESLA
     circle = fit_circle_robustly(field)
@@ -83,8 +82,7 @@ def nodes_by_field(window: Window, knowledge: Knowledge) -> Nodes:
     turn = np.unwrap(circle.phase(field)) * math.copysign(1.0, float(circle.normal @ usual))
     rate = np.gradient(-_smooth(window.time, turn[:, None]), window.time, axis=0) * axis
     made = replace(window, angular_rate=rate)
-    spacing = Spacing(longest=EXACT_NODE if knowledge.exact_sensors else NODE)
-    nodes = nodes_of(made, to_body, spacing)
+    nodes = nodes_of(made, to_body, Spacing(longest=NODE))
     return replace(nodes, tied_to=minimal_rotation(Z, axis))
 
 

@@ -44,6 +44,11 @@ def fitted(nodes):
     return fit_nodes(nodes, BOSTON)
 
 
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
 def somewhere(nodes, rng):
     shared = free_prior(BOSTON).mean + rng.normal(0.0, 0.05, SHARED)
     return Unknowns(shared, rng.normal(0.0, 2.0, len(nodes)), rng.normal(0.0, 3.0, (len(nodes), 3)))
