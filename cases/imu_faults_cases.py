@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from axes_cases import cheap_robot
+from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.geometry import FloatArray, exp_rotations
 from magcal_ros.core.knowledge import Knowledge
@@ -196,7 +197,9 @@ def good_case(rng: np.random.Generator, kind: str, hard: float = 1.0, habit: Hab
     late = rng.uniform(0.0, 4e-3)
     stamps = [100.0 + truth.time[rows] + j for rows, j in zip((imu, field), jitter, strict=True)]
     stamps[1] += habit.clock * truth.time[field]
-    log = SensorLog(np.sort(stamps[0]), force, rate, np.sort(stamps[1]) + late, raw)
+    # The driver's own orientation, to magnetic north.
+    own = Rotation.from_matrix(np.swapaxes(truth.attitude[imu], 1, 2)).as_quat()
+    log = SensorLog(np.sort(stamps[0]), force, rate, np.sort(stamps[1]) + late, raw, own)
     knowledge = Knowledge(robot.knowledge(2e-6, 2.0 * DEGREE).reference)
     guided = kind in ("half minute", "quarter")
     return Case(log, knowledge, habit.left >= 0.0 if guided else None, guided)

@@ -43,11 +43,12 @@ def message(store, sample, frame="imu_link"):
     none = np.zeros(9)
     if not isinstance(sample, ImuSample):
         return kinds[FIELD](header, vector(*sample.field), none)
-    still = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    still = kinds["geometry_msgs/msg/Quaternion"](*(sample.orientation or (0.0, 0.0, 0.0, 1.0)))
+    absent = np.r_[-1.0, np.zeros(8)]
     has_rate = not math.isnan(sample.rate[0])
-    absent = none if has_rate else np.r_[-1.0, np.zeros(8)]
     rate = vector(*(sample.rate if has_rate else (0.0, 0.0, 0.0)))
-    return kinds[IMU](header, still, none, rate, absent, vector(*sample.force), none)
+    marks = (none if sample.orientation else absent, none if has_rate else absent)
+    return kinds[IMU](header, still, marks[0], rate, marks[1], vector(*sample.force), none)
 
 
 def text(store, words):

@@ -32,17 +32,26 @@ def seconds(stamp: Any) -> float:
 def imu_sample(message: Any) -> ImuSample | None:
     """Return the numbers of a sensor_msgs/Imu; None if it says that it has no acceleration."""
     force, rate = message.linear_acceleration, message.angular_velocity
+    q = message.orientation
     return imu_of(
         seconds(message.header.stamp),
         (force.x, force.y, force.z),
         message.linear_acceleration_covariance[0],
         (rate.x, rate.y, rate.z),
         message.angular_velocity_covariance[0],
+        (q.x, q.y, q.z, q.w),
+        message.orientation_covariance[0],
     )
 
 
 def imu_of(
-    stamp: float, force: Triple, force_mark: float, rate: Triple, rate_mark: float
+    stamp: float,
+    force: Triple,
+    force_mark: float,
+    rate: Triple,
+    rate_mark: float,
+    orientation: tuple[float, float, float, float],
+    orientation_mark: float,
 ) -> ImuSample | None:
     """Return the sample of an Imu's numbers; None if it says that it has no acceleration.
 
@@ -52,12 +61,19 @@ def imu_of(
         Seconds.
     force, rate : tuple of float
         m/s² and rad/s.
-    force_mark, rate_mark : float
+    orientation : tuple of float
+        Quaternion x, y, z, w.
+    force_mark, rate_mark, orientation_mark : float
         First element of the covariance of each, which tells whether it is absent.
     """
     if force_mark == ABSENT:
         return None
-    return ImuSample(stamp, force, NO_RATE if rate_mark == ABSENT else rate)
+    return ImuSample(
+        stamp,
+        force,
+        NO_RATE if rate_mark == ABSENT else rate,
+        None if orientation_mark == ABSENT else orientation,
+    )
 
 
 def field_sample(message: Any) -> FieldSample:

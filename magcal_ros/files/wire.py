@@ -35,8 +35,8 @@ CDR = Layout(CDR_START, Struct("<iII"), 8, True)
 ROS1 = Layout(4, Struct("<III"), 1, False)
 """ROS 1 puts a sequence number of four bytes before the stamp."""
 
-# Orientation and its covariance; rate, first of its covariance; force, first of its covariance.
-IMU_BODY = Struct("<104x4d64x4d64x")
+# Orientation, rate and force, each with the first of its covariance.
+IMU_BODY = Struct("<5d64x4d64x4d64x")
 # Field and its covariance.
 FIELD_BODY = Struct("<3d72s")
 
@@ -50,8 +50,9 @@ def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | Non
 
     def parse(data: bytes) -> tuple[bytes, ImuSample | None]:
         stamp, frame, place = head(data)
-        wx, wy, wz, no_rate, fx, fy, fz, no_force = body(data, place)
-        return frame, imu_of(stamp, (fx, fy, fz), no_force, (wx, wy, wz), no_rate)
+        x, y, z, w, no_yaw, wx, wy, wz, no_rate, fx, fy, fz, no_force = body(data, place)
+        force, rate, orientation = (fx, fy, fz), (wx, wy, wz), (x, y, z, w)
+        return frame, imu_of(stamp, force, no_force, rate, no_rate, orientation, no_yaw)
 
     return parse
 

@@ -1,13 +1,18 @@
 import json
+import re
 
 import numpy as np
 import yaml
 from axes_cases import wrong_case
+from drives import write_bag
+from imu_faults_cases import good_case
+from scipy.spatial.transform import Rotation
 
 from magcal_ros.cli.doctor import write_parameters
 from magcal_ros.cli.main import main
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.geometry import signed_permutations
+from magcal_ros.core.samples import FieldSample, ImuSample
 
 NED = np.diag([1.0, -1.0, -1.0])
 
@@ -32,6 +37,18 @@ def test_good_sensors_are_called_good(tmp_path, capsys):
     assert "x forward, y left, z up" in said
     assert "wrong" not in said
     assert "What to do" not in said
+
+
+def test_the_orientation_in_a_bag_is_compared_with_the_field(tmp_path, capsys):
+    log = good_case(np.random.default_rng(3), "turn").log
+    turned = Rotation.from_rotvec([0.0, 0.0, 2.0]) * Rotation.from_quat(log.orientation)
+    rows = zip(log.imu_time, log.force, log.rate, turned.as_quat(), strict=True)
+    samples = [ImuSample(t, *(tuple(values.tolist()) for values in row)) for t, *row in rows]
+    samples += [FieldSample(*row) for row in zip(log.field_time, log.field, strict=True)]
+    path = write_bag(tmp_path / "bag", sorted(samples, key=lambda sample: sample.stamp))
+    assert main(["doctor", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"look  IMU: orientation +its yaw is \+11\d ± \d° off .* BNO08x", said), said
 
 
 def test_the_line_to_change_is_said_and_written(tmp_path, capsys):

@@ -15,7 +15,7 @@ from magcal_ros.core.doctor.finding import Finding
 from magcal_ros.core.doctor.health import noise_findings
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
-from magcal_ros.core.doctor.quirks import known_habits
+from magcal_ros.core.doctor.quirks import known_habits, orientation_findings
 from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.window import SensorLog, Window
@@ -81,6 +81,7 @@ def examine(
         lines += known_habits(log, axes.candidates[0])
     else:
         lines += known_habits(log)
+        lines += orientation_findings(log, knowledge)
     used = None
     if found.explained and found.factor == 1.0 and not found.up_is_down:
         assert found.explanations is not None

@@ -10,6 +10,8 @@ import numpy as np
 
 from magcal_ros.core.doctor.finding import Finding, looked_at
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.units import FIELD_UNITS
 from magcal_ros.core.samples.window import SensorLog
 
@@ -19,6 +21,11 @@ WRAP = 2.0**32 * 1e-6
 AK8963_IN_MPU9250 = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 AK09916_IN_ICM20948 = np.diag([1.0, -1.0, -1.0])
 """Rows: the magnetometer's axes in those of the same chip's accelerometer."""
+
+NO_NORTH = (
+    "take no absolute yaw from this orientation: take compass/magnetic/enu/imu, or let the sensor "
+    "publish its rotation vector, which uses the magnetometer"
+)
 
 INVERTED = -np.eye(3)
 """As a field that points up looks where the inclination is known."""
@@ -42,7 +49,7 @@ class Quirk:
     remedy: str
     """What to change."""
     line: str = "driver"
-    """Which line of the page names it; empty where a log of field and IMU cannot show it."""
+    """Which line of the page names it."""
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
     """Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
     err; None where the line that finds the fault names the driver itself."""
@@ -126,8 +133,8 @@ QUIRKS: tuple[Quirk, ...] = (
     Quirk(
         "BNO08x",
         "publishes the game rotation vector as orientation: a yaw that knows no north",
-        "enable its magnetometer's report and take the yaw from here, or its rotation vector",
-        "",
+        NO_NORTH,
+        "orientation",
     ),
 )
 
@@ -149,10 +156,69 @@ def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding
     ]
 
 
+@dataclass(frozen=True)
+class YawTuning:
+    """How far a driver's yaw may be off the magnetic yaw, and how well a log shows it."""
+
+    declination: float = math.radians(25.0)
+    """Largest where people live, where no place is given."""
+    own: float = math.radians(8.0)
+    """Sigma of the mean error, over a turn or a part of it, of a driver's own compass."""
+    sigma: float = math.radians(15.0)
+    """A log that shows less than this shows nothing."""
+
+
+def orientation_findings(
+    log: SensorLog, knowledge: Knowledge, tuning: YawTuning = YawTuning()
+) -> list[Finding]:
+    """Compare the yaw of the driver's orientation with the field; nothing where it has none.
+
+    In the world of this orientation the field is one vector, and the hard iron one in the
+    magnetometer's axes: both follow from a turn by linear least squares. The direction of the
+    vector is how far this world's north is off.
+    """
+    if log.orientation is None or not len(log.field) or not len(log.imu_time):
+        return []
+    order = np.argsort(log.imu_time)
+    nearest = np.searchsorted(log.imu_time[order], log.field_time).clip(0, len(order) - 1)
+    quaternion = log.orientation[order][nearest]
+    size = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        kept = (np.abs(size - 1.0) < 0.02) & (np.linalg.norm(log.field, axis=1) < 1e100)
+    if kept.sum() < 20:
+        return []
+    vector, turn = quaternion[kept, :3], quaternion[kept, 3:]
+    sine = np.linalg.norm(vector, axis=1, keepdims=True)
+    to_world = exp_rotations(2.0 * np.arctan2(sine, turn) * vector / np.maximum(sine, 1e-12))
+    field = log.field[kept] @ knowledge.mounting.to_body.T
+    axes = np.broadcast_to(np.eye(3), to_world.shape)
+    design = np.concatenate([np.swapaxes(to_world, 1, 2), axes], axis=2).reshape(-1, 6)
+    found = np.linalg.lstsq(design, field.ravel(), rcond=None)[0]
+    # What is left is soft iron and wrong attitudes, which last: it does not average out. Neither
+    # vector is longer than the readings.
+    left = float(np.mean((design @ found - field.ravel()) ** 2))
+    longest = float((field**2).sum(axis=1).max())
+    known = design.T @ design / kept.sum() + left / longest * np.eye(6)
+    level = left * np.linalg.inv(known)[:2, :2]
+    across = np.array([-found[1], found[0]]) / float(found[:2] @ found[:2])
+    sigma = math.sqrt(float(across @ level @ across))
+    if not sigma < tuning.sigma:
+        return []
+    off = math.remainder(math.atan2(found[1], found[0]) - 0.5 * math.pi, math.tau)
+    declination = knowledge.reference.declination
+    least, most = -tuning.declination, tuning.declination
+    if declination is not None:
+        least, most = min(-declination, 0.0), max(-declination, 0.0)
+    sizes = f"{math.degrees(off):+.0f} ± {math.degrees(sigma):.0f}°"
+    words = f"its yaw is {sizes} off the magnetic yaw (ENU)"
+    if max(least - off, off - most) < 3.0 * math.hypot(sigma, tuning.own):
+        return [looked_at("orientation", "IMU: orientation", words)]
+    words += ": counted from north instead of east, or as BNO08x publishes its game rotation vector"
+    return [looked_at("orientation", "IMU: orientation", words, NO_NORTH)]
+
+
 def as_markdown() -> str:
     """Return the table for people."""
     rows = ["| driver | what it does | what mends it | named in |", "|---|---|---|---|"]
-    for each in QUIRKS:
-        named = f"`{each.line}`" if each.line else "not by `doctor`, which reads no orientation"
-        rows.append(f"| {each.driver} | {each.habit} | {each.remedy} | {named} |")
+    rows += [f"| {each.driver} | {each.habit} | {each.remedy} | `{each.line}` |" for each in QUIRKS]
     return "\n".join(rows) + "\n"

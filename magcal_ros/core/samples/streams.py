@@ -64,6 +64,8 @@ class ImuSample(NamedTuple):
     stamp: float
     force: Triple
     rate: Triple
+    orientation: tuple[float, float, float, float] | None = None
+    """The driver's own, a quaternion x, y, z, w; only `magcal doctor` looks at it."""
 
 
 class FieldSample(NamedTuple):

@@ -12,6 +12,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, fro
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 
+NO_ORIENTATION = (math.nan,) * 4
 NEIGHBOURS, SPIKE = 9, 4.5
 """A spike is so many robust sigmas from the median of so many samples, itself among them."""
 
@@ -118,6 +119,8 @@ class SensorLog:
     """Stamps, seconds. Shape (m,)."""
     field: FloatArray
     """Raw field as published, meant as tesla. Shape (m, 3)."""
+    orientation: FloatArray | None = None
+    """Quaternions x, y, z, w of the same IMU messages, NaN where there is none. Shape (n, 4)."""
 
     @classmethod
     def of(cls, samples: Iterable[ImuSample | FieldSample]) -> SensorLog:
@@ -135,6 +138,7 @@ class SensorLog:
             np.array([s.rate for s in imu], dtype=np.float64).reshape(-1, 3),
             np.array([s.stamp for s in field], dtype=np.float64),
             np.array([s.field for s in field], dtype=np.float64).reshape(-1, 3),
+            np.array([s.orientation or NO_ORIENTATION for s in imu]).reshape(-1, 4),
         )
 
     @property

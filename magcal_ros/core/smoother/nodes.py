@@ -10,6 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
+from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window, white_noise
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 from magcal_ros.core.up import unseen_angles
@@ -111,7 +112,7 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
-    steps, unseen = _turned(time, rate), unseen_angles(time, rate)
+    steps, unseen = _turned(time, rate)
     attitude = chained(exp_rotations(-steps)[None])[0]
     first = _first_rows(time, steps, unseen, spacing)
     last = np.append(first[1:], len(time))
@@ -148,13 +149,45 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     return nodes
 
 
-def _turned(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the angles between samples, radians, by a polynomial through six, (n - 1, 3)."""
+def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the angles between samples, radians, and the variances of what they miss, (n - 1, 3).
+
+    A polynomial through six samples underrates the sway where samples come at hardly more than
+    twice its frequency, and the fit would take that for a stronger field. There it is interpolated
+    as what has no frequencies beyond the fastest sway.
+    """
+    usual = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if SWAY / 3.0 < usual < SWAY and len(time) > 2:
+        return _band_limited(time, rate)
     bend, twist = np.zeros_like(rate), np.zeros_like(rate)
     bend[1:-1] = np.diff(rate, 2, axis=0)
     twist[2:-2] = np.diff(rate, 4, axis=0)
     value = rate - bend / 12.0 + twist * (11.0 / 720.0)
-    return np.asarray(0.5 * np.diff(time)[:, None] * (value[:-1] + value[1:]))
+    steps = 0.5 * np.diff(time)[:, None] * (value[:-1] + value[1:])
+    return steps, unseen_angles(time, rate)
+
+
+def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Integrate rates as a Gaussian process: a level, and equal power up to the fastest sway."""
+    size, level, noise = min(12, len(time)), 30.0, 1e-3
+    row = np.arange(len(time) - 1)
+    rows = np.clip(row - size // 2 + 1, 0, len(time) - size)[:, None] + np.arange(size)
+    at, step = time[rows] - time[row][:, None], np.diff(time)[:, None]
+    place, weight = np.polynomial.legendre.leggauss(4)
+    inside, share = 0.5 * (place + 1.0) * step, 0.5 * weight * step
+
+    def alike(first: FloatArray, second: FloatArray) -> FloatArray:
+        return np.asarray(np.sinc((first[:, :, None] - second[:, None, :]) / SWAY) + level)
+
+    along = np.einsum("nq,nqj->nj", share, alike(inside, at))
+    weights = np.linalg.solve(alike(at, at) + noise * np.eye(size), along[:, :, None])[:, :, 0]
+    whole = np.einsum("nq,nqp,np->n", share, alike(inside, inside), share)
+    missed = np.maximum(whole - np.einsum("nj,nj->n", weights, along), 0.0)
+    power = np.zeros_like(rate)
+    # Of white noise, a second difference has six times the variance.
+    power[1:-1] = np.diff(rate, 2, axis=0) ** 2 / 6.0
+    unseen = 0.5 * missed[:, None] * (power[:-1] + power[1:])
+    return np.einsum("nj,njk->nk", weights, rate[rows]), unseen
 
 
 def _first_rows(

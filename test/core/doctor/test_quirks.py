@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from imu_faults_cases import good_case
 from long_form import first_of
+from scipy.spatial.transform import Rotation
 
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.quirks import (
@@ -75,6 +76,12 @@ def turned(axes):
     return lambda rng, log: replace(log, field=log.field @ axes.T)
 
 
+def without_north(rng, log):
+    """A game rotation vector: its yaw begins anywhere, here not by chance at the right one."""
+    start = Rotation.from_rotvec([0.0, 0.0, np.radians(rng.uniform(45.0, 315.0))])
+    return replace(log, orientation=(start * Rotation.from_quat(log.orientation)).as_quat())
+
+
 CASES = {
     "imu_3dm_gx4": scaled(1e4),
     "MAVROS": scaled(1e10),
@@ -87,6 +94,7 @@ CASES = {
     "ZED": stamped_with_voids(-0.8),
     "MPU-9250": turned(AK8963_IN_MPU9250),
     "ICM-20948": turned(AK09916_IN_ICM20948),
+    "BNO08x": without_north,
 }
 
 

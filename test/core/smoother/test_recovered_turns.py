@@ -151,6 +151,20 @@ def test_samples_that_come_slowly_tell_the_turn_and_not_more_of_its_sway(every, 
     assert rms.max() < 2.5 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
 
 
+@pytest.mark.nightly
+@pytest.mark.parametrize("means", [False, True])
+@pytest.mark.parametrize("every", [5, 6])
+def test_tilted_headings_of_5_hz_are_as_good_as_said(every, means, monkeypatch):
+    """Single readings were 1.5 times as far off as said: half of the sway of 2 Hz was missed."""
+    monkeypatch.setattr("uneven_turns.SECONDS", 60.0)
+    ratios = []
+    for seed in range(1, 11):
+        estimate = fit(slowly(every, seed, means=means))
+        rms = np.sqrt(np.mean(heading_errors(estimate.correction, ROBOT) ** 2, axis=0))
+        ratios.append(rms.max() / predicted_heading_sigma(estimate, 10.0 * DEGREE))
+    assert np.mean(np.square(ratios)) < 1.5
+
+
 @pytest.mark.parametrize("every", [15, 30])
 def test_readings_once_a_second_are_refused_with_their_rate(every, monkeypatch):
     """20 degrees wrong at 10 degrees of tilt, at 2.4 said, while a drive answered for them."""
