@@ -115,7 +115,11 @@ def fit(
     sizes, before = SizeSteps(), math.inf
     first = 0 if like is None else tolerances.gaussian
     first = max(tolerances.places_at) + 1 if goes_on else first
-    fewest = max(tolerances.places_at) if model.travels else tolerances.fewest
+    fewest = tolerances.fewest
+    if model.travels:
+        # What a robot on the spot did is near enough for the way to be reckoned once.
+        is_new = like is None or like.model.travels
+        fewest = max(tolerances.places_at) if is_new else min(tolerances.places_at)
     for rounds in range(first, tolerances.rounds + 1):
         if told is not None:
             told(rounds)
