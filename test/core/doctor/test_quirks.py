@@ -9,6 +9,7 @@ import pytest
 from imu_faults_cases import good_case
 from long_form import first_of
 
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.quirks import (
     AK09916_IN_ICM20948,
@@ -17,7 +18,6 @@ from magcal_ros.core.doctor.quirks import (
     WRAP,
     as_markdown,
 )
-from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry import rotation_from_rpy
 
 MOTION = "half minute"
