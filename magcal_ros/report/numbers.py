@@ -38,16 +38,13 @@ FIGURES: dict[Figure, Unit] = {
     b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
 } | {
     Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
-    Figure.GYRO_GAP: Unit("heading left in doubt by other explanations of the gyro", DEGREES, "°"),
     Figure.STEADY_PULL: Unit("steady linear acceleration taken off", DEGREES, "°"),
     Figure.POSSIBLE_PULL: Unit(
         "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
     ),
-    Figure.INLIER_FRACTION: Unit("samples that the fit used", 100.0, "%"),
     Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
     Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
     Figure.ELLIPSE_RATIO: Unit("ellipse in the turn's plane, longer axis over shorter"),
-    Figure.SPLIT_HALF: Unit("headings from the two halves of the turn differ by", DEGREES, "°"),
     Figure.AXIS_TILT: Unit("turn's axis off the vertical", DEGREES, "°"),
     Figure.AXIAL_FIELD: Unit("field along the turn's axis, positive downwards", MICRO, " µT"),
     Figure.AXIAL_HARD_IRON: Unit(
@@ -58,17 +55,11 @@ FIGURES: dict[Figure, Unit] = {
     Figure.RIVAL_ROLL: Unit("second solution, installation roll", DEGREES, "°"),
     Figure.RIVAL_PITCH: Unit("second solution, installation pitch", DEGREES, "°"),
     Figure.RIVAL_ANGLE: Unit("second solution, installation angle", DEGREES, "°"),
-    Figure.RIVAL_GAP: Unit("heading between this and a rival solution", DEGREES, "°"),
-    Figure.FIELD_NOISE_RATIO: Unit("noise of the field over its strength", 100.0, "%"),
-    Figure.UP_NOISE: Unit("noise of the up direction over 10° of the turn", DEGREES, "°"),
-    Figure.KAPPA: Unit("samples per independent sample"),
     Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
     Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),
-    Figure.SOFT_IRON_GAIN: Unit("fall of chi-square by soft iron"),
     Figure.GYRO_CARRIED: Unit("the turn that the gyro measured explains the samples (1 yes, 0 no)"),
     Figure.TURNS: Unit("turns that were joined"),
     Figure.TURN_MISFIT: Unit("worst turn off the others, as many times as noise explains"),
-    Figure.FIELD_SCALE: Unit("field scale inside the fit", MICRO, " µT"),
 }
 for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
     for _axis in "xyz":

@@ -102,15 +102,6 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         unit=" ms",
     ),
     Bound(
-        Figure.SPLIT_HALF,
-        1.0,
-        4.0,
-        "headings from the two halves of the turn differ by",
-        "turn once more, evenly, away from moving iron",
-        excellent=0.3,
-        aspect=Aspect.CONFIDENCE,
-    ),
-    Bound(
         Figure.GYRO_COMPASS_SWING,
         2.0,
         10.0,
@@ -157,16 +148,6 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         excellent=0.5,
     ),
     Bound(
-        Figure.UNSEEN_SOFT_IRON,
-        1.0,
-        10.0,
-        "heading error (1σ) if there is as much soft iron as assumed",
-        "part of a turn cannot show soft iron; turn the full circle, or give soft_iron_gains",
-        excellent=0.5,
-        aspect=Aspect.CONFIDENCE,
-        after_full="give soft_iron_gains, or join turns on other slopes",
-    ),
-    Bound(
         Figure.ARC,
         160.0,
         90.0,
@@ -188,33 +169,6 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         at_least=True,
     ),
     Bound(
-        Figure.RIVAL_GAP,
-        1.0,
-        5.0,
-        "another calibration explains the turn as well, and its heading differs by",
-        "turn the full circle on level ground",
-        excellent=0.3,
-        aspect=Aspect.CONFIDENCE,
-        after_full="turn once more on other ground, more slowly",
-    ),
-    Bound(
-        Figure.UP_NOISE,
-        1.5,
-        6.0,
-        "noise of the up direction over 10° of the turn (1σ)",
-        "turn more slowly and evenly, or keep the accelerometer from shaking",
-        excellent=0.5,
-    ),
-    Bound(
-        Figure.FIELD_NOISE_RATIO,
-        4.0,
-        10.0,
-        "noise of the field against its strength",
-        "average the magnetometer more, or move it away from motors and cables",
-        excellent=2.0,
-        unit="%",
-    ),
-    Bound(
         Figure.SIDEWAYS_PULL,
         1.5,
         45.0,
@@ -233,9 +187,6 @@ TURN_BOUNDS: tuple[Bound, ...] = (
     ),
 )
 """From simulation and about ten recordings. The most important come first."""
-
-HELPED_BY_REFERENCE = frozenset({Figure.HEADING_SIGMA, Figure.RIVAL_GAP})
-"""Figures that a reference field would improve."""
 
 KNOWN_MOTORS = Bound(
     Figure.MOTOR_FIELD,

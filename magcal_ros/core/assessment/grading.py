@@ -228,8 +228,7 @@ def _is_shown(estimate: Estimate, figures: Mapping[Figure, float]) -> bool:
     wobble, count = figures.get(Figure.WOBBLE, 0.0), np.count_nonzero(estimate.inliers)
     axial_field = estimate.strength * math.sin(abs(estimate.inclination))
     noise = math.hypot(estimate.noise_field, axial_field * estimate.noise_up)
-    independent = count / max(figures.get(Figure.KAPPA, 1.0), 1.0)
-    swing = 2.0 * axial_field * wobble * math.sqrt(2.0 * independent)
+    swing = 2.0 * axial_field * wobble * math.sqrt(2.0 * count)
     return swing > TUNING.shown * noise
 
 

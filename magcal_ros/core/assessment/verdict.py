@@ -15,7 +15,6 @@ import numpy as np
 from magcal_ros.core.assessment.bounds import (
     DRIVE_BOUNDS,
     HEADING_BOUNDS,
-    HELPED_BY_REFERENCE,
     bounds_of,
 )
 from magcal_ros.core.assessment.grading import (
@@ -49,13 +48,8 @@ from magcal_ros.core.samples.window import Window
 class VerdictTuning:
     """Limits and allowances of a verdict, from simulation and about ten recordings."""
 
-    chance: float = 3.0
-    chance_with_soft_iron: float = 8.0
-    """Heading sigmas of the whole turn by which its halves may differ; a half hardly shows iron."""
     allowed_sigmas: float = 2.0
     """Sigmas of the reference field by which its radius may be off before that counts."""
-    several: float = 2.0
-    """Times the heading's sigma from which soft iron that was not shown is mentioned."""
     rough: float = math.radians(5.0)
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
@@ -167,7 +161,6 @@ NOT_CONVERGED = (
     "the optimisation did not converge, so the errors may be larger than stated: "
     "turn once more, evenly, away from moving iron"
 )
-NO_RIVAL = "no calibration with another heading explains the turn as well"
 
 NO_REFERENCE = "the size of the field: the reference field is not known"
 
@@ -208,15 +201,11 @@ def judged_figures(estimate: Estimate) -> dict[Figure, float]:
         Figure.SAMPLES: float(np.count_nonzero(estimate.inliers)),
         Figure.AXIS_LEAN: math.acos(min(max(float(estimate.axis[2]), -1.0), 1.0)),
     }
-    figures |= common_figures(estimate) | dict(estimate.figures)
-    with_iron = figures.get(Figure.HEADING_SIGMA_SOFT_IRON, 0.0)
-    if with_iron > TUNING.several * figures[Figure.HEADING_SIGMA]:
-        figures[Figure.UNSEEN_SOFT_IRON] = with_iron
-    return figures
+    return figures | common_figures(estimate) | dict(estimate.figures)
 
 
 def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) -> Check:
-    """Grade one figure, less what chance or the reference's own uncertainty explains."""
+    """Grade one figure, less what the reference's own uncertainty explains."""
     figure = figures[bound.figure]
     if bound.after_full and figures[Figure.AXIS_LEAN] > TUNING.on_its_side:
         bound = replace(bound, remedy=Z_NOT_UP)
@@ -232,33 +221,20 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             own = math.sqrt(max(figure**2 - local**2, 0.0))
             note = f", {shown(own * DEGREES)}° of it by the calibration"
             return bound.check(figure, excess=own, note=note)
-    if bound.figure in HELPED_BY_REFERENCE and not knowledge.reference.is_complete:
-        bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
+        if not knowledge.reference.is_complete:
+            bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
     if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_pull_deg)
-    if bound.figure is Figure.SPLIT_HALF:
-        # By chance halves differ by some sigmas of the whole; what pulls all the way is in both.
-        with_iron = figures.get(Figure.SOFT_IRON)
-        sigmas = TUNING.chance_with_soft_iron if with_iron else TUNING.chance
-        alike = figures.get(Figure.POSSIBLE_PULL, 0.0)
-        chance = sigmas * math.sqrt(max(figures[Figure.HEADING_SIGMA] ** 2 - alike**2, 0.0))
-        excess = math.sqrt(max(figure**2 - chance**2, 0.0))
-        part = f", of which chance may be {shown(chance * DEGREES)}°"
-        note = part if figure > chance else ", no more than chance may be"
-        return bound.check(figure, excess=excess, note=note)
     if bound.figure is Figure.RADIUS_MISFIT:
         allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
         return bound.check(figure, excess=max(figure - allowed, 0.0), note=note)
-    found = bound.check(figure)
-    if bound.figure is Figure.RIVAL_GAP and found.grade is Grade.EXCELLENT:
-        return replace(found, words=NO_RIVAL)
-    return found
+    return bound.check(figure)
 
 
 def _by_gyro(figures: Mapping[Figure, float]) -> bool:
     """Return whether the fit had a gyro: it has weighed what accelerates the robot then."""
-    return Figure.GYRO_GAP in figures or Figure.ON_THE_SPOT in figures
+    return Figure.ON_THE_SPOT in figures
 
 
 def refuse(refusal: Refusal) -> Verdict:

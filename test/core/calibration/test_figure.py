@@ -7,8 +7,8 @@ from magcal_ros.core.calibration import Evidence, Figure, along
 
 
 def test_a_figure_is_its_name_wherever_it_is_written():
-    assert json.dumps({Figure.ARC: Figure.KAPPA}) == '{"arc": "kappa"}'
-    assert f"{Figure.ARC} {Figure.KAPPA}" == "arc kappa"
+    assert json.dumps({Figure.ARC: Figure.WOBBLE}) == '{"arc": "wobble"}'
+    assert f"{Figure.ARC} {Figure.WOBBLE}" == "arc wobble"
     assert type(str(Figure.ARC)) is str
 
 
@@ -31,4 +31,4 @@ def test_a_name_that_is_none_is_found_out():
 def test_evidence_gives_figures_by_their_stored_names():
     evidence = Evidence("m", "good", "good", "", figures={"heading_sigma": 0.02, "of_2031": 1.0})
     assert evidence.figure(Figure.HEADING_SIGMA, 0.0) == 0.02
-    assert evidence.figure(Figure.KAPPA, 7.0) == 7.0
+    assert evidence.figure(Figure.WOBBLE, 7.0) == 7.0
