@@ -15,7 +15,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.known_headings import fit
+from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import SIZES
@@ -122,12 +122,16 @@ class HeadingLog:
         return self.standings
 
 
-def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> Outcome:
-    """Calibrate from headings that were measured on the way, and judge the result."""
+def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
+    """Calibrate from headings that were measured on the way, and judge the result.
+
+    The words say whether they seem to be to the other north; empty where nothing points to it.
+    """
     try:
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:
-        return Outcome.refused(refusal)
+        return Outcome.refused(refusal), ""
     verdict = judge(estimate, knowledge)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
-    return Outcome(verdict, calibration, estimate)
+    hint = declination_hint(estimate, standings, knowledge)
+    return Outcome(verdict, calibration, estimate), hint

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -95,4 +96,8 @@ def fit_heading_topic(
     if not log.standings:
         words = "no field sample came within half a second of a heading, with a gyro"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
-    return fit_log(log.standings, knowledge)
+    outcome, north = fit_log(log.standings, knowledge)
+    if not north:
+        return outcome
+    words = f"{outcome.verdict.summary} But {north}."
+    return replace(outcome, verdict=replace(outcome.verdict, summary=words))
