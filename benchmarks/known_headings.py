@@ -247,7 +247,7 @@ class Follower:
                 self._fused.correct(sample.stamp, field, up, heading)
 
     def _calibrate(self) -> None:
-        outcome = fit_log(self._log.take(), self._knowledge)
+        outcome, _ = fit_log(self._log.take(), self._knowledge)
         if outcome.verdict.accepted and outcome.calibration is not None:
             self.calibration = outcome.calibration
             self._compass = Compass(outcome.calibration)

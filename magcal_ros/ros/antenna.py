@@ -75,7 +75,7 @@ class Antenna:
         self._is_fitting = False
         self._missed, self._gap = 0, 0.0
         self._imu_stamp = math.nan
-        self._odd = self._answer = ""
+        self._odd = self._answer = self._north = ""
         self.subscription = node.create_subscription(
             Imu, TOPIC, self._on_heading, SENSOR_DATA, raw=True, callback_group=group
         )
@@ -86,7 +86,7 @@ class Antenna:
 
     def forget(self) -> None:
         """Begin anew."""
-        self._log, self._answer = None, ""
+        self._log, self._answer, self._north = None, "", ""
         self._missed = 0
 
     @property
@@ -104,7 +104,7 @@ class Antenna:
     @property
     def complaints(self) -> list[str]:
         """What is wrong with the heading, in words."""
-        words = [self._odd, self._check.fault if self.is_heard else ""]
+        words = [self._odd, *([self._check.fault, self._north] if self.is_heard else [])]
         if self.is_heard and self._missed >= MISSED:
             words.append(
                 f"it misses the fused yaw by {math.degrees(self._gap):.0f}°, far beyond what both "
@@ -140,7 +140,7 @@ class Antenna:
         shift = _shift(settings)
         if self._check.fault or view is None or up is None or shift is None or since > LOG.block:
             return
-        if settings.self_calibration == Mode.OFF.value or not follower.is_propagated:
+        if not follower.is_propagated:
             return
         if self._log is None or self._view is not view:
             from magcal_ros.core.session.antenna import HeadingLog
@@ -181,25 +181,27 @@ class Antenna:
         self._is_fitting = True
         standings = log.take()
 
-        def work() -> Outcome:
+        def work() -> tuple[Outcome, str]:
             from magcal_ros.core.session.antenna import fit_log
 
             return self._worker.run(fit_log, standings, settings.knowledge)
 
-        self._fits.run(work, lambda outcome: self._note(outcome, log), self._lost)
+        self._fits.run(work, lambda found: self._note(*found, log), self._lost)
 
     def _lost(self, error: Exception) -> None:
         self._is_fitting = False
         if not isinstance(error, Stopped):
             self._answer = f"the fit failed: {error}"
 
-    def _note(self, outcome: Outcome, log: HeadingLog) -> None:
+    def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
         self._worker.stop()
         self._is_fitting = False
         if log is not self._log:
             return
-        self._answer = outcome.verdict.summary
+        self._answer, self._north = outcome.verdict.summary, north
         found, before = outcome.calibration, self._magnetometer.keeper.calibration
+        if self._settled().self_calibration == Mode.OFF.value:
+            return
         if found is None or not outcome.verdict.accepted or not _is_better(found, before):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")

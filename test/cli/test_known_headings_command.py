@@ -108,6 +108,13 @@ def test_the_headings_of_two_antennas_in_a_bag_calibrate(fit, tmp_path):
     assert np.linalg.norm(iron(tmp_path)[:2] - ROBOT.hard_iron[:2]) < 1.5e-6
 
 
+def test_antennas_to_magnetic_north_in_a_bag_are_named_where_true_north_is_said(fit, tmp_path):
+    options = "--heading-topic", "/heading", "--north", "true", "--reference-declination-deg", 14
+    status, words = fit(driven(tmp_path / "bag"), "--imu", "/imu/data_raw", *options)
+    assert status == 0, words
+    assert "the headings are to magnetic north and not to true north" in " ".join(words.split())
+
+
 def test_mirrored_antennas_in_a_bag_are_named(fit, tmp_path):
     bag = driven(tmp_path / "bag", -1.0)
     options = "--imu", "/imu/data_raw", "--heading-topic", "/heading", "--north", "magnetic"

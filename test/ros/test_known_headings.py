@@ -179,3 +179,24 @@ def test_mirrored_antennas_are_named_and_calibrate_nothing(stage):
     Antennas(actor, lambda yaw: -yaw)
     actor.run(PATIENCE, 0.5, lambda: any("antennas are mirrored" in each for each in said))
     assert actor.status["state"] == "uncalibrated"
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_antennas_to_the_other_north_are_named(calibrated, stage, loaded):
+    """By the mounting that they find, also where a calibration from a turn stays in force."""
+    mode = {"self_calibration": "off"} if calibrated else {}
+    actor = (loaded if calibrated else stage)(parameters={**PLACE, **mode}, speed=SPEED)
+    said = []
+    actor.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: said.append(str(array.status)), 10
+    )
+    Antennas(actor, lambda yaw: yaw + math.radians(DECLINATION))
+
+    def turns_and_stands():
+        return 0.6 if actor.ride.stamp % 4.0 < 2.0 else 0.0
+
+    words = "the headings are to magnetic north and not to true north"
+    actor.run(PATIENCE, turns_and_stands, lambda: any(words in each for each in said))
+    assert any(words in each for each in said), said[-1]
+    if calibrated:
+        assert actor.status["calibration"]["method"] != "known_headings"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.known_headings import fit
+from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
@@ -135,15 +136,19 @@ class HeadingLog:
         return self.standings
 
 
-def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> Outcome:
-    """Calibrate from headings that were measured on the way, and judge the result."""
+def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
+    """Calibrate from headings that were measured on the way, and judge the result.
+
+    The words say whether they seem to be to the other north; empty where nothing points to it.
+    """
     try:
         estimate = fit(standings, knowledge, SIZES["street"])
     except Refusal as refusal:
-        return Outcome.refused(refusal)
+        return Outcome.refused(refusal), ""
     verdict = judge(estimate, knowledge)
     calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
-    return Outcome(verdict, calibration, estimate)
+    hint = declination_hint(estimate, standings, knowledge)
+    return Outcome(verdict, calibration, estimate), hint
 
 
 FORWARD = np.array([1.0, 0.0, 0.0])
@@ -214,4 +219,8 @@ def fit_heading_topic(
     if not log.standings:
         words = "no field sample came within half a second of a heading, with a gyro"
         return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
-    return fit_log(log.standings, knowledge)
+    outcome, north = fit_log(log.standings, knowledge)
+    if not north:
+        return outcome
+    words = f"{outcome.verdict.summary} But {north}."
+    return replace(outcome, verdict=replace(outcome.verdict, summary=words))
