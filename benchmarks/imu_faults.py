@@ -20,8 +20,8 @@ import numpy as np
 import shared_cases  # noqa: F401
 from imu_faults_cases import FAULTS, MOTIONS, Case, Fault, good_case
 
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.doctor.upright import UserAnswers
 
 CANNOT_SHOW = {
     "turn": (

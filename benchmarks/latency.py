@@ -21,8 +21,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, MagneticField
 from std_srvs.srv import Trigger
 
-from magcal_ros.ros.sensor_loop import SensorGroup
-from magcal_ros.ros.spinner import Spinner
+from magcal_ros.ros.sensor_loop import SensorGroup, Spinner
 
 RATES = ((100, 50), (400, 200))
 ROUNDS = 4

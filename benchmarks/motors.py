@@ -34,7 +34,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
-from magcal_ros.core.heading.running import MotionSense
+from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample

@@ -19,7 +19,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 
-from magcal_ros.cli.graph import keep_traffic_here
+from magcal_ros.cli.live_view import keep_traffic_here
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.samples.streams import ImuSample
 from magcal_ros.core.simulation.ride import Ride

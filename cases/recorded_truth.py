@@ -25,8 +25,7 @@ from magcal_ros.core.geometry import (
     wrap_angle,
     yaw_from_up_and_field,
 )
-from magcal_ros.core.geometry.conics import ConicFit
-from magcal_ros.core.geometry.quadrics import QuadricFit, fit_quadric
+from magcal_ros.core.geometry.conics import ConicFit, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples import STREAMS, ImuSample, Pair, Pairer, Streams, Window
 from magcal_ros.core.samples.rest import GyroAtRest

@@ -8,10 +8,16 @@ import time
 from typing import Any
 
 from magcal_ros.cli.common import Exit
-from magcal_ros.cli.graph import interrupts_noted, joined
-from magcal_ros.cli.live_view import View, best_view, progress_of, turns_itself
+from magcal_ros.cli.live_view import (
+    View,
+    best_view,
+    interrupts_noted,
+    joined,
+    progress_of,
+    turns_itself,
+)
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import plain
 
 PATIENCE = 5.0
 """Seconds within which a running node is discovered."""

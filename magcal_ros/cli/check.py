@@ -6,9 +6,16 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
+from magcal_ros.cli.common import (
+    Exit,
+    add_output_option,
+    add_reference_options,
+    bullets,
+    document,
+    new_or_named,
+    table,
+)
 from magcal_ros.cli.recorded import Gathered, add_recording_options, gather, opened
-from magcal_ros.cli.reference import add_reference_options
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
@@ -17,7 +24,7 @@ from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.calibration_file import Origin, read_calibration
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.report import Subject, write_report
 

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magcal_ros.cli.common import Exit
-from magcal_ros.cli.graph import joined, keep_traffic_here
-from magcal_ros.cli.live_view import best_view
+from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -28,7 +27,7 @@ from magcal_ros.core.simulation.simulator import (
     trial_attitudes,
 )
 from magcal_ros.files.calibration_file import read_calibration, require_ours
-from magcal_ros.files.plain import plain_lines
+from magcal_ros.files.reading import plain_lines
 from magcal_ros.processes import start
 
 if TYPE_CHECKING:

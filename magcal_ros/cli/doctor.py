@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.cli.common import Exit, bullets, document
+from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
@@ -19,13 +19,11 @@ from magcal_ros.cli.recorded import (
     opened,
     watched,
 )
-from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import CourseSeen
-from magcal_ros.core.doctor.finding import Finding, looked_at
-from magcal_ros.core.doctor.health import TUNING
+from magcal_ros.core.doctor.health import TUNING, Finding, looked_at
 from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
@@ -34,7 +32,7 @@ from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 
 MOST = 500_000
 """Samples kept of each stream: more than an hour at 100 Hz."""

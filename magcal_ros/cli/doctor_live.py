@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magcal_ros.cli.graph import interrupts_noted, joined
+from magcal_ros.cli.common import reference_in_use
+from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.cli.recorded import mounting_from
-from magcal_ros.cli.reference import reference_in_use
-from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
+from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.page import Page
-from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.frame_tree import pose_in_words
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
@@ -29,7 +29,7 @@ from magcal_ros.core.samples.window import SensorLog
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from magcal_ros.ros.listener import Listener
+    from magcal_ros.ros.preflight import Listener
 
 SILENT_AFTER = 8.0
 """Seconds within which both sensors must have said something."""
@@ -100,7 +100,7 @@ def listen(options: argparse.Namespace) -> Heard:
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 
-        from magcal_ros.ros.listener import Listener
+        from magcal_ros.ros.preflight import Listener
 
         topics = _topics(node, options)
         samples: list[ImuSample | FieldSample] = []
@@ -141,8 +141,7 @@ def say(line: str) -> None:
 
 
 def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
-    from magcal_ros.ros.listener import sensor_topic
-    from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE
+    from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, sensor_topic
 
     deadline = time.monotonic() + DISCOVERY
     while True:

@@ -8,7 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named
+from magcal_ros.cli.common import (
+    Exit,
+    add_output_option,
+    bullets,
+    document,
+    new_or_named,
+    reference_in_use,
+)
 from magcal_ros.cli.recorded import (
     add_knowledge_options,
     add_recording_options,
@@ -16,12 +23,11 @@ from magcal_ros.cli.recorded import (
     mounting_from,
     opened,
 )
-from magcal_ros.cli.reference import reference_in_use
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.recorded_course import recorded_course
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 

@@ -11,19 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
-from magcal_ros.cli.known_headings import (
-    HeardAtHeadings,
-    add_heading_options,
-    check_heading_options,
-    fit_known,
-    heard_at_headings,
-)
 from magcal_ros.cli.recorded import (
     Gathered,
+    HeardAtHeadings,
+    add_heading_options,
     add_knowledge_options,
     add_recording_options,
     at_work,
+    check_heading_options,
+    fit_known,
     gather,
+    heard_at_headings,
     mounting_from,
     opened,
 )
@@ -39,7 +37,7 @@ from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_seve
 from magcal_ros.core.session.session import Progress
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 from magcal_ros.report import Subject, write_report
 
 CALIBRATION = "calibration.yaml"

@@ -16,7 +16,7 @@ from magcal_ros.cli import calibrate, check, demo, doctor, drive, export, fit, r
 from magcal_ros.cli.common import Exit
 from magcal_ros.core.errors import MagcalError, Misuse, Refusal
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (calibrate, fit, check, drive, doctor, export, replay, demo)

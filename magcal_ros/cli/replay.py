@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from magcal_ros.cli.common import Exit, number
-from magcal_ros.cli.graph import joined
+from magcal_ros.cli.live_view import joined
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain, plain_lines
+from magcal_ros.files.reading import plain, plain_lines
 from magcal_ros.files.recording import Recording, read_csv_folder
 
 LAST_STAMP = 2.0**31 - 2.0

@@ -28,10 +28,8 @@ from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain
-from magcal_ros.files.reading import damage_in_words
-from magcal_ros.files.ros_reader import RosReader
-from magcal_ros.files.wire import fix_in, speed_in, sure_velocity_in, velocity_in
+from magcal_ros.files.reading import damage_in_words, plain
+from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

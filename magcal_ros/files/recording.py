@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Iterator
+import io
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
+from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
-from magcal_ros.files.tables import read_columns
+from magcal_ros.core.samples.streams import (
+    FieldSample,
+    ImuSample,
+    PositionSample,
+    SpeedSample,
+    TravelSample,
+)
+from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.reading import open_regular, plain
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 FIELD_COLUMNS = ("t", "mx", "my", "mz")
@@ -82,3 +95,160 @@ def read_csv_folder(folder: Path) -> Recording:
     _, imu = read_columns(folder / "imu.csv", IMU_COLUMNS)
     _, field = read_columns(folder / "mag.csv", FIELD_COLUMNS)
     return Recording(imu, field)
+
+
+LONGEST_LINE = 10_000
+"""Characters."""
+
+LATEST_STAMP = 2.0**33
+"""Seconds, whichever sign: the stamps of ROS end at a quarter of that."""
+
+
+def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the first choice of columns that a file has, and its rows, one column each.
+
+    Parameters
+    ----------
+    path : Path
+        Has a header line; columns may come in any order, and others beside them.
+    choices : tuple of str
+        Names of columns; the first is stamps in seconds.
+
+    Raises
+    ------
+    FileTrouble
+        If a column is missing, or a line is not numbers.
+    """
+    header = read_header(path)
+    columns = next((each for each in choices if set(each) <= set(header)), None)
+    if columns is None:
+        missing = [name for name in choices[-1] if name not in header]
+        lines_like = " or ".join(",".join(each) for each in choices)
+        raise FileTrouble(
+            f"{path} has no column {', '.join(missing)}; its first line should be {lines_like}"
+        )
+    return columns, read_numbers(path, [header.index(name) for name in columns])
+
+
+def read_header(path: Path) -> list[str]:
+    """Return the names in a file's first line.
+
+    Raises
+    ------
+    FileTrouble
+        If it cannot be read.
+    """
+    with _opened(path) as handle:
+        first = next(_lines(handle), "")
+    return [name.strip().strip('"') for name in first.split(_separator(first))]
+
+
+def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> FloatArray:
+    """Return some columns below a header line.
+
+    Parameters
+    ----------
+    path : Path
+        Separated by commas, tabs or semicolons; in the last two numbers may have a decimal comma.
+    columns : sequence of int
+        The first is stamps.
+    second : float
+        What a second is in the first column; it is returned in seconds.
+
+    Raises
+    ------
+    FileTrouble
+        If a line is not numbers.
+    """
+    with _opened(path) as handle:
+        lines = _lines(handle)
+        separator = _separator(next(lines, ""))
+        if separator != ",":
+            lines = (line.replace(",", ".") for line in lines)
+        rows = (line for line in lines if line.partition("#")[0].strip())
+        first = next(rows, None)
+        if first is None:
+            raise FileTrouble(f"{path} holds no samples")
+        table = np.loadtxt(chain([first], rows), delimiter=separator, usecols=columns, ndmin=2)
+    table[:, 0] /= second
+    stamps = table[:, 0]
+    if (np.abs(stamps[np.isfinite(stamps)]) > LATEST_STAMP).any():
+        raise FileTrouble(
+            f"{plain(str(path))} is damaged: its stamps must be seconds, and reach "
+            f"{np.nanmax(np.abs(stamps)):.3g}"
+        )
+    return np.asarray(table, dtype=np.float64)
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    try:
+        with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
+            yield handle
+    except OSError as error:
+        raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise FileTrouble(f"{plain(str(path))} is damaged: {error}") from error
+    except IndexError as error:  # numpy before 1.23
+        raise FileTrouble(f"{plain(str(path))} is damaged: a line has too few columns") from error
+
+
+def _separator(header: str) -> str:
+    return next((mark for mark in "\t;" if mark in header), ",")
+
+
+def _lines(handle: TextIO) -> Iterator[str]:
+    """Yield the lines; one that does not end would fill the memory."""
+    while line := handle.readline(LONGEST_LINE):
+        if len(line) == LONGEST_LINE:
+            raise ValueError(f"a line has {LONGEST_LINE} characters or more")
+        yield line
+
+
+SPEED_COLUMNS = ("t", "speed")
+FIX_COLUMNS = ("t", "latitude", "longitude", "altitude")
+LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
+PLANE_COLUMNS = ("t", "east", "north")
+
+
+@dataclass(frozen=True)
+class Tables:
+    """What wheels and receiver said, by stamp, and where the first good fix was."""
+
+    travel: tuple[TravelSample, ...] = ()
+    place: Place | None = None
+
+
+def read_travel(folder: Path) -> Tables:
+    """Read `odom.csv` (t,speed) and `gps.csv` (t,latitude,longitude or t,east,north) of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        May hold the two files, each with a header line; seconds, m/s (negative backwards), degrees
+        and metres. A row that is not finite is no sample.
+
+    Raises
+    ------
+    FileTrouble
+        If a column is missing, or a line is not numbers.
+    """
+    found, place = list[TravelSample](), None
+    if (folder / "odom.csv").exists():
+        _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
+        found += [SpeedSample(*row) for row in rows.tolist()]
+    if (folder / "gps.csv").exists():
+        columns, rows = read_columns(
+            folder / "gps.csv", FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
+        )
+        if columns == PLANE_COLUMNS:
+            found += [PositionSample(*row) for row in rows.tolist()]
+        else:
+            fixes = [
+                Fix(True, latitude, longitude, height[0] if height else math.nan, stamp)
+                for stamp, latitude, longitude, *height in rows.tolist()
+            ]
+            plane = LocalPlane()
+            found += [each for each in map(plane.position, fixes) if each is not None]
+            place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
+    return Tables(tuple(sorted(found, key=lambda sample: sample.stamp)), place)

@@ -19,8 +19,7 @@ from magcal_ros.core.samples.stamps import (
     spread_bursts,
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
-from magcal_ros.core.session.recorded import Reading
-from magcal_ros.core.session.recorded_motors import without_motors
+from magcal_ros.core.session.recorded import Reading, without_motors
 from magcal_ros.files.sources import Source
 
 LOOKED_AT = 20_000

@@ -20,9 +20,8 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
 from magcal_ros.files.logs import ardupilot, phone, px4
 from magcal_ros.files.logs.common import Told
-from magcal_ros.files.plain import plain
-from magcal_ros.files.recording import Recording, read_csv_folder
-from magcal_ros.files.tables import read_travel
+from magcal_ros.files.reading import plain
+from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
 FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""

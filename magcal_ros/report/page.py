@@ -14,7 +14,7 @@ import scipy
 from magcal_ros import __version__
 from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
-from magcal_ros.core.doctor.finding import Finding
+from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several

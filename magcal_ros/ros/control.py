@@ -23,7 +23,7 @@ from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
 from magcal_ros.ros.keeper import Runner
-from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 
 SAVING_PATIENCE = 1.5

@@ -2,27 +2,230 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from dataclasses import field as member
 
 from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.earth_field.position import Fix, Fixes
+from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, resolve
+from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.keeping.decisions import Mode
+from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
+from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.calibration_file import Origin
-from magcal_ros.ros.inputs import Sensor
+from magcal_ros.files.default_paths import known_as
+from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.outputs import FusedOutput, HeadingOutput
-from magcal_ros.ros.reference_source import ReferenceSource
+from magcal_ros.ros.parameters import Parameters, Settings
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.settings import Settings
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.wire.incoming import FieldArrival
+from magcal_ros.ros.wire import FieldArrival
+
+SILENT_AFTER = 2.0
+"""Seconds without a message after which a sensor is called silent."""
+
+REMEMBERED = 60
+"""Looks, one a second, over which dropped samples are counted for the complaints: what was wrong
+last month is no complaint any more, and what goes wrong after a good month is one."""
+
+RATE_LOOKS = 6
+"""Looks over which a rate is taken."""
+
+
+@dataclass
+class Sensor:
+    """One topic: the newest frame, and when a message last came (steady clock)."""
+
+    topic: str
+    clock: Callable[[], float] = time.monotonic
+    frame: str = ""
+    last_heard: float | None = None
+    messages: int = 0
+    publishers: int = 1
+    changes: int = 0
+    _changes_at_look: tuple[int, int] = (0, 0)
+    _frame_before: str = ""
+    _counts: deque[tuple[float, int]] = member(default_factory=lambda: deque(maxlen=RATE_LOOKS))
+
+    @property
+    def rate(self) -> float:
+        """Messages a second over the last looks, Hz."""
+        if len(self._counts) < 2:
+            return 0.0
+        (then, before), (now, after) = self._counts[0], self._counts[-1]
+        return (after - before) / max(now - then, 1e-9)
+
+    def heard(self, frame: str) -> bool:
+        """Note that a message came; returns whether another sensor is met with it."""
+        is_first = self.last_heard is None
+        self.messages += 1
+        self.last_heard = self.clock()
+        if frame == self.frame:
+            return is_first
+        if not is_first:
+            self.changes += 1
+            self._frame_before = self.frame
+        self.frame = frame
+        return True
+
+    def look(self) -> None:
+        """Note, once a second, how many messages and changes of the frame have come."""
+        self._counts.append((self.clock(), self.messages))
+        self._changes_at_look = (self._changes_at_look[1], self.changes)
+
+    def age(self) -> float:
+        """Return seconds since the last message; infinite if none came."""
+        return math.inf if self.last_heard is None else self.clock() - self.last_heard
+
+    def complaint(self) -> str:
+        """Say that nothing comes, and what to look at; empty if messages flow."""
+        if self.last_heard is None:
+            return (
+                f"nothing has arrived on {self.topic}: "
+                "is the driver running, and the topic remapped to it?"
+            )
+        silent = self.age()
+        if silent > SILENT_AFTER:
+            return f"{self.topic} has been silent for {silent:.0f} s"
+        if self.publishers > 1:
+            return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
+        if self.changes - self._changes_at_look[0] > 1:
+            names = " and ".join(
+                repr(known_as(f)) for f in sorted((self._frame_before, self.frame))
+            )
+            return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
+        return ""
+
+
+@dataclass
+class Inputs:
+    """Both sensors and their cleaned streams."""
+
+    imu: Sensor
+    field: Sensor
+    streams: Streams
+    _earlier: deque[tuple[Heard, Heard]] = member(default_factory=lambda: deque(maxlen=REMEMBERED))
+
+    def look(self, count_publishers: Callable[[str], int]) -> None:
+        """Note, once a second, what has come so far and who publishes it."""
+        self._earlier.append(self._heard())
+        for sensor in (self.imu, self.field):
+            sensor.publishers = count_publishers(sensor.topic)
+            sensor.look()
+
+    def complaints(self) -> list[str]:
+        """Return everything that is wrong with the inputs, in words."""
+        found = [text for text in (self.imu.complaint(), self.field.complaint()) if text]
+        imu, mag = self._heard()
+        if len(self._earlier) == REMEMBERED:
+            imu, mag = map(Heard.since, (imu, mag), self._earlier[0])
+        return found + complaints(self.streams, imu, mag)
+
+    def _heard(self) -> tuple[Heard, Heard]:
+        imu, mag = (
+            Heard(sensor.topic, sensor.messages, Counter(drops))
+            for sensor, drops in (
+                (self.imu, self.streams.imu_drops),
+                (self.field, self.streams.field_drops),
+            )
+        )
+        return imu, mag
+
+
+HALF_A_PLACE = (
+    "only one of reference.latitude_deg and reference.longitude_deg is given: give both, or leave "
+    "both out"
+)
+
+FIX_PAUSE = 0.2
+"""Seconds after a look within which another fix brings no new one."""
+
+
+class ReferenceSource:
+    """Listens to gps/fix and keeps the reference field up to date."""
+
+    def __init__(self, node: Node, table: Parameters) -> None:
+        self._node, self._table = node, table
+        self._fixes = Fixes()
+        self._calibration: Calibration | None = None
+        self._settings: Settings | None = None
+        self._announcer = Announcer(node.get_logger(), lasting=0.0)
+        self._looked = -FIX_PAUSE
+        self._reference = Reference(ReferenceField(), "unknown")
+        self.refresh()
+
+    @property
+    def reference(self) -> Reference:
+        """The reference field in use, by the parameters of this moment."""
+        if self._table.settings is not self._settings:
+            self.refresh()
+        return self._reference
+
+    @property
+    def settings(self) -> Settings:
+        """The parameters, with the reference field in use in place of the one given by hand."""
+        settings = self._table.settings
+        knowledge = replace(settings.knowledge, reference=self.reference.field)
+        return replace(settings, knowledge=knowledge)
+
+    def use(self, calibration: Calibration | None) -> None:
+        """Compare the place where a calibration was made with this one from now on."""
+        self._calibration = calibration
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Evaluate parameters, place and date again, and log what is new."""
+        self._looked = time.monotonic()
+        before, self._reference = self._reference, self._resolve()
+        say = self._announcer
+        say.complain(self._reference.complaints)
+        north, was = self._reference.north, before.north
+        if self._calibration is not None and north != was:
+            words = f"compass/yaw counts from {north} north from now on, not from {was} north"
+            say.tell("north", words, wrong=True)
+        if before.source != self._reference.source:
+            say.tell("reference", f"reference field: {self._reference.words}")
+        say.catch_up()
+
+    def _resolve(self) -> Reference:
+        settings = self._settings = self._table.settings
+        given = settings.knowledge.reference
+        place = settings.place or self._fixes.place
+        found = resolve(given, settings.local, place, None if place is None else self._year())
+        notes = list(found.complaints)
+        if settings.place is not None or not given.is_known:
+            notes += self._fixes.complaints(settings.place)
+        if settings.half_place:
+            notes.append(HALF_A_PLACE)
+        if self._calibration is not None:
+            notes.append(made_elsewhere(self._calibration, found.field))
+        return replace(found, complaints=tuple(note for note in notes if note))
+
+    def _year(self) -> float:
+        """Return the date to a tenth of a year; a clock of its own has simulated time."""
+        clock = self._node.get_clock().now().nanoseconds * 1e-9
+        return round(year_of((self._fixes.stamp, clock), time.time()), 1)
+
+    def on_fix(self, fix: Fix) -> None:
+        """Take a fix of a receiver."""
+        news = self._fixes.add(fix)
+        # The heartbeat looks again, so that a faulty receiver cannot cost a model for each message.
+        if news and time.monotonic() - self._looked >= FIX_PAUSE:
+            self.refresh()
+
 
 FIRST = 1
 """Number of the magnetometer on `imu/mag`; the second is on `imu/mag_2`."""

@@ -17,8 +17,7 @@ from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.backups import keep_backup
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
-from magcal_ros.files.plain import plain
-from magcal_ros.files.reading import promptly
+from magcal_ros.files.reading import plain, promptly
 
 T = TypeVar("T")
 Tell = Callable[[Conclusion], None]
@@ -31,7 +30,7 @@ MOST_KNOWN = 100
 
 
 class Runner(Protocol):
-    """Does work elsewhere; `magcal_ros.ros.background_thread.BackgroundThread` is one."""
+    """Does work elsewhere; `magcal_ros.ros.worker_process.BackgroundThread` is one."""
 
     def run(
         self,

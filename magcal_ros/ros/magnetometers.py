@@ -14,8 +14,8 @@ from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.magnetometer import Magnetometer
-from magcal_ros.ros.settings import Settings
-from magcal_ros.ros.wire.outgoing import diagnostic
+from magcal_ros.ros.parameters import Settings
+from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
 """Asks for something that is answered later."""

@@ -17,23 +17,18 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline
-from magcal_ros.ros.inputs import Inputs, Sensor
+from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
 from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.markers import TurnMarkers
-from magcal_ros.ros.outputs import LATCHED, RELIABLE
+from magcal_ros.ros.outputs import LATCHED, RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
-from magcal_ros.ros.reference_source import ReferenceSource
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.sensor_loop import SENSOR_DATA, SensorGroup
+from magcal_ros.ros.sensor_loop import SENSOR_DATA, CallbackErrors, SensorGroup, Spinner
 from magcal_ros.ros.services import Services
-from magcal_ros.ros.spinner import CallbackErrors, Spinner
 from magcal_ros.ros.status import (
     calibration_diagnostic,
     diagnostic_array,
@@ -44,7 +39,8 @@ from magcal_ros.ros.status import (
     watch_diagnostic,
 )
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.wire.incoming import Unreadable, read_imu
+from magcal_ros.ros.wire import Unreadable, read_imu
+from magcal_ros.ros.worker_process import BackgroundThread
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""

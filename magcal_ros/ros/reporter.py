@@ -13,8 +13,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.samples.window import Window
 from magcal_ros.files.default_paths import chosen_path, known_as, own_folder
 from magcal_ros.processes import start
-from magcal_ros.ros.inputs import Sensor
-from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.heading_pipeline import Sensor
+from magcal_ros.ros.parameters import Settings
 
 if TYPE_CHECKING:
     import subprocess

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, TypeAlias
 
-from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import plain
 
 Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
 

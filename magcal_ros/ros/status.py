@@ -19,8 +19,8 @@ from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.plain import plain
-from magcal_ros.ros.inputs import Inputs
+from magcal_ros.files.reading import plain
+from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer
@@ -28,7 +28,7 @@ from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.motors import Motors
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.travel import Travel
-from magcal_ros.ros.wire.outgoing import diagnostic
+from magcal_ros.ros.wire import diagnostic
 
 
 def status_json(

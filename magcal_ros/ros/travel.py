@@ -22,7 +22,7 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
-from magcal_ros.core.monitoring.course_check import (
+from magcal_ros.core.monitoring.recorded_course import (
     CourseCheckTuning,
     check_by_course,
     course_fault,
@@ -30,11 +30,17 @@ from magcal_ros.core.monitoring.course_check import (
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
-from magcal_ros.ros.wire.incoming import Unreadable, read_fix, read_speed, read_stamp, read_velocity
-from magcal_ros.ros.wire.outgoing import diagnostic
+from magcal_ros.ros.wire import (
+    Unreadable,
+    diagnostic,
+    read_fix,
+    read_speed,
+    read_stamp,
+    read_velocity,
+)
+from magcal_ros.ros.worker_process import BackgroundThread
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 

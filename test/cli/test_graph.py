@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from magcal_ros.cli.graph import keep_traffic_here
+from magcal_ros.cli.live_view import keep_traffic_here
 
 RANGE, LOCAL_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
 

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from magcal_ros.core.heading.compass import Heading, Moment
 from magcal_ros.core.knowledge import Belief, ReferenceField
 from magcal_ros.ros.outputs import HeadingOutput
-from magcal_ros.ros.wire.outgoing import azimuth_message
+from magcal_ros.ros.wire import azimuth_message
 
 HEADING = Heading(0.0, 0.0, 1.0, 1e-4, 4e-4, 0.0, 0.0)
 DECLINATION = math.radians(7.0)

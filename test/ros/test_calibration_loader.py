@@ -8,7 +8,7 @@ from support import PATIENCE, REFERENCE, store_calibration
 
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros import keeper as keeper_module
-from magcal_ros.ros.inputs import Sensor
+from magcal_ros.ros.heading_pipeline import Sensor
 from magcal_ros.ros.keeper import Keeper
 
 pytestmark = pytest.mark.faults

@@ -17,7 +17,7 @@ from magcal_ros.core.simulation import Ride
 from magcal_ros.ros import worker_process
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.parameter_table import PARAMETERS
-from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.parameters import Settings
 
 NOBODY = 65534
 

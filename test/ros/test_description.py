@@ -16,7 +16,7 @@ from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.geometry.frame_tree import FrameTree, FrameTrouble
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, DescriptionTrouble, joints_of
-from magcal_ros.ros.description import LATCHED, Description, joints_from
+from magcal_ros.ros.sensor_frames import LATCHED, Description, joints_from
 
 ROBOT = """<robot name="mule"><joint name="imu" type="fixed"><parent link="base_link"/>
 <child link="imu_link"/><origin rpy="0 0 1.5707963267948966"/></joint></robot>"""

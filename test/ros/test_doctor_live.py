@@ -25,8 +25,8 @@ from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.simulation import Ride
-from magcal_ros.ros.description import LATCHED
-from magcal_ros.ros.listener import Listener
+from magcal_ros.ros.preflight import Listener
+from magcal_ros.ros.sensor_frames import LATCHED
 from magcal_ros.ros.sensor_source import SensorSource
 
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "doctor", "--json"]

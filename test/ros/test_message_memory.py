@@ -13,8 +13,13 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.samples import STREAMS, Pairer, Streams
 from magcal_ros.core.simulation import Robot, measure, turn
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.wire.incoming import read_field, read_imu
-from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
+from magcal_ros.ros.wire import (
+    AttitudeTemplate,
+    FieldTemplate,
+    NumberTemplate,
+    read_field,
+    read_imu,
+)
 
 WARM = STREAMS.remembered + 100
 MESSAGES = 10_000

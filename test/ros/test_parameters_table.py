@@ -7,7 +7,7 @@ pytest.importorskip("rclpy")
 
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.ros.parameter_table import PARAMETERS
-from magcal_ros.ros.settings import Settings
+from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.spec import Spec
 
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]

@@ -13,7 +13,7 @@ from support import PATIENCE, REFERENCE, ROBOT, rms_deg
 
 from magcal_ros.core.geometry import rotation_from_rpy, wrap_angle
 from magcal_ros.core.knowledge import Mounting
-from magcal_ros.ros.description import LATCHED
+from magcal_ros.ros.sensor_frames import LATCHED
 
 DESCRIBED = {**REFERENCE, "base_frame": "base_link"}
 UPSIDE_DOWN = replace(ROBOT, mounting=Mounting(pose=rotation_from_rpy(math.pi, 0.0, 0.0)))

@@ -21,8 +21,7 @@ from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import Alignment, align
 from magcal_ros.core.samples.alignment_fit import FIELD, UP
 from magcal_ros.core.samples.alignment_fit import TUNING as FIT
-from magcal_ros.core.samples.stretch import Stretch, stretch_of
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Stretch, Window, stretch_of
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,17 @@ from magcal_ros.core.assessment.bounds import (
     HELPED_BY_REFERENCE,
     bounds_of,
 )
-from magcal_ros.core.assessment.grading import DEGREES, Aspect, Bound, Check, Grade, shown, worst
-from magcal_ros.core.assessment.reference_doubt import check_reference, level_field_sigma
+from magcal_ros.core.assessment.grading import (
+    DEGREES,
+    Aspect,
+    Bound,
+    Check,
+    Grade,
+    check_reference,
+    level_field_sigma,
+    shown,
+    worst,
+)
 from magcal_ros.core.calibration.calibration import Evidence
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure

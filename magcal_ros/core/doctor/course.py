@@ -11,7 +11,7 @@ from magcal_ros.core.assessment.axes import mount_of, parameter_line
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, rotation_from_rpy, spoken
 from magcal_ros.core.knowledge import Knowledge

@@ -7,13 +7,50 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.finding import Finding, looked_at, wrong
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.core.samples.window import SensorLog
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the page."""
+
+    key: str
+    """For programs: what is wrong, or was looked at."""
+    name: str
+    """What was looked at, for people."""
+    grade: Grade
+    """`EXCELLENT` where nothing is wrong, `GOOD` where the movement did not show it, `WARN` where
+    something is worth a look, `REFUSED` where a heading would be wrong."""
+    evidence: str
+    """The numbers."""
+    remedy: str = ""
+    """What to change; empty where nothing is wrong."""
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether there is something to change."""
+        return self.grade.rank >= Grade.WARN.rank
+
+
+def looked_at(key: str, name: str, evidence: str, remedy: str = "") -> Finding:
+    """Return a line that is worth a look where there is a remedy, and good where there is none."""
+    return Finding(key, name, Grade.WARN if remedy else Grade.EXCELLENT, evidence, remedy)
+
+
+def wrong(key: str, name: str, evidence: str, remedy: str) -> Finding:
+    """Return a line of what would make a heading wrong."""
+    return Finding(key, name, Grade.REFUSED, evidence, remedy)
+
+
+def not_shown(key: str, name: str, why: str) -> Finding:
+    """Return a line of what the movement did not show; `why` says which one would."""
+    return Finding(key, name, Grade.GOOD, f"not shown: {why}")
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
-from magcal_ros.core.samples.stretch import Stretch, StretchTuning, stretch_of_log
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, Stretch, StretchTuning, stretch_of_log
 
 OF_FIELD = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)

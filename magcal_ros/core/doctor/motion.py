@@ -8,22 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.axes import AxesFound, most_turned
-from magcal_ros.core.doctor.blame import blame
+from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations, explain
-from magcal_ros.core.doctor.finding import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
+from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
-from magcal_ros.core.doctor.prepared import CleanLog
-from magcal_ros.core.doctor.quiet import Rest, longest_rest
-from magcal_ros.core.doctor.rate_unit import factor_in_words, rate_factors
-from magcal_ros.core.doctor.upright import UserAnswers, upright
+from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import align
 from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
 from magcal_ros.core.samples.streams import slow_words
-from magcal_ros.core.samples.stretch import Stretch, stretch_of_log
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 
 FULL_GUIDE = "stand still, turn left once, and lift the nose by 20° or drive over a kerb"
 """The movement that shows everything."""

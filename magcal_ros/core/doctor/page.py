@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -9,15 +10,18 @@ import numpy as np
 
 from magcal_ros.core.assessment.axes import parameter_line
 from magcal_ros.core.assessment.grading import Grade, worst
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
-from magcal_ros.core.doctor.field_at_place import motors_finding, reference_findings
-from magcal_ros.core.doctor.finding import Finding
-from magcal_ros.core.doctor.health import noise_findings
+from magcal_ros.core.doctor.explanations import Explanations
+from magcal_ros.core.doctor.health import Finding, looked_at, noise_findings, not_shown
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
-from magcal_ros.core.doctor.quirks import known_habits, orientation_findings
-from magcal_ros.core.doctor.upright import UserAnswers
+from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
 from magcal_ros.core.samples.window import SensorLog, Window
 
 PAIRED = ("bursts", "stamps", "repeats")
@@ -112,3 +116,194 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
         shown = any(f.key == "latency" and f.grade is not Grade.GOOD for f in found.findings)
         lines.append(motors_finding(body, found.explanations, found.chosen, shown))
     return lines
+
+
+@dataclass(frozen=True)
+class PlaceTuning:
+    """When the field is called another than the reference's, and the motors' one is."""
+
+    strength: float = 0.2
+    """Relative difference."""
+    inclination: float = math.radians(8.0)
+    """Radians."""
+    sigmas: float = 3.0
+    """So many standard deviations it must be, too."""
+    vague: float = 0.1
+    """Relative standard deviation of the strength beyond which it is not shown."""
+    motors: float = 1.5e-6
+    """Tesla by which the field steps when the robot sets off."""
+    turned_too_far: float = 25.0
+    scatter_too_large: float = 5.0
+    """Degrees of heading of that step, and by which it differs from one time to another, from which
+    moving the sensor is the better cure: half the level field, where a tenth of it in the motors'
+    current is three degrees, and the largest error that may stay unsaid."""
+    still: float = math.radians(3.0)
+    moves: float = math.radians(8.0)
+    """rad/s below which it stands, and above which it turns."""
+    late: float = 0.05
+    """Seconds of a latency that is not shown, up to which it does not matter."""
+    before: tuple[float, float] = (-0.6, -0.1)
+    after: tuple[float, float] = (0.3, 0.8)
+    """Seconds from and to, around the moment in which it sets off or stops."""
+
+
+TUNING = PlaceTuning()
+MOTORS = "field: motors"
+BETWEEN_RESTS = "stand still, turn, and stand still again"
+OR_LATE = "start and stop several times while you turn: motors and a late field look alike here"
+
+
+def reference_findings(
+    explanations: Explanations,
+    k: int,
+    knowledge: Knowledge,
+    up_is_down: bool | None = False,
+) -> list[Finding]:
+    """Compare strength and inclination with the reference, by one explanation."""
+    size = explanations.part.size
+    state, sigma = explanations.parameters[k], explanations.sigma[k]
+    vector, up = state[FIELD], state[UP] * (-1.0 if up_is_down else 1.0)
+    strength = float(np.linalg.norm(vector)) * size
+    off = float(np.linalg.norm(sigma[FIELD])) * size
+    name, why = "field: at this place", "lift the nose by 20° while it turns"
+    if off > TUNING.vague * strength:
+        return [not_shown("reference", name, why)]
+    along = float(vector @ up / np.linalg.norm(vector) / np.linalg.norm(up))
+    dip = -math.asin(max(-1.0, min(1.0, along)))
+    iron = float(np.linalg.norm(state[IRON])) * size
+    evidence = (
+        f"{strength * 1e6:.1f} ± {off * 1e6:.1f} µT, inclination {math.degrees(dip):.0f}°, "
+        f"hard iron {iron * 1e6:.0f} µT"
+    )
+    believed = knowledge.reference
+    wrong = []
+    if not believed.strength.is_unknown:
+        spread = math.hypot(off, believed.strength.sigma)
+        apart = abs(strength - believed.strength.value)
+        if apart > max(TUNING.strength * believed.strength.value, TUNING.sigmas * spread):
+            wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
+    if not believed.inclination.is_unknown and up_is_down is not None:
+        spread = math.hypot(off / strength, believed.inclination.sigma)
+        limit = max(TUNING.inclination, TUNING.sigmas * spread)
+        if abs(dip - believed.inclination.value) > limit:
+            if abs(dip + believed.inclination.value) <= limit:
+                return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]
+            wrong.append(f"an inclination of {math.degrees(believed.inclination.value):.0f}°")
+    remedy = (
+        f"the reference says {' and '.join(wrong)}: turn farther away from iron and walls; if it "
+        "is so everywhere, the magnetometer's scale or its unit is off"
+        if wrong
+        else ""
+    )
+    return [looked_at("reference", name, evidence, remedy)]
+
+
+def motors_finding(
+    log: SensorLog, explanations: Explanations, k: int, lag_is_shown: bool = True
+) -> Finding:
+    """Look for a step of the field when the robot sets off or stops, beside what it turned.
+
+    A field that is late looks like motors, and motors like one that is late: where the latency is
+    not shown, only what both of them tell is said.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As it was explained: rates in rad/s, the known mounting taken off.
+    explanations : Explanations
+        What explains the axes, the bias and the hard iron.
+    k : int
+        Which explanation.
+    lag_is_shown : bool
+        Whether the movement shows the field's latency.
+    """
+    lag = float(explanations.parameters[k, LAG])
+    found = _motors_with(log, explanations, k, lag)
+    if lag_is_shown or abs(lag) < TUNING.late:
+        return found
+    in_time = _motors_with(log, explanations, k, 0.0)
+    return found if found.grade is in_time.grade else not_shown("motors", MOTORS, OR_LATE)
+
+
+def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
+    """Look for the motors' step where the field is late by so many seconds."""
+    state = explanations.parameters[k]
+    rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
+    field = log.field @ explanations.field[k]
+    time = log.field_time - lag
+    iron = state[IRON] * explanations.part.size
+    up = unit(np.median(log.force, axis=0))
+    steps, spread, level = [], [], []
+    for moment, sign in _starts_and_stops(log, rate):
+        since = sign * (time - moment)
+        low, high = ((since >= a) & (since <= b) for a, b in (TUNING.before, TUNING.after))
+        if min(low.sum(), high.sum()) < 4:
+            continue
+        still, moving = field[low], field[high]
+        turn = _turned(log.imu_time, rate, float(time[low].mean()), float(time[high].mean()))
+        expected = exp_rotation(-turn) @ (still.mean(axis=0) - iron) + iron
+        steps.append(moving.mean(axis=0) - expected)
+        level.append(float(np.linalg.norm(np.cross(still.mean(axis=0) - iron, up))))
+        # What turns of 5 ms and 3 % of the way would be, and the noise of the means.
+        way = float(np.linalg.norm(expected - still.mean(axis=0)))
+        noise = float(np.median(np.abs(np.diff(field, axis=0)))) / 0.95
+        spread.append(math.hypot(noise / math.sqrt(min(low.sum(), high.sum())), 0.06 * way))
+    if len(steps) < 2:
+        return not_shown("motors", MOTORS, BETWEEN_RESTS)
+    step = np.mean(steps, axis=0)
+    scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
+    size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
+    words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
+    turned, scattered = (_degrees(each, float(np.median(level))) for each in (size, scatter))
+    evidence = (
+        f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
+        f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
+    )
+    remedy = (
+        "if motors turn it, their current makes a field of its own. A calibration from a turn "
+        "that begins and ends at rest knows it, and the node takes it off while the robot moves"
+    )
+    if max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0:
+        remedy = (
+            "if motors turn it, their current makes a field of its own, too large or too uneven "
+            "to be taken off well. Moving the sensor is the better cure: away from motors, "
+            "drivers and battery wires, and each pair of wires twisted"
+        )
+    return looked_at(
+        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
+    )
+
+
+def _degrees(field: float, level: float) -> float:
+    """Return by how many degrees a field across the level one turns the heading."""
+    return math.degrees(math.atan2(field, max(level, 1e-9)))
+
+
+def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:
+    """Return the moments in which the robot begins to turn (+1) and those in which it stops (-1).
+
+    About its up: a hand that lifts the nose is no motor.
+    """
+    time = log.imu_time
+    up = np.median(log.force, axis=0)
+    width = max(1, int(0.2 / max(float(np.median(np.diff(time))), 1e-4)))
+    about = rate @ (up / max(float(np.linalg.norm(up)), 1e-12))
+    speed = np.abs(running_mean(about, width))
+    found, resting, edge = [], bool(speed[0] < TUNING.still), 0
+    for row in range(1, len(time)):
+        if speed[row] < TUNING.still:
+            if not resting:
+                found.append((float(time[row]), -1.0))
+            resting, edge = True, row
+        elif speed[row] > TUNING.moves and resting:
+            found.append((float(time[edge]), 1.0))
+            resting = False
+    return found
+
+
+def _turned(time: FloatArray, rate: FloatArray, first: float, last: float) -> FloatArray:
+    """Return the rotation vector from one moment to another, which may be earlier."""
+    low, high = min(first, last), max(first, last)
+    inside: BoolArray = (time >= low) & (time <= high)
+    mean = rate[inside].mean(axis=0) if inside.any() else np.zeros(3)
+    return np.asarray(mean * (last - first))

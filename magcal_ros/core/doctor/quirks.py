@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.doctor.finding import Finding, looked_at
+from magcal_ros.core.doctor.health import Finding, looked_at
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.knowledge import Knowledge

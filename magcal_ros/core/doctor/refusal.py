@@ -8,17 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.axes import GYRO_IS_WRONG, MISLED_BY_AXES, find_axes
+from magcal_ros.core.doctor.explanations import rate_factors
 from magcal_ros.core.doctor.health import alive_finding, field_findings, unchanging
 from magcal_ros.core.doctor.page import examine_window
-from magcal_ros.core.doctor.rate_unit import rate_factors
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
-from magcal_ros.core.samples.stretch import stretch_of
 from magcal_ros.core.samples.units import explained
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples.window import Window, stretch_of
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
 """Lines of the page that say why field, gyro and gravity disagree."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.course_tuning import CourseTuning
+from magcal_ros.core.driving.driving_tuning import CourseTuning
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 

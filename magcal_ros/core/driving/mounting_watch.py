@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magcal_ros.core.driving.chords import Tick
 from magcal_ros.core.driving.driving_tuning import (
     DrivingTuning,
     MountingYawTuning,
     SpeedSource,
 )
-from magcal_ros.core.driving.gyro_frame import Tick
 from magcal_ros.core.driving.mounting_yaw import (
     MountingYaw,
     TickTable,

@@ -8,8 +8,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from magcal_ros.core.driving.chords import GyroFrame, Tick
 from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
-from magcal_ros.core.driving.gyro_frame import GyroFrame, Tick
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.driving.travel_replay import TravelReplay
+from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple

@@ -10,7 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import signed_permutations
 from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.window import Stretch
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, skews
-from magcal_ros.core.samples.stretch import Stretch
+from magcal_ros.core.samples.window import Stretch
 
 
 @dataclass(frozen=True)

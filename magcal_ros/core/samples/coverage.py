@@ -11,7 +11,7 @@ import numpy as np
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit, wrap_angle
-from magcal_ros.core.geometry.circle3d import fit_circle_in_space
+from magcal_ros.core.geometry.planes import fit_circle_in_space
 
 BINS = 36
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.circle3d import Circle, fit_circle_robustly
-from magcal_ros.core.geometry.planes import plane_normal
+from magcal_ros.core.geometry.planes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.geometry.rotations import (
     minimal_rotation,
     roll_pitch_between,

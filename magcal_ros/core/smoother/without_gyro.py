@@ -15,7 +15,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.circle3d import fit_circle_robustly
+from magcal_ros.core.geometry.planes import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes

@@ -10,9 +10,8 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, ImuSample
-from magcal_ros.core.up.gyro_check import LivingAxes
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
-from magcal_ros.core.up.stillness import ZERO
+from magcal_ros.core.up.stillness import ZERO, LivingAxes
 from magcal_ros.core.up.up_tuning import LevellingTuning, UpTuning
 
 

@@ -18,8 +18,14 @@ from magcal_ros.core.geometry.vec3 import (
     unit_triple,
 )
 from magcal_ros.core.up.filter import MotionPrior, UpFilter
-from magcal_ros.core.up.gyro_check import GyroCheck
-from magcal_ros.core.up.stillness import ZERO, BlockMeans, FieldStillness, ShakenRest, SteadySpell
+from magcal_ros.core.up.stillness import (
+    ZERO,
+    BlockMeans,
+    FieldStillness,
+    GyroCheck,
+    ShakenRest,
+    SteadySpell,
+)
 from magcal_ros.core.up.up_tuning import UpTuning
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeAlias
 
-from magcal_ros.files.exporters import autopilots, devices, ros_nodes
-from magcal_ros.files.exporters.common import NotExportable
+from magcal_ros.files.exporters import autopilots, ros_nodes
+from magcal_ros.files.exporters.autopilots import NotExportable
 
 Exporter: TypeAlias = Callable[..., str]
 """Takes the calibration, and those of `OF_LOGS` the magnetometer's frame as well."""
@@ -21,15 +21,15 @@ EXPORTERS: dict[str, Exporter] = {
     "fusioncore": ros_nodes.fusioncore,
     "ardupilot": autopilots.ardupilot,
     "px4": autopilots.px4,
-    "vectornav": devices.vectornav,
-    "c-header": devices.c_header,
+    "vectornav": ros_nodes.vectornav,
+    "c-header": ros_nodes.c_header,
 }
 """By the name that users give."""
 
 OF_LOGS = {"ardupilot", "px4"}
 """Those of programs whose logs are read: a calibration from one knows which sensor it is of."""
 
-NOTES = {"vectornav": devices.VECTORNAV_NOTES}
+NOTES = {"vectornav": ros_nodes.VECTORNAV_NOTES}
 """What a form without comments cannot say of itself, by the same names."""
 
 __all__ = ["EXPORTERS", "NOTES", "OF_LOGS", "Exporter", "NotExportable"]

@@ -23,15 +23,21 @@ wiki.ros.org/imu_filter_madgwick: "Magnetometer bias (hard iron compensation)").
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.rotations import rotation_angle
-from magcal_ros.files.exporters.common import (
+from magcal_ros.files.exporters.autopilots import (
+    DECIMALS,
+    GAUSS,
     OF_TESLA,
+    NotExportable,
     commented,
+    in_forward_right_down,
     number,
     numbers,
     provenance,
@@ -114,3 +120,71 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
     for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
         lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
     return commented("#", *comments) + "\n".join(lines) + "\n"
+
+
+LARGEST_NUMBER = 1e3
+
+VECTORNAV_NOTES = (
+    "register 23 had to be the identity while the turn was made, and the field in the sensor's own "
+    "axes: ROS drivers publish the compensated field, some in axes of their own"
+)
+
+
+def vectornav(calibration: Calibration) -> str:
+    """Return the command that writes register 23.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        What to export; made from fields in forward-left-up axes.
+
+    Returns
+    -------
+    str
+        One line; `$VNWNV` stores it for good. The serial line knows no comments;
+        `VECTORNAV_NOTES` says what the command assumes.
+
+    Raises
+    ------
+    NotExportable
+        If a number does not fit the command's fixed notation.
+    """
+    held = in_forward_right_down(calibration.correction)
+    twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
+    if np.abs(twelve).max() >= LARGEST_NUMBER:
+        raise NotExportable(
+            "The calibration has numbers that no VectorNav sensor could need. Check the field's "
+            "unit (tesla) in the driver, and calibrate again."
+        )
+    body = "VNWRG,23," + ",".join(
+        f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve
+    )
+    return f"${body}*{checksum(body):02X}\n"
+
+
+def checksum(body: str) -> int:
+    """Return the exclusive or of a command's bytes, without `$` and `*`."""
+    return functools.reduce(operator.xor, body.encode("ascii"), 0)
+
+
+def c_header(calibration: Calibration) -> str:
+    """Return a header that any C or C++ compiler takes.
+
+    Returns
+    -------
+    str
+        With an include guard.
+    """
+    correction = calibration.correction
+    iron = numbers(correction.hard_iron, OF_TESLA)
+    rows = ",\n".join(f"    {{{numbers(row)}}}" for row in correction.matrix)
+    return (
+        f"/* {provenance(calibration)}.\n"
+        " * body = MAGCAL_MATRIX * (raw - MAGCAL_HARD_IRON): tesla, in the IMU's axes\n"
+        " * (x forward, y left, z up). */\n"
+        "#ifndef MAGCAL_CALIBRATION_H\n"
+        "#define MAGCAL_CALIBRATION_H\n\n"
+        f"static const double MAGCAL_HARD_IRON[3] = {{{iron}}};\n"
+        f"static const double MAGCAL_MATRIX[3][3] = {{\n{rows}}};\n\n"
+        "#endif\n"
+    )

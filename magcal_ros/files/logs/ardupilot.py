@@ -33,7 +33,7 @@ from magcal_ros.files.logs.common import (
     recording_of,
     velocity,
 )
-from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")

@@ -17,8 +17,7 @@ from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import TravelSample, VelocitySample
 from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.plain import plain
-from magcal_ros.files.reading import damage_in_words, open_regular
+from magcal_ros.files.reading import damage_in_words, open_regular, plain
 from magcal_ros.files.recording import Recording
 
 GIGABYTE = 1 << 30

@@ -27,9 +27,8 @@ from magcal_ros.files.logs.common import (
     recording_of,
     velocity,
 )
-from magcal_ros.files.plain import plain
-from magcal_ros.files.recording import Recording
-from magcal_ros.files.tables import read_header, read_numbers
+from magcal_ros.files.reading import plain
+from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

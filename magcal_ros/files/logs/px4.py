@@ -32,7 +32,7 @@ from magcal_ros.files.logs.common import (
     quietly,
     recording_of,
 )
-from magcal_ros.files.plain import plain
+from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording
 
 MAGIC = b"ULog\x01\x12\x35"

@@ -2,12 +2,184 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from magcal_ros.report.figures import heading, turn_views
-from magcal_ros.report.figures.canvas import Draw, draw_svg
-from magcal_ros.report.turn import Turn
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.report.figures import turn_views
+from magcal_ros.report.figures.turn_views import (
+    CORRECTED,
+    IDEAL,
+    LEFT_OUT,
+    RAW,
+    Draw,
+    dots,
+    draw_svg,
+    legend_below,
+)
+from magcal_ros.report.turn import Corrected, Turn
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw(figure: Figure, turn: Turn) -> None:
+    """Draw the headings over the turn, and how far the corrected one deviates from it."""
+    corrected, angle = turn.corrected, turn.angle
+    if corrected is None or angle is None:
+        return
+    upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (1.25, 1.0)})
+    figure.subplots_adjust(left=0.155, right=0.98, top=0.97, bottom=0.205, hspace=0.1)
+    _draw_headings(upper, turn, corrected, np.degrees(angle))
+    _draw_deviation(lower, turn, corrected, np.degrees(angle))
+    legend_below(figure, upper)
+
+
+def caption(turn: Turn) -> str:
+    """Explain the picture to someone who is no expert."""
+    if turn.corrected is None:
+        return ""
+    by = (
+        "the gyro" if turn.has_gyro else "the corrected heading itself, smoothed (there is no gyro)"
+    )
+    scatter = _scatter_share(turn, turn.corrected)
+    return (
+        "A perfect compass follows the black line: one degree of heading for each degree turned. "
+        f"The turn was measured by {by}. Below, the corrected heading's distance from that line; "
+        f"{scatter:.0f}% of the samples lie in the blue ±2σ band that the node would publish "
+        "(about 95% should)."
+    )
+
+
+def _scatter_share(turn: Turn, corrected: Corrected) -> float:
+    kept = turn.believed & np.isfinite(corrected.sigma)
+    inside = np.abs(corrected.deviation[kept]) <= 2.0 * corrected.sigma[kept]
+    return 100.0 * float(inside.mean()) if len(inside) else 0.0
+
+
+def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
+    order = turn.rows()
+    order = order[np.argsort(angle[order])]
+    ideal = np.degrees(wrap_angle(corrected.reference[order]))
+    # A line that leaves at the top and comes back at the bottom must not be joined.
+    ideal[1:][np.abs(np.diff(ideal)) > 180.0] = np.nan
+    axes.plot(angle[order], ideal, color=IDEAL, linewidth=0.9, label="the turn itself", zorder=3)
+    rows = turn.rows()
+    raw = {"color": RAW, "marker": "^", "markersize": 3.0, "label": "before"}
+    dots(axes, angle[rows], np.degrees(wrap_angle(turn.yaw[rows])), **raw)
+    after = np.degrees(wrap_angle(corrected.yaw[rows]))
+    dots(axes, angle[rows], after, color=CORRECTED, label="after")
+    axes.fill_between([], [], [], color=CORRECTED, alpha=0.2, label="±2σ of the heading")
+    axes.set(ylabel="heading, ENU yaw [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
+
+
+def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> None:
+    rows = turn.rows(turn.believed & np.isfinite(corrected.sigma))
+    rows = rows[np.argsort(angle[rows])]
+    deviation, sigma = np.degrees(corrected.deviation), np.degrees(corrected.sigma)
+    band = 2.0 * sigma[rows]
+    axes.fill_between(angle[rows], -band, band, color=CORRECTED, alpha=0.2, linewidth=0.0)
+    axes.axhline(0.0, color=IDEAL, linewidth=0.9)
+    left_out = turn.rows(~turn.believed, most=100)
+    # A few wild samples must not flatten all others; they are drawn at the rim.
+    usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
+    reach = 1.4 * max(float(usual), 0.1)
+    dots(axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=CORRECTED)
+    if len(left_out):
+        dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **LEFT_OUT)
+    axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
+    axes.set_xlabel("turned since the start [°], left positive")
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BINS = 24
+POINTS_OF_COMPASS = {-180: "W", -90: "S", 0: "E", 90: "N", 180: "W"}
+
+
+def draw_gyro(figure: Figure, turn: Turn) -> None:
+    """Draw the mean deviation from the gyro before and after, over the heading."""
+    corrected = turn.corrected
+    if corrected is None:
+        return
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
+    before, after = deviations(turn, corrected)
+    _draw_card(upper, before, RAW, "^", "before the correction")
+    title = "after the correction"
+    bound = turn.swing_bound
+    if bound is not None:
+        title += f" (grey: good, ±{bound:g}° rms)"
+    _draw_card(lower, after, CORRECTED, "o", title)
+    if bound is not None:
+        _draw_bound(lower, after, bound)
+    lower.set_xticks(list(POINTS_OF_COMPASS))
+    lower.set_xticklabels([f"{yaw}°\n{point}" for yaw, point in POINTS_OF_COMPASS.items()])
+    lower.set(xlim=(-184, 184), xlabel="heading of the robot, ENU yaw")
+
+
+def caption_of_gyro(turn: Turn) -> str:
+    """Explain the picture to someone who is no expert."""
+    if turn.corrected is None:
+        return ""
+    worst = math.degrees(float(np.nanmax(np.abs(deviations(turn, turn.corrected)[1]))))
+    swing = turn.corrected.estimate.swing
+    judged = "" if swing is None else f" ({math.degrees(swing.rms):.1f}° rms, which is judged)"
+    return (
+        "The gyro knows nothing of magnetism, so it shows what a clean circle hides: where steel "
+        "near by bends the field, the compass swings once or twice around the turn. A flat blue "
+        f"line is good; here it swings by up to {worst:.1f}°{judged}. Each mark is the mean over "
+        "15° of heading; the gyro's own bias and scale are taken off."
+    )
+
+
+def deviations(turn: Turn, corrected: Corrected) -> tuple[FloatArray, FloatArray]:
+    """Return the mean deviation before and after at 24 headings, radians; NaN where none was.
+
+    Afterwards it is what the verdict is on, where it is on any.
+    """
+    reference, believed = corrected.reference, turn.believed
+    before = _means(wrap_angle(turn.yaw - reference)[believed], reference[believed])
+    swing = corrected.estimate.swing
+    if swing is not None:
+        return before, _means(swing.deviation, swing.heading)
+    return before, _means(corrected.deviation[believed], reference[believed])
+
+
+def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
+    where = ((wrap_angle(heading) + math.pi) * (BINS / math.tau)).astype(int) % BINS
+    found = np.full(BINS, np.nan)
+    for number in range(BINS):
+        here = where == number
+        if here.any():
+            found[number] = np.angle(np.mean(np.exp(1j * deviation[here])))
+    return found
+
+
+def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: str) -> None:
+    centre = -180.0 + (np.arange(BINS) + 0.5) * (360.0 / BINS)
+    shown = np.degrees(values)
+    axes.axhline(0.0, color=IDEAL, linewidth=0.9)
+    axes.plot(centre, shown, color=colour, marker=marker, markersize=4.5, linewidth=0.0)
+    # From -180 to +180 it is one small step, not a line through the whole picture.
+    leaps = np.append(np.abs(np.diff(shown)) > 180.0, False)
+    axes.plot(centre, np.where(leaps, np.nan, shown), color=colour, linewidth=1.2)
+    reach = 1.2 * max(float(np.nanmax(np.abs(shown))), 0.1)
+    axes.set(ylim=(-reach, reach), ylabel="compass − gyro [°]", title=title)
+
+
+def _draw_bound(axes: Any, values: FloatArray, bound: float) -> None:
+    """Shade the range that the verdict calls good, and keep it in the picture."""
+    axes.axhspan(-bound, bound, color="#EAEAEA", zorder=0)
+    reach = max(1.2 * math.degrees(float(np.nanmax(np.abs(values)))), 1.25 * bound)
+    axes.set_ylim(-reach, reach)
+
 
 NO_MATPLOTLIB = (
     "No picture: matplotlib is not installed. Install python3-matplotlib with apt, or matplotlib "
@@ -44,8 +216,8 @@ VIEWS = Plan("views", "The turn in space", turn_views.draw, turn_views.caption)
 AROUND = Plan(
     "around", "Around the turn", turn_views.draw_residuals, turn_views.caption_of_residuals
 )
-HEADING = Plan("heading", "Heading before and after", heading.draw, heading.caption)
-GYRO = Plan("gyro", "Gyro against compass", heading.draw_gyro, heading.caption_of_gyro)
+HEADING = Plan("heading", "Heading before and after", draw, caption)
+GYRO = Plan("gyro", "Gyro against compass", draw_gyro, caption_of_gyro)
 
 NO_GYRO = Picture(
     GYRO.name,

@@ -10,15 +10,14 @@ from imu_faults_cases import FAULTS, HABITS, Habit, good_case
 from long_form import first_of
 
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.explanations import explain, gravity_misfit
 from magcal_ros.core.doctor.latency import force_latency
 from magcal_ros.core.doctor.page import examine, examine_window
 from magcal_ros.core.doctor.prepared import prepare
-from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry import chained, exp_rotations, signed_permutations
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.stretch import stretch_of_log
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, stretch_of_log
 from magcal_ros.core.simulation import DEGREE, Robot, measure, turn
 
 MOST_SEEN = "half minute"

@@ -10,6 +10,7 @@ from imu_faults_cases import good_case
 from long_form import first_of
 from scipy.spatial.transform import Rotation
 
+from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.doctor.quirks import (
     AK09916_IN_ICM20948,
@@ -18,7 +19,6 @@ from magcal_ros.core.doctor.quirks import (
     WRAP,
     as_markdown,
 )
-from magcal_ros.core.doctor.upright import UserAnswers
 from magcal_ros.core.geometry import rotation_from_rpy
 
 MOTION = "half minute"

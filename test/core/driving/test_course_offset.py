@@ -23,8 +23,8 @@ from simulated import (
 
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
-from magcal_ros.core.driving.course_tuning import CourseTuning
-from magcal_ros.core.monitoring.course_check import check_by_course, course_fault
+from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 
 TUNING = CourseTuning()
 LEVEL = 21e-6

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry import exp_rotation
-from magcal_ros.core.geometry.circle3d import fit_circle_in_space
+from magcal_ros.core.geometry.planes import fit_circle_in_space
 
 numbers = st.floats(-3.0, 3.0)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

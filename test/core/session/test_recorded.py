@@ -52,7 +52,7 @@ def live(samples, knowledge):
     from magcal_ros.core.session.self_turn import SelfTurn
     from magcal_ros.ros.control import Control
     from magcal_ros.ros.parameter_table import PARAMETERS
-    from magcal_ros.ros.settings import Settings
+    from magcal_ros.ros.parameters import Settings
 
     streams, house = Streams(0.2), House()
     control = Control(streams, house, SelfTurn(), house, house)

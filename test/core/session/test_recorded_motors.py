@@ -7,7 +7,7 @@ import numpy as np
 from magcal_ros.core.calibration import Calibration, Evidence, MotorField, MotorInput
 from magcal_ros.core.samples import FieldSample
 from magcal_ros.core.samples.streams import SpeedSample
-from magcal_ros.core.session.recorded_motors import without_motors
+from magcal_ros.core.session.recorded import without_motors
 from magcal_ros.core.simulation import Ride, Robot
 
 ROBOT = Robot()

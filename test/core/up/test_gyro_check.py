@@ -5,7 +5,7 @@ import pytest
 
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
-from magcal_ros.core.up.gyro_check import GyroCheck
+from magcal_ros.core.up.stillness import GyroCheck
 from magcal_ros.files.recording import read_csv_folder
 
 STEP = 0.04

@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu, MagneticField, NavSatFix
 
 from magcal_ros.core.messages import field_sample, fix_of, imu_sample, speed_of, velocity_of
-from magcal_ros.ros.wire.incoming import (
+from magcal_ros.ros.wire import (
     STAMP,
     Unreadable,
     read_field,

@@ -13,9 +13,8 @@ from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Float64
 
 from magcal_ros.core.heading.compass import Heading
-from magcal_ros.ros.wire import outgoing
-from magcal_ros.ros.wire.incoming import STAMP
-from magcal_ros.ros.wire.outgoing import AttitudeTemplate, FieldTemplate, NumberTemplate
+from magcal_ros.ros import wire as outgoing
+from magcal_ros.ros.wire import STAMP, AttitudeTemplate, FieldTemplate, NumberTemplate
 
 DOUBLES = st.floats(width=64)
 FRAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=20)
