@@ -137,7 +137,8 @@ class TestASlowImu:
         for (kind, _), several in kinds.items():
             stamp = float(np.mean([s.stamp for s in several]))
             parts = zip(*(s[1:] for s in several), strict=True)
-            out.append(kind(stamp, *(tuple(np.mean(part, axis=0)) for part in parts)))
+            means = (None if part[0] is None else tuple(np.mean(part, axis=0)) for part in parts)
+            out.append(kind(stamp, *means))
         return sorted(out, key=lambda s: s.stamp)
 
     def test_one_second_means_of_a_slow_turn_are_used(self, tmp_path, capsys):

@@ -107,19 +107,8 @@ def fit(
         If a matrix is not positive definite.
     """
     model = Model.of(nodes, priors, start, kind)
-    goes_on = like is not None and like.kind == kind
-    if like is None:
-        point = Point.begin(model, start)
-    else:
-        point = like.point if goes_on else like.point.moved_to(model)
+    point, first, fewest = _begin(model, start, kind, tolerances, like)
     sizes, before = SizeSteps(), math.inf
-    first = 0 if like is None else tolerances.gaussian
-    first = max(tolerances.places_at) + 1 if goes_on else first
-    fewest = tolerances.fewest
-    if model.travels:
-        # What a robot on the spot did is near enough for the way to be reckoned once.
-        is_new = like is None or like.model.travels
-        fewest = max(tolerances.places_at) if is_new else min(tolerances.places_at)
     for rounds in range(first, tolerances.rounds + 1):
         if told is not None:
             told(rounds)
@@ -141,6 +130,21 @@ def fit(
             point = replace(point, is_robust=True)
     covariance = _covariance(model, point, weighted, solution)
     return Fit(kind, model, point, covariance, found, weighted, rounds, converged)
+
+
+def _begin(
+    model: Model, start: State, kind: KindOfMotion, tolerances: Tolerances, like: Fit | None
+) -> tuple[Point, int, int]:
+    """Return where the iterations begin, the first round, and the last that has to be made."""
+    last = max(tolerances.places_at) if model.travels else tolerances.fewest
+    if like is None:
+        return Point.begin(model, start), 0, last
+    if like.kind == kind:
+        return like.point, max(tolerances.places_at) + 1, last
+    if model.travels and not like.model.travels:
+        # What a robot on the spot did is near enough for the way to be reckoned once.
+        last = min(tolerances.places_at)
+    return like.point.moved_to(model), tolerances.gaussian, last
 
 
 def share_of(solution: Solution, tolerances: Tolerances) -> float:
