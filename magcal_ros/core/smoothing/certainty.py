@@ -18,7 +18,6 @@ from magcal_ros.core.smoothing.drive_model import (
     GYRO_SCALE,
     IRON,
     LEVEL_FIELD,
-    OFFSET,
     PITCH,
     ROLL,
     SHARED,
@@ -75,13 +74,13 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray) -> Correction:
-    """Return the correction of the shared numbers (15,), SI."""
+    """Return the correction of the shared numbers (14,), SI."""
     iron = to_sensor @ shared[IRON] / MICROTESLA
     return Correction(np.asarray(np.linalg.inv(to_sensor @ distortion(shared))), iron)
 
 
 def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
-    """Return the derivative of the twelve numbers by the shared ones, (12, 15)."""
+    """Return the derivative of the twelve numbers by the shared ones, (12, 14)."""
     out = np.zeros((12, SHARED))
     for k in range(IRON.start, LEVEL_FIELD):
         step = 1e-3 if k < IRON.stop else 1e-5
@@ -147,7 +146,7 @@ def _lean(smoothed: Smoothed) -> float:
 
 
 def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
-    """Return the covariance of the shared numbers by what is wrong with how up varies, (15, 15).
+    """Return the covariance of the shared numbers by what is wrong with how up varies, (14, 14).
 
     As in every fit to a noisy input, what follows it is found too small: the downward field, which
     only leaning tells. The hard iron along up makes good for that; the level heading stays. Where
@@ -164,7 +163,7 @@ def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
 
 
 def cluster_scores(smoothed: Smoothed) -> FloatArray:
-    """Return what each piece of road pulls the shared numbers by, shape (k, 15).
+    """Return what each piece of road pulls the shared numbers by, shape (k, 14).
 
     The nodes' own unknowns follow, so that the pulls add up to the prior's alone.
     """
@@ -182,9 +181,6 @@ def cluster_scores(smoothed: Smoothed) -> FloatArray:
     by_gyro[:, GYRO_BIAS] += nodes.seconds[1:]
     by_gyro[:, GYRO_SCALE] -= nodes.turned[1:]
     per_node[1:] -= by_gyro * (problem.gyro_information * here.gyro)[:, None]
-    by_course = -follow[:, 0]
-    by_course[:, OFFSET] += 1.0
-    per_node -= by_course * (problem.course_information * here.course)[:, None]
     cluster = (np.cumsum(nodes.metres) / problem.tuning.cluster).astype(int)
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
     return np.asarray(np.add.reduceat(per_node, first, axis=0))

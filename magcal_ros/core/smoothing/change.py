@@ -88,8 +88,7 @@ def _problem(
     prior = held_prior(free_prior(knowledge, tuning), iron=True)
     covariance = prior.covariance.copy()
     covariance[IRON, IRON] = iron
-    declination = knowledge.reference.declination or 0.0
-    return Problem(inside, replace(prior, covariance=covariance), declination, Sizes(), tuning)
+    return Problem(inside, replace(prior, covariance=covariance), Sizes(), tuning)
 
 
 def _moments(inside: Nodes, tuning: SmootherTuning) -> list[float]:

@@ -8,12 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.smoothing.chain import Chain, Eliminated, eliminate, own_covariances
 from magcal_ros.core.smoothing.drive_model import (
     GYRO_BIAS,
     GYRO_SCALE,
-    OFFSET,
     SHARED,
     Unknowns,
     field_jacobians,
@@ -42,8 +40,6 @@ class Problem:
 
     nodes: Nodes
     prior: SharedPrior
-    declination: float = 0.0
-    """Radians, for the course."""
     sizes: Sizes = Sizes()
     tuning: SmootherTuning = TUNING
 
@@ -71,11 +67,6 @@ class Problem:
         variance = self.tuning.angle_walk**2 * np.maximum(self.nodes.seconds[1:], 1e-3)
         return np.where(self.nodes.is_tied[1:], 1.0 / variance, UNTIED)
 
-    @cached_property
-    def course_information(self) -> FloatArray:
-        """Of the course on the yaw, shape (n,)."""
-        return np.asarray(self.nodes.course_sigma**-2.0)
-
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
@@ -102,12 +93,6 @@ class Linearisation:
         return gyro_residual(self.problem.nodes, self.unknowns)
 
     @cached_property
-    def course(self) -> FloatArray:
-        """Yaw and offset less course, shape (n,)."""
-        expected = self.unknowns.yaw - self.problem.declination + self.unknowns.shared[OFFSET]
-        return wrap_angle(expected - self.problem.nodes.course)
-
-    @cached_property
     def squares(self) -> tuple[FloatArray, FloatArray]:
         """Squares of field and street residuals over their variance, shape (n,) each."""
         field = np.sum(self.field**2, axis=1) / self.problem.noise_variance
@@ -123,7 +108,7 @@ class Linearisation:
 
     @cached_property
     def node_costs(self) -> FloatArray:
-        """What each node has of `misfit`, the course left out, shape (n,)."""
+        """What each node has of `misfit`, shape (n,)."""
         nu = self.problem.tuning.freedom
         costs = sum((nu + 3.0) * np.log1p(square / nu) for square in self.squares)
         gyro = np.concatenate([[0.0], self.gyro**2 * self.problem.gyro_information])
@@ -131,7 +116,7 @@ class Linearisation:
 
     @cached_property
     def shared_gap(self) -> FloatArray:
-        """Shared numbers less their prior, shape (15,)."""
+        """Shared numbers less their prior, shape (14,)."""
         return np.asarray(self.unknowns.shared - self.problem.prior.mean)
 
     @cached_property
@@ -139,8 +124,7 @@ class Linearisation:
         """Minus twice the log likelihood of the nodes, but for the sizes' own part."""
         nu = self.problem.tuning.freedom
         robust = (nu + 3.0) * sum(np.log1p(square / nu).sum() for square in self.squares)
-        gyro = float(self.gyro**2 @ self.problem.gyro_information)
-        return float(robust + gyro + self.course**2 @ self.problem.course_information)
+        return float(robust + self.gyro**2 @ self.problem.gyro_information)
 
     @cached_property
     def cost(self) -> float:
@@ -165,12 +149,6 @@ class Linearisation:
         ties = np.empty((len(nodes) - 1, 4))
         self._add_street(blocks, ties, down, street_weight)
         self._add_gyro(blocks, ties, coupling, down, shared, shared_down)
-        course = problem.course_information
-        blocks[:, 0, 0] += course
-        coupling[:, 0, OFFSET] += course
-        shared[OFFSET, OFFSET] += course.sum()
-        down[:, 0] -= course * self.course
-        shared_down[OFFSET] -= course @ self.course
         information = problem.prior.information
         shared += information
         shared_down -= information @ self.shared_gap

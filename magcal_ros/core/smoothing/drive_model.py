@@ -15,8 +15,8 @@ from magcal_ros.core.geometry.rotations import rotation_from_rpy, skew
 from magcal_ros.core.smoothing.nodes import Nodes
 
 IRON, ROLL, PITCH, SOFT = slice(0, 3), 3, 4, slice(5, 10)
-LEVEL_FIELD, DOWN_FIELD, GYRO_BIAS, GYRO_SCALE, OFFSET = 10, 11, 12, 13, 14
-SHARED = 15
+LEVEL_FIELD, DOWN_FIELD, GYRO_BIAS, GYRO_SCALE = 10, 11, 12, 13
+SHARED = 14
 """How many numbers all nodes share, and where they stand in their vector."""
 
 SOFT_BASIS: FloatArray = np.array(
@@ -41,14 +41,14 @@ class Unknowns:
 
     shared: FloatArray
     """Hard iron (3, nominal body axes), installation roll and pitch, soft iron (5), level and
-    downward field, the gyro's bias and scale, compass less course. Shape (15,)."""
+    downward field, the gyro's bias and scale. Shape (14,)."""
     yaw: FloatArray
     """Of each node, to magnetic north. Shape (n,)."""
     street: FloatArray
     """The disturbance there, magnetic ENU. Shape (n, 3)."""
 
     def moved(self, shared: FloatArray, local: FloatArray) -> Unknowns:
-        """Return what a step in the shared numbers (15,) and in yaw and street (n, 4) leads to."""
+        """Return what a step in the shared numbers (14,) and in yaw and street (n, 4) leads to."""
         return replace(
             self,
             shared=self.shared + shared,
@@ -95,7 +95,7 @@ def field_of(nodes: Nodes, unknowns: Unknowns) -> FloatArray:
 
 
 def field_jacobians(nodes: Nodes, unknowns: Unknowns) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of `field_of` by yaw and street (n, 3, 4) and shared (n, 3, 15)."""
+    """Return the derivatives of `field_of` by yaw and street (n, 3, 4) and shared (n, 3, 14)."""
     shared, n = unknowns.shared, len(nodes)
     into = turned_into(unknowns.yaw)
     inside = np.einsum("nij,nj->ni", into, unknowns.earth + unknowns.street)

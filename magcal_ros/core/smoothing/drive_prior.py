@@ -15,7 +15,6 @@ from magcal_ros.core.smoothing.drive_model import (
     GYRO_SCALE,
     IRON,
     LEVEL_FIELD,
-    OFFSET,
     PITCH,
     ROLL,
     SHARED,
@@ -35,18 +34,18 @@ class SharedPrior:
     """A Gaussian on the shared numbers."""
 
     mean: FloatArray
-    """Shape (15,)."""
+    """Shape (14,)."""
     covariance: FloatArray
-    """Shape (15, 15)."""
+    """Shape (14, 14)."""
 
     @property
     def information(self) -> FloatArray:
-        """Its inverse, shape (15, 15)."""
+        """Its inverse, shape (14, 14)."""
         return np.asarray(np.linalg.inv(self.covariance))
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations, shape (15,)."""
+        """Standard deviations, shape (14,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def about(self, iron: FloatArray) -> SharedPrior:
@@ -86,7 +85,6 @@ def free_prior(knowledge: Knowledge, tuning: SmootherTuning = TUNING) -> SharedP
     if iron.sigma_diagonal == 0.0 and iron.sigma_cross == 0.0:
         sigma[SOFT] = HELD
     sigma[GYRO_BIAS], sigma[GYRO_SCALE] = tuning.gyro_bias, tuning.gyro_scale
-    sigma[OFFSET] = tuning.course_offset
     covariance = np.diag(sigma**2)
     earth, spread = _earth(knowledge, tuning)
     rows = np.ix_([LEVEL_FIELD, DOWN_FIELD], [LEVEL_FIELD, DOWN_FIELD])

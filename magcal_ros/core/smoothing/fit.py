@@ -98,11 +98,10 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
         )
     believed = free_prior(knowledge, tuning)
     start, prior = linear_start(nodes, believed, tuning)
-    declination = knowledge.reference.declination or 0.0
     weakened = start.shared[LEVEL_FIELD] < tuning.weak * believed.mean[LEVEL_FIELD]
     if weakened and not knowledge.reference.strength.is_unknown:
         prior = uneven(prior, tuning)
-    smoothed = smooth(Problem(nodes, prior, declination, Sizes(), tuning), start)
+    smoothed = smooth(Problem(nodes, prior, Sizes(), tuning), start)
     if smoothed is None or not np.isfinite(smoothed.unknowns.shared).all():
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -176,8 +175,7 @@ def fit_iron(
         soft_iron=tuning.kept_soft_iron,
     )
     start, prior = linear_start(inside, believed, tuning)
-    declination = knowledge.reference.declination or 0.0
-    smoothed = smooth(Problem(inside, prior, declination, Sizes(), tuning), start, reviews=2)
+    smoothed = smooth(Problem(inside, prior, Sizes(), tuning), start, reviews=2)
     if smoothed is None:
         return None
     return DriveFit(smoothed, added_to(correction, smoothed), 0.0)
@@ -225,8 +223,7 @@ def _held(
 ) -> Smoothed | None:
     prior = held_prior(free_prior(knowledge, tuning), iron=False)
     start = Unknowns(prior.mean, inside.heading, np.zeros((len(inside), 3)))
-    declination = knowledge.reference.declination or 0.0
-    problem = Problem(inside, prior, declination, sizes, tuning)
+    problem = Problem(inside, prior, sizes, tuning)
     return descend(problem, aligned(start, inside))
 
 

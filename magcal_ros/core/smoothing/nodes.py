@@ -57,10 +57,6 @@ class Nodes:
     """From there, too. Shape (n,)."""
     is_tied: BoolArray
     """Whether the gyro was heard all the way from there; never for the first. Shape (n,)."""
-    course: FloatArray
-    course_sigma: FloatArray
-    """Course over ground to true north, radians ENU, and its standard deviation; infinite where
-    there is none. Shape (n,)."""
     lean: LeanDoubt = LeanDoubt()
     """Of up."""
     iron_from: float = -math.inf
@@ -107,8 +103,6 @@ class Nodes:
             seconds,
             metres,
             tied,
-            self.course[rows],
-            self.course_sigma[rows],
             self.lean,
             self.iron_from,
         )
@@ -196,7 +190,7 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
     inside = yaw - means.spread(middle)
     c, s = np.cos(inside)[:, None], np.sin(inside)[:, None]
     columns = (c * level[:, 0] - s * level[:, 1], s * level[:, 0] + c * level[:, 1], level[:, 2])
-    n, piece = len(centre), pieces[means.first]
+    piece = pieces[means.first]
     return Nodes(
         centre,
         means.of(field),
@@ -205,8 +199,6 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         np.diff(centre, prepend=centre[0]),
         np.diff(means.of(way), prepend=0.0),
         np.diff(piece, prepend=piece[0] - 1) == 0,
-        np.zeros(n),
-        np.full(n, np.inf),
         replace(track.lean, wander=_wander(track, means)),
     )
 
