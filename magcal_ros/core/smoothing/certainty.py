@@ -25,6 +25,7 @@ from magcal_ros.core.smoothing.drive_model import (
     field_jacobians,
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Means
+from magcal_ros.core.smoothing.tuning import TUNING
 
 TILT = [ROLL, PITCH]
 """What a lean of up all along is taken for."""
@@ -100,14 +101,14 @@ def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> f
     """
     if not _travels(smoothed):
         # No road tells how much its pieces differ: neighbours in time do.
-        residual = smoothed.here.field / math.sqrt(smoothed.problem.noise_variance)
+        residual = smoothed.here.field / smoothed.problem.noise
         return inefficiency_factor(residual, smoothed.here.weights[0])
     scores = cluster_scores(smoothed)
     count = len(scores)
-    if count < smoothed.problem.tuning.fewest_clusters:
+    if count < TUNING.fewest_clusters:
         return 1.0
     prior, information = smoothed.problem.prior.information, smoothed.eliminated.information
-    taken = smoothed.problem.tuning.lost_clusters / count * (information - prior)
+    taken = TUNING.lost_clusters / count * (information - prior)
     sandwich = plain @ (scores.T @ scores + taken + prior) @ plain
     return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
 
@@ -123,7 +124,7 @@ def _repeated(smoothed: Smoothed) -> float:
     Repeated passes of a street add no independent information.
     """
     again = float(smoothed.problem.nodes.metres.sum()) / new_metres(smoothed)
-    return min(max(1.0, again), smoothed.problem.tuning.most_repeated)
+    return min(max(1.0, again), TUNING.most_repeated)
 
 
 def _least_sigma(smoothed: Smoothed) -> float:
@@ -131,8 +132,8 @@ def _least_sigma(smoothed: Smoothed) -> float:
 
     Who stays has one field for all, but for a little.
     """
-    tuning, level = smoothed.problem.tuning, float(smoothed.unknowns.shared[LEVEL_FIELD])
-    least = iron_by_streets(smoothed) if _travels(smoothed) else tuning.lasting
+    level = float(smoothed.unknowns.shared[LEVEL_FIELD])
+    least = iron_by_streets(smoothed) if _travels(smoothed) else TUNING.lasting
     return least / level
 
 
@@ -171,7 +172,7 @@ def cluster_scores(smoothed: Smoothed) -> FloatArray:
     nodes, follow = problem.nodes, smoothed.eliminated.follow
     local, every = field_jacobians(nodes, here.unknowns)
     field_weight, street_weight = here.weights
-    pull = here.field * (field_weight / problem.noise_variance)[:, None]
+    pull = here.field * (field_weight / problem.noise**2)[:, None]
     per_node = np.einsum("nik,ni->nk", every - local @ follow, pull)
     known = street_weight / problem.street_variance
     by_street = -follow[:, 1:].copy()
@@ -181,14 +182,14 @@ def cluster_scores(smoothed: Smoothed) -> FloatArray:
     by_gyro[:, GYRO_BIAS] += nodes.seconds[1:]
     by_gyro[:, GYRO_SCALE] -= nodes.turned[1:]
     per_node[1:] -= by_gyro * (problem.gyro_information * here.gyro)[:, None]
-    cluster = (np.cumsum(nodes.metres) / problem.tuning.cluster).astype(int)
+    cluster = (np.cumsum(nodes.metres) / TUNING.cluster).astype(int)
     first = np.flatnonzero(np.diff(cluster, prepend=-1))
     return np.asarray(np.add.reduceat(per_node, first, axis=0))
 
 
 def new_metres(smoothed: Smoothed) -> float:
     """Return the length of road without what was driven again; cells of one reach are counted."""
-    reach = smoothed.problem.tuning.reach
+    reach = TUNING.reach
     cells = _way(smoothed) // reach
     return reach * len(np.unique(cells.astype(int), axis=0))
 
@@ -216,20 +217,20 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     In a small place the calibration takes the bend for its own, so what was found of the street's
     size counts by its observations, two reaches of new road each, beside the usual size.
     """
-    tuning, sizes = smoothed.problem.tuning, smoothed.problem.sizes
-    observations = new_metres(smoothed) / (2.0 * tuning.reach)
-    found = (tuning.street * sizes.street) ** 2
-    street = (observations * found + tuning.usual_observations * tuning.street**2) / (
-        observations + tuning.usual_observations
+    sizes = smoothed.problem.sizes
+    observations = new_metres(smoothed) / (2.0 * TUNING.reach)
+    found = smoothed.problem.street**2
+    street = (observations * found + TUNING.usual_observations * TUNING.street**2) / (
+        observations + TUNING.usual_observations
     )
-    small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
+    small = (TUNING.noise * max(sizes.noise, 1.0)) ** 2
     count = len(smoothed.unknowns.yaw)
-    joined = math.ceil(count / tuning.most_places)
+    joined = math.ceil(count / TUNING.most_places)
     means = Means(np.arange(0, count, joined), count)
     has_iron = smoothed.problem.nodes.has_iron[:, None]
     way, ahead = means.of(_way(smoothed)), means.of(has_iron * _ahead(smoothed))
     apart = np.linalg.norm(way[:, None] - way, axis=2)
-    covariance = street * np.exp(-apart / tuning.reach)
-    covariance += small * np.exp(-apart / tuning.small_reach)
-    covariance += tuning.own_noise**2 / joined * np.eye(len(way))
+    covariance = street * np.exp(-apart / TUNING.reach)
+    covariance += small * np.exp(-apart / TUNING.small_reach)
+    covariance += TUNING.own_noise**2 / joined * np.eye(len(way))
     return 1.0 / math.sqrt(float(np.sum(ahead * np.linalg.solve(covariance, ahead))))

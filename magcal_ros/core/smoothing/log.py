@@ -12,7 +12,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 if TYPE_CHECKING:
     from magcal_ros.core.smoothing.level import Level
@@ -81,9 +81,7 @@ class DriveLog:
         return nodes_of(track, to_body)
 
 
-def log_of(
-    window: Window, speed: FloatArray | None = None, tuning: SmootherTuning = TUNING
-) -> DriveLog:
+def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
     """Average a window that has a gyro.
 
     Parameters
@@ -91,10 +89,9 @@ def log_of(
     window : Window
     speed : ndarray, shape (n,), optional
         m/s at its samples.
-    tuning : SmootherTuning
     """
     assert window.angular_rate is not None
-    block = ((window.time - window.time[0]) / tuning.row).astype(int)
+    block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     means = Means(np.flatnonzero(np.diff(block, prepend=-1)), len(window))
     return DriveLog(
         means.of(window.time),

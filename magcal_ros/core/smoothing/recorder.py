@@ -15,7 +15,7 @@ from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.core.smoothing.nodes import MICROTESLA
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
@@ -60,7 +60,6 @@ class DriveRecorder:
     ----------
     seconds : float
         Of movement that is kept.
-    tuning : SmootherTuning
     gyro : GyroAtRest, optional
         What a rest beforehand has shown; a rest on the way tells more.
 
@@ -73,16 +72,14 @@ class DriveRecorder:
     def __init__(
         self,
         seconds: float = 600.0,
-        tuning: SmootherTuning = TUNING,
         gyro: GyroAtRest | None = None,
     ) -> None:
-        self._tuning = tuning
-        self._longest_silence = CHUNKS_TO_TELL * tuning.chunk * tuning.row
+        self._longest_silence = CHUNKS_TO_TELL * TUNING.chunk * TUNING.row
         self._chunks: deque[FloatArray] = deque(
-            maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
+            maxlen=int(seconds / (TUNING.row * TUNING.chunk)) + 1
         )
         self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_TO_TELL)
-        self._rested: deque[_Rest] = deque(maxlen=tuning.rests)
+        self._rested: deque[_Rest] = deque(maxlen=TUNING.rests)
         self.begin_anew()
         self._gyro = gyro
 
@@ -150,7 +147,7 @@ class DriveRecorder:
             self._pause = stamp - self.clock - hole if self._chunks else 0.0
         self._newest = stamp
         grown = False
-        if stamp >= self._row + self._tuning.row:
+        if stamp >= self._row + TUNING.row:
             grown = self._close()
             self._row = stamp
         self._count += 1
@@ -195,7 +192,7 @@ class DriveRecorder:
         if self._count:
             self._rows.append(tuple(value / self._count for value in self._sums))
             self._sums, self._count = [0.0] * COLUMNS, 0
-        if len(self._rows) < self._tuning.chunk:
+        if len(self._rows) < TUNING.chunk:
             return False
         chunk = np.array(self._rows)
         self._rows.clear()
@@ -203,17 +200,17 @@ class DriveRecorder:
         rested, self._rests = self._rests, self._stands()
         if self._rests:
             if rested:
-                self._rested[-1].add(chunk[:, RATE].mean(axis=0), self._tuning.rest_chunks)
+                self._rested[-1].add(chunk[:, RATE].mean(axis=0), TUNING.rest_chunks)
             else:
                 means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
                 self._rested.append(_Rest.of(self.clock, means))
-            self._pause += float(chunk[-1, 0] - chunk[0, 0]) + self._tuning.row
+            self._pause += float(chunk[-1, 0] - chunk[0, 0]) + TUNING.row
             return False
         stamps = chunk[:, 0] - self._pause
         if self._chunks:
             last = float(self._chunks[-1][-1, 0])
             # What was cut out left no hole, and what was not heard leaves one.
-            early = last + self._tuning.row - float(stamps[0])
+            early = last + TUNING.row - float(stamps[0])
             if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
                 stamps = stamps + early
                 self._pause -= early
@@ -227,16 +224,16 @@ class DriveRecorder:
         """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
         if not self._is_told:
             return False
-        rows, tuning = np.concatenate(list(self._recent)), self._tuning
-        speed = np.abs(rows[-tuning.chunk :, SPEED])
-        if (speed > tuning.rest_speed).any():
+        rows = np.concatenate(list(self._recent))
+        speed = np.abs(rows[-TUNING.chunk :, SPEED])
+        if (speed > TUNING.rest_speed).any():
             return False
         half = len(rows) // 2
         gap = np.abs(rows[:half].mean(axis=0) - rows[half:].mean(axis=0))
         spread = rows.std(axis=0)
-        field = MICROTESLA * (gap[FIELD] + tuning.rest_noise * spread[FIELD])
+        field = MICROTESLA * (gap[FIELD] + TUNING.rest_noise * spread[FIELD])
         return bool(
-            (field < tuning.rest_field).all()
-            and (gap[RATE] + tuning.rest_noise * spread[RATE] < tuning.rest_rate).all()
-            and (spread[FORCE] < tuning.rest_force).all()
+            (field < TUNING.rest_field).all()
+            and (gap[RATE] + TUNING.rest_noise * spread[RATE] < TUNING.rest_rate).all()
+            and (spread[FORCE] < TUNING.rest_force).all()
         )

@@ -18,11 +18,22 @@ from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.certainty import cluster_scores
-from magcal_ros.core.smoothing.chain import eliminate, own_covariances
-from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend
-from magcal_ros.core.smoothing.drive_model import SHARED, SOFT, Unknowns, field_jacobians, field_of
-from magcal_ros.core.smoothing.drive_prior import free_prior
-from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, held_fit, linear_start
+from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend, eliminate
+from magcal_ros.core.smoothing.drive_model import (
+    SHARED,
+    SOFT,
+    Unknowns,
+    field_jacobians,
+    field_of,
+    free_prior,
+)
+from magcal_ros.core.smoothing.fit import (
+    corrected,
+    fit_iron,
+    fit_nodes,
+    likelihood_ratio_of,
+    linear_start,
+)
 from magcal_ros.core.smoothing.log import log_of
 
 MICRO = 1e6
@@ -115,7 +126,7 @@ def test_the_chain_is_solved_as_the_whole_matrix_would_be(nodes, rng):
     assert found.local_step.ravel() == pytest.approx(step[: 4 * n], rel=1e-6, abs=1e-9)
     shared = np.linalg.inv(np.linalg.inv(whole)[4 * n :, 4 * n :])
     assert found.information == pytest.approx(shared, rel=1e-6, abs=1e-6)
-    own, between = own_covariances(chain)
+    own, between = chain.covariances()
     inverse = np.linalg.inv(local)
     assert own[3] == pytest.approx(inverse[12:16, 12:16], rel=1e-6, abs=1e-12)
     assert between[3] == pytest.approx(inverse[12:16, 16:20], rel=1e-6, abs=1e-12)
@@ -204,13 +215,10 @@ def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
 
 
 def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, fitted):
-    robot = drive.vehicle.robot
+    true = drive.vehicle.robot.true_correction
     wrong = drive.vehicle.with_iron(np.array([5e-6, 0.0, 0.0])).robot.true_correction
-    sizes = fitted.smoothed.problem.sizes
-    true, off = (
-        held_fit(fitted.nodes, each, BOSTON, sizes) for each in (robot.true_correction, wrong)
-    )
-    assert off.here.cost - true.here.cost > 48.0
+    old, new = (corrected(fitted.nodes, each, NOBODY) for each in (wrong, true))
+    assert likelihood_ratio_of(old, new, BOSTON).gain > 12.0
 
 
 def test_a_drive_whose_stamps_come_in_bursts_is_refused_by_name(drive):
