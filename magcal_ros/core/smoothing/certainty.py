@@ -1,4 +1,4 @@
-"""The covariance of the smoother's calibration, clustered by road segment."""
+"""The covariance of the smoother's calibration: what a drive repeats is no news."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,
     GYRO_BIAS,
-    GYRO_SCALE,
     IRON,
     LEVEL_FIELD,
     PITCH,
     ROLL,
     SHARED,
     distortion,
-    field_jacobians,
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Means
 from magcal_ros.core.smoothing.tuning import TUNING
@@ -43,11 +41,11 @@ class Twelve:
     heading_sigma: float
     """Radians on the level."""
     widened: float
-    """By how much more the roads differ than the model has it, at least one (variance)."""
+    """By how much more uncertain it is than the model has it, at least one (variance)."""
 
 
 def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) -> Twelve:
-    """Return the twelve numbers with their covariance, the sandwich over roads included.
+    """Return the twelve numbers with their covariance.
 
     Parameters
     ----------
@@ -63,7 +61,7 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     jacobian = _by_shared(shared, to_sensor)
     by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
     plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
-    widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
+    widened = strain**2 * _repeated(smoothed)
     least = _least_sigma(smoothed) / rms_sigma(by_heading, plain)
     widened = max(widened, least**2)
     of_shared = widened * plain
@@ -93,26 +91,6 @@ def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
     return out
 
 
-def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> float:
-    """Return the heading's variance by the sandwich over that of the model, at least one.
-
-    What the fit takes away of the pieces' difference is put back as the model has it, not in
-    proportion: few pieces say little of it, and would be counted several times over.
-    """
-    if not _travels(smoothed):
-        # No road tells how much its pieces differ: neighbours in time do.
-        residual = smoothed.here.field / smoothed.problem.noise
-        return inefficiency_factor(residual, smoothed.here.weights[0])
-    scores = cluster_scores(smoothed)
-    count = len(scores)
-    if count < TUNING.fewest_clusters:
-        return 1.0
-    prior, information = smoothed.problem.prior.information, smoothed.eliminated.information
-    taken = TUNING.lost_clusters / count * (information - prior)
-    sandwich = plain @ (scores.T @ scores + taken + prior) @ plain
-    return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
-
-
 def _travels(smoothed: Smoothed) -> bool:
     """Tell whether the robot left its place."""
     return bool(smoothed.problem.nodes.metres.any())
@@ -121,8 +99,12 @@ def _travels(smoothed: Smoothed) -> bool:
 def _repeated(smoothed: Smoothed) -> float:
     """Return how often the road went through the same places, at least one.
 
-    Repeated passes of a street add no independent information.
+    Repeated passes of a street add no independent information. Where nobody travels, neighbours in
+    time tell how much they repeat.
     """
+    if not _travels(smoothed):
+        residual = smoothed.here.field / smoothed.problem.noise
+        return inefficiency_factor(residual, smoothed.here.weights[0])
     again = float(smoothed.problem.nodes.metres.sum()) / new_metres(smoothed)
     return min(max(1.0, again), TUNING.most_repeated)
 
@@ -161,30 +143,6 @@ def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
     off[DOWN_FIELD] = wander * by_leaning * math.hypot(float(prior.mean[DOWN_FIELD]), before**0.5)
     off[IRON] = off[DOWN_FIELD] * distortion(smoothed.unknowns.shared)[:, 2]
     return np.outer(off, off)
-
-
-def cluster_scores(smoothed: Smoothed) -> FloatArray:
-    """Return what each piece of road pulls the shared numbers by, shape (k, 14).
-
-    The nodes' own unknowns follow, so that the pulls add up to the prior's alone.
-    """
-    here, problem = smoothed.here, smoothed.problem
-    nodes, follow = problem.nodes, smoothed.eliminated.follow
-    local, every = field_jacobians(nodes, here.unknowns)
-    field_weight, street_weight = here.weights
-    pull = here.field * (field_weight / problem.noise**2)[:, None]
-    per_node = np.einsum("nik,ni->nk", every - local @ follow, pull)
-    known = street_weight / problem.street_variance
-    by_street = -follow[:, 1:].copy()
-    by_street[1:] += problem.keeps[:, None, None] * follow[:-1, 1:]
-    per_node -= np.einsum("nik,ni->nk", by_street, known[:, None] * here.street)
-    by_gyro = -(follow[1:, 0] - follow[:-1, 0])
-    by_gyro[:, GYRO_BIAS] += nodes.seconds[1:]
-    by_gyro[:, GYRO_SCALE] -= nodes.turned[1:]
-    per_node[1:] -= by_gyro * (problem.gyro_information * here.gyro)[:, None]
-    cluster = (np.cumsum(nodes.metres) / TUNING.cluster).astype(int)
-    first = np.flatnonzero(np.diff(cluster, prepend=-1))
-    return np.asarray(np.add.reduceat(per_node, first, axis=0))
 
 
 def new_metres(smoothed: Smoothed) -> float:

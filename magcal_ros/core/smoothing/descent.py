@@ -66,8 +66,6 @@ class Eliminated:
     """To the optimum of the normal equations. Shape (g,)."""
     information: FloatArray
     """Schur complement: what is known of the shared numbers. Shape (g, g)."""
-    follow: FloatArray
-    """How the nodes follow the shared numbers, with the sign reversed. Shape (n, 4, g)."""
 
 
 def eliminate(chain: Equations) -> Eliminated | None:
@@ -96,8 +94,7 @@ def eliminate(chain: Equations) -> Eliminated | None:
     left = chain.shared_gradient - cross[:, g]
     shared = np.asarray(np.linalg.solve(information, left), dtype=np.float64)
     local = solved[:, g] - solved[:, :g] @ shared
-    follow = solved[:, :g].reshape(n, LOCAL, g)
-    return Eliminated(shared, local.reshape(n, LOCAL), information, follow)
+    return Eliminated(shared, local.reshape(n, LOCAL), information)
 
 
 @dataclass(frozen=True)

@@ -108,12 +108,6 @@ class SmootherTuning:
     pseudo, least_street, least_noise : float
         The sizes of street and noise are estimated with so many observations of the usual size,
         and never below these shares of it.
-    cluster : float
-        Metres of road that count as one independent observation in the sandwich covariance.
-    fewest_clusters : int
-        Fewer say nothing of how much they differ.
-    lost_clusters : float
-        Of so many the fit has taken away how much they differ.
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
@@ -199,9 +193,6 @@ class SmootherTuning:
     pseudo: float = 18.0
     least_street: float = 0.1
     least_noise: float = 0.1
-    cluster: float = 150.0
-    fewest_clusters: int = 5
-    lost_clusters: float = 4.0
     most_repeated: float = 4.0
     usual_observations: float = 6.0
     lasting: float = 0.15

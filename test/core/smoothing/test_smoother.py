@@ -17,7 +17,6 @@ from streets import BOSTON, driven, heading_error, log_from
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.knowledge import knowledge_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.certainty import cluster_scores
 from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend, eliminate
 from magcal_ros.core.smoothing.drive_model import (
     SHARED,
@@ -140,26 +139,6 @@ def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
     assert error < 2.5 * said
     assert fitted.smoothed.converged
     assert fitted.sectors >= 6
-
-
-def test_the_pulls_of_the_roads_add_up_to_the_priors(fitted):
-    smoothed = fitted.smoothed
-    pull = cluster_scores(smoothed).sum(axis=0)
-    prior = smoothed.problem.prior.information @ smoothed.here.shared_gap
-    sigma = np.sqrt(np.diag(np.linalg.inv(smoothed.eliminated.information)))
-    assert (pull - prior) * sigma == pytest.approx(np.zeros(SHARED), abs=0.02)
-
-
-def test_a_fifth_piece_of_road_makes_no_drive_less_certain():
-    """From there on the pieces tell how much they differ; five of them say little of it."""
-    shorter, longer = [], []
-    for seed in (10, 11, 14, 17):
-        nodes = log_from(driven(seed, 240.0)).nodes(NOBODY)
-        metres = np.cumsum(nodes.metres)
-        for pieces, said in ((4, shorter), (5, longer)):
-            road = nodes.take(np.flatnonzero(metres < 150.0 * pieces - 1.0))
-            said.append(fit_nodes(road, BOSTON).twelve.heading_sigma)
-    assert np.mean(longer) < np.mean(shorter)
 
 
 def test_nothing_moves_when_it_starts_at_the_optimum(fitted):
