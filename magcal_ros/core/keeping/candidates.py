@@ -132,14 +132,14 @@ def candidate_of(
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
         f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
     )
-    street = problem.sizes.street * problem.tuning.street / MICROTESLA
+    street = problem.street / MICROTESLA
     figures = {
         Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
         Figure.DRIVING_TIME.value: fitted.seconds,
         Figure.STREET.value: street,
         Figure.LOCAL_FIELD.value: street,
     }
-    noise = problem.sizes.noise * problem.tuning.noise / MICROTESLA
+    noise = problem.noise / MICROTESLA
     # The road was driven without the motors' field as it is known.
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()

@@ -30,8 +30,7 @@ from magcal_ros.core.keeping.decisions import Decision, Mode, Probation, Trial, 
 from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
 from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoothing.log import DriveLog
-from magcal_ros.core.smoothing.recorder import DriveRecorder
+from magcal_ros.core.smoothing.log import DriveLog, DriveRecorder
 
 TRIAL = "trial"
 

@@ -90,10 +90,10 @@ def fit_log(log: DriveLog, knowledge: Knowledge, window: Window | None = None) -
 
 
 def _check(found: DriveFit) -> None:
-    sizes, tuning = found.smoothed.problem.sizes, found.smoothed.problem.tuning
+    problem, sizes = found.smoothed.problem, found.smoothed.problem.sizes
     worst = max(sizes.street / SCREENING.largest_street, sizes.noise / SCREENING.largest_noise)
     if worst > 1.0:
-        field = max(sizes.street * tuning.street, sizes.noise * tuning.noise)
+        field = max(problem.street, problem.noise)
         raise Refusal(
             Reason.AXES_DISAGREE,
             f"along the drive the field deviates by {field:.0f} µT from where gyro and gravity turn"
@@ -134,12 +134,12 @@ def _estimate(found: DriveFit, log: DriveLog, knowledge: Knowledge, window: Wind
 
 
 def _figures(found: DriveFit, knowledge: Knowledge, log: DriveLog) -> dict[Figure, float]:
-    sizes, tuning = found.smoothed.problem.sizes, found.smoothed.problem.tuning
+    street = found.smoothed.problem.street / MICROTESLA
     figures = {
         Figure.HEADINGS_DRIVEN: float(found.sectors),
         Figure.DRIVING_TIME: found.seconds,
-        Figure.STREET: sizes.street * tuning.street / MICROTESLA,
-        Figure.LOCAL_FIELD: sizes.street * tuning.street / MICROTESLA,
+        Figure.STREET: street,
+        Figure.LOCAL_FIELD: street,
         Figure.NOT_CONVERGED: float(not found.smoothed.converged),
         Figure.ITERATIONS: float(found.smoothed.rounds),
         Figure.SOFT_IRON: 1.0,

@@ -135,7 +135,7 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
             diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
             upper += product[:, :LOCAL, LOCAL:reached]
             right[1:] += product[:, LOCAL:, reached:]
-    chain = _eliminated(diagonal, upper)
+    chain = block_chain(diagonal, upper)
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
     schur = information - cross.T @ solved[:, 1:]
@@ -215,7 +215,8 @@ class Chain:
         return own, beside
 
 
-def _eliminated(diagonal: FloatArray, upper: FloatArray) -> Chain:
+def block_chain(diagonal: FloatArray, upper: FloatArray) -> Chain:
+    """Eliminate the nodes of a block tridiagonal matrix, shapes (n, k, k) and (n - 1, k, k)."""
     pivot, inverse, gain = diagonal.copy(), np.empty_like(diagonal), np.empty_like(upper)
     for k, beside in enumerate(upper):
         inverse[k] = np.linalg.inv(pivot[k])

@@ -1,4 +1,4 @@
-"""The covariance of the smoother's calibration, clustered by road segment."""
+"""The covariance of the smoother's calibration: what a drive repeats is no news."""
 
 from __future__ import annotations
 
@@ -15,17 +15,15 @@ from magcal_ros.core.smoothing.descent import Smoothed
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,
     GYRO_BIAS,
-    GYRO_SCALE,
     IRON,
     LEVEL_FIELD,
-    OFFSET,
     PITCH,
     ROLL,
     SHARED,
     distortion,
-    field_jacobians,
 )
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Means
+from magcal_ros.core.smoothing.tuning import TUNING
 
 TILT = [ROLL, PITCH]
 """What a lean of up all along is taken for."""
@@ -43,11 +41,11 @@ class Twelve:
     heading_sigma: float
     """Radians on the level."""
     widened: float
-    """By how much more the roads differ than the model has it, at least one (variance)."""
+    """By how much more uncertain it is than the model has it, at least one (variance)."""
 
 
 def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) -> Twelve:
-    """Return the twelve numbers with their covariance, the sandwich over roads included.
+    """Return the twelve numbers with their covariance.
 
     Parameters
     ----------
@@ -63,7 +61,7 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
     jacobian = _by_shared(shared, to_sensor)
     by_heading = heading_jacobian(correction, field, 0.0) @ jacobian
     plain = np.asarray(np.linalg.inv(smoothed.eliminated.information), dtype=np.float64)
-    widened = strain**2 * max(_widened(smoothed, plain, by_heading), _repeated(smoothed))
+    widened = strain**2 * _repeated(smoothed)
     least = _least_sigma(smoothed) / rms_sigma(by_heading, plain)
     widened = max(widened, least**2)
     of_shared = widened * plain
@@ -75,13 +73,13 @@ def twelve_of(smoothed: Smoothed, to_sensor: FloatArray, strain: float = 1.0) ->
 
 
 def correction_of(shared: FloatArray, to_sensor: FloatArray) -> Correction:
-    """Return the correction of the shared numbers (15,), SI."""
+    """Return the correction of the shared numbers (14,), SI."""
     iron = to_sensor @ shared[IRON] / MICROTESLA
     return Correction(np.asarray(np.linalg.inv(to_sensor @ distortion(shared))), iron)
 
 
 def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
-    """Return the derivative of the twelve numbers by the shared ones, (12, 15)."""
+    """Return the derivative of the twelve numbers by the shared ones, (12, 14)."""
     out = np.zeros((12, SHARED))
     for k in range(IRON.start, LEVEL_FIELD):
         step = 1e-3 if k < IRON.stop else 1e-5
@@ -93,26 +91,6 @@ def _by_shared(shared: FloatArray, to_sensor: FloatArray) -> FloatArray:
     return out
 
 
-def _widened(smoothed: Smoothed, plain: FloatArray, by_heading: FloatArray) -> float:
-    """Return the heading's variance by the sandwich over that of the model, at least one.
-
-    What the fit takes away of the pieces' difference is put back as the model has it, not in
-    proportion: few pieces say little of it, and would be counted several times over.
-    """
-    if not _travels(smoothed):
-        # No road tells how much its pieces differ: neighbours in time do.
-        residual = smoothed.here.field / math.sqrt(smoothed.problem.noise_variance)
-        return inefficiency_factor(residual, smoothed.here.weights[0])
-    scores = cluster_scores(smoothed)
-    count = len(scores)
-    if count < smoothed.problem.tuning.fewest_clusters:
-        return 1.0
-    prior, information = smoothed.problem.prior.information, smoothed.eliminated.information
-    taken = smoothed.problem.tuning.lost_clusters / count * (information - prior)
-    sandwich = plain @ (scores.T @ scores + taken + prior) @ plain
-    return max(1.0, (rms_sigma(by_heading, sandwich) / rms_sigma(by_heading, plain)) ** 2)
-
-
 def _travels(smoothed: Smoothed) -> bool:
     """Tell whether the robot left its place."""
     return bool(smoothed.problem.nodes.metres.any())
@@ -121,10 +99,14 @@ def _travels(smoothed: Smoothed) -> bool:
 def _repeated(smoothed: Smoothed) -> float:
     """Return how often the road went through the same places, at least one.
 
-    Repeated passes of a street add no independent information.
+    Repeated passes of a street add no independent information. Where nobody travels, neighbours in
+    time tell how much they repeat.
     """
+    if not _travels(smoothed):
+        residual = smoothed.here.field / smoothed.problem.noise
+        return inefficiency_factor(residual, smoothed.here.weights[0])
     again = float(smoothed.problem.nodes.metres.sum()) / new_metres(smoothed)
-    return min(max(1.0, again), smoothed.problem.tuning.most_repeated)
+    return min(max(1.0, again), TUNING.most_repeated)
 
 
 def _least_sigma(smoothed: Smoothed) -> float:
@@ -132,8 +114,8 @@ def _least_sigma(smoothed: Smoothed) -> float:
 
     Who stays has one field for all, but for a little.
     """
-    tuning, level = smoothed.problem.tuning, float(smoothed.unknowns.shared[LEVEL_FIELD])
-    least = iron_by_streets(smoothed) if _travels(smoothed) else tuning.lasting
+    level = float(smoothed.unknowns.shared[LEVEL_FIELD])
+    least = iron_by_streets(smoothed) if _travels(smoothed) else TUNING.lasting
     return least / level
 
 
@@ -147,7 +129,7 @@ def _lean(smoothed: Smoothed) -> float:
 
 
 def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
-    """Return the covariance of the shared numbers by what is wrong with how up varies, (15, 15).
+    """Return the covariance of the shared numbers by what is wrong with how up varies, (14, 14).
 
     As in every fit to a noisy input, what follows it is found too small: the downward field, which
     only leaning tells. The hard iron along up makes good for that; the level heading stays. Where
@@ -163,36 +145,9 @@ def _by_wander(smoothed: Smoothed, plain: FloatArray) -> FloatArray:
     return np.outer(off, off)
 
 
-def cluster_scores(smoothed: Smoothed) -> FloatArray:
-    """Return what each piece of road pulls the shared numbers by, shape (k, 15).
-
-    The nodes' own unknowns follow, so that the pulls add up to the prior's alone.
-    """
-    here, problem = smoothed.here, smoothed.problem
-    nodes, follow = problem.nodes, smoothed.eliminated.follow
-    local, every = field_jacobians(nodes, here.unknowns)
-    field_weight, street_weight = here.weights
-    pull = here.field * (field_weight / problem.noise_variance)[:, None]
-    per_node = np.einsum("nik,ni->nk", every - local @ follow, pull)
-    known = street_weight / problem.street_variance
-    by_street = -follow[:, 1:].copy()
-    by_street[1:] += problem.keeps[:, None, None] * follow[:-1, 1:]
-    per_node -= np.einsum("nik,ni->nk", by_street, known[:, None] * here.street)
-    by_gyro = -(follow[1:, 0] - follow[:-1, 0])
-    by_gyro[:, GYRO_BIAS] += nodes.seconds[1:]
-    by_gyro[:, GYRO_SCALE] -= nodes.turned[1:]
-    per_node[1:] -= by_gyro * (problem.gyro_information * here.gyro)[:, None]
-    by_course = -follow[:, 0]
-    by_course[:, OFFSET] += 1.0
-    per_node -= by_course * (problem.course_information * here.course)[:, None]
-    cluster = (np.cumsum(nodes.metres) / problem.tuning.cluster).astype(int)
-    first = np.flatnonzero(np.diff(cluster, prepend=-1))
-    return np.asarray(np.add.reduceat(per_node, first, axis=0))
-
-
 def new_metres(smoothed: Smoothed) -> float:
     """Return the length of road without what was driven again; cells of one reach are counted."""
-    reach = smoothed.problem.tuning.reach
+    reach = TUNING.reach
     cells = _way(smoothed) // reach
     return reach * len(np.unique(cells.astype(int), axis=0))
 
@@ -220,20 +175,20 @@ def iron_by_streets(smoothed: Smoothed) -> float:
     In a small place the calibration takes the bend for its own, so what was found of the street's
     size counts by its observations, two reaches of new road each, beside the usual size.
     """
-    tuning, sizes = smoothed.problem.tuning, smoothed.problem.sizes
-    observations = new_metres(smoothed) / (2.0 * tuning.reach)
-    found = (tuning.street * sizes.street) ** 2
-    street = (observations * found + tuning.usual_observations * tuning.street**2) / (
-        observations + tuning.usual_observations
+    sizes = smoothed.problem.sizes
+    observations = new_metres(smoothed) / (2.0 * TUNING.reach)
+    found = smoothed.problem.street**2
+    street = (observations * found + TUNING.usual_observations * TUNING.street**2) / (
+        observations + TUNING.usual_observations
     )
-    small = (tuning.noise * max(sizes.noise, 1.0)) ** 2
+    small = (TUNING.noise * max(sizes.noise, 1.0)) ** 2
     count = len(smoothed.unknowns.yaw)
-    joined = math.ceil(count / tuning.most_places)
+    joined = math.ceil(count / TUNING.most_places)
     means = Means(np.arange(0, count, joined), count)
     has_iron = smoothed.problem.nodes.has_iron[:, None]
     way, ahead = means.of(_way(smoothed)), means.of(has_iron * _ahead(smoothed))
     apart = np.linalg.norm(way[:, None] - way, axis=2)
-    covariance = street * np.exp(-apart / tuning.reach)
-    covariance += small * np.exp(-apart / tuning.small_reach)
-    covariance += tuning.own_noise**2 / joined * np.eye(len(way))
+    covariance = street * np.exp(-apart / TUNING.reach)
+    covariance += small * np.exp(-apart / TUNING.small_reach)
+    covariance += TUNING.own_noise**2 / joined * np.eye(len(way))
     return 1.0 / math.sqrt(float(np.sum(ahead * np.linalg.solve(covariance, ahead))))

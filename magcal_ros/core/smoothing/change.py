@@ -14,12 +14,19 @@ import numpy as np
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
-from magcal_ros.core.smoothing.drive_model import GYRO_BIAS, IRON, Unknowns, field_of, turned_into
-from magcal_ros.core.smoothing.drive_prior import free_prior, held_prior
+from magcal_ros.core.smoothing.descent import Problem, Smoothed, descend, smooth
+from magcal_ros.core.smoothing.drive_model import (
+    GYRO_BIAS,
+    IRON,
+    Unknowns,
+    field_of,
+    free_prior,
+    held_prior,
+    turned_into,
+)
 from magcal_ros.core.smoothing.fit import DriveFit, added_to, aligned, corrected
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +41,7 @@ class IronChange:
     """Its `twelve` is of the raw field since then."""
 
 
-def find_change(
-    nodes: Nodes, calibration: Calibration, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> IronChange | None:
+def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) -> IronChange | None:
     """Find the moment from which iron that was added explains the nodes best.
 
     Parameters
@@ -45,35 +50,34 @@ def find_change(
     calibration : Calibration
         In force before.
     knowledge : Knowledge
-    tuning : SmootherTuning
 
     Returns
     -------
     IronChange or None
         None where too little was driven, or no moment explains anything.
     """
-    if len(nodes) < tuning.fewest_for_iron or nodes.tied_share < tuning.least_tied:
+    if len(nodes) < TUNING.fewest_for_iron or nodes.tied_share < TUNING.least_tied:
         return None
     correction = calibration.correction
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     own = MICROTESLA**2 * correction.matrix @ calibration.covariance[9:, 9:] @ correction.matrix.T
-    before = _problem(inside, knowledge, own + tuning.lasting**2 * np.eye(3), tuning)
+    before = _problem(inside, knowledge, own + TUNING.lasting**2 * np.eye(3))
     unmoved = Unknowns(before.prior.mean.copy(), inside.heading, np.zeros((len(inside), 3)))
     same = descend(before, aligned(unmoved, inside))
     if same is None:
         return None
     best: Smoothed | None = None
-    free = np.eye(3) * tuning.hard_iron**2
-    for since in _moments(inside, tuning):
+    free = np.eye(3) * TUNING.hard_iron**2
+    for since in _moments(inside):
         found = descend(
-            _problem(replace(inside, iron_from=since), knowledge, free, tuning),
+            _problem(replace(inside, iron_from=since), knowledge, free),
             _begun(same, since),
         )
         if found is not None and (best is None or found.here.cost < best.here.cost):
             best = found
     if best is None or best.here.cost >= same.here.cost:
         return None
-    gain = (same.here.cost - best.here.cost) / tuning.counts
+    gain = (same.here.cost - best.here.cost) / TUNING.counts
     sized = smooth(best.problem, best.unknowns, reviews=2)
     if sized is None:
         return None
@@ -81,18 +85,15 @@ def find_change(
     return IronChange(best.problem.nodes.iron_from, gain, fit)
 
 
-def _problem(
-    inside: Nodes, knowledge: Knowledge, iron: FloatArray, tuning: SmootherTuning
-) -> Problem:
+def _problem(inside: Nodes, knowledge: Knowledge, iron: FloatArray) -> Problem:
     """Return the problem with nothing free but the hard iron (covariance, µT²), field and gyro."""
-    prior = held_prior(free_prior(knowledge, tuning), iron=True)
+    prior = held_prior(free_prior(knowledge), iron=True)
     covariance = prior.covariance.copy()
     covariance[IRON, IRON] = iron
-    declination = knowledge.reference.declination or 0.0
-    return Problem(inside, replace(prior, covariance=covariance), declination, Sizes(), tuning)
+    return Problem(inside, replace(prior, covariance=covariance))
 
 
-def _moments(inside: Nodes, tuning: SmootherTuning) -> list[float]:
+def _moments(inside: Nodes) -> list[float]:
     """Return when iron may have come: the largest steps of the field, and moments between them.
 
     The field of a node is predicted from the one before and the gyro.
@@ -104,10 +105,10 @@ def _moments(inside: Nodes, tuning: SmootherTuning) -> list[float]:
     steps = np.linalg.norm(level[1:] - there, axis=1)
     wide = np.linalg.norm(level[2:] - over_two, axis=1)
     size = np.maximum(steps, np.append(wide, 0.0))
-    last = len(inside) - tuning.fewest_since
+    last = len(inside) - TUNING.fewest_since
     # Neither the nodes before nor the nodes since may be too few to tell one from the other.
-    rows = 1 + np.argsort(-size[: max(last - 1, 0)])[: tuning.steps_tried]
-    between = np.arange(tuning.fewest_since, last, tuning.moments_apart)
+    rows = 1 + np.argsort(-size[: max(last - 1, 0)])[: TUNING.steps_tried]
+    between = np.arange(TUNING.fewest_since, last, TUNING.moments_apart)
     return [float(time) for time in inside.time[np.unique(np.concatenate([rows, between]))]]
 
 

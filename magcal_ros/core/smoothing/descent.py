@@ -1,4 +1,9 @@
-"""The smoother itself: Gauss-Newton on all nodes at once, robust, and the sizes of its noise."""
+"""The smoother itself: Gauss-Newton on all nodes at once, robust, and the sizes of its noise.
+
+The nodes' own unknowns form a chain, each tied to its neighbours alone, so that they are eliminated
+in time linear in their number: a block tridiagonal system solved as a band, and a Schur complement
+of what they share (Triggs et al., 2000).
+"""
 
 from __future__ import annotations
 
@@ -8,24 +13,88 @@ from functools import cached_property
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.smoothing.chain import Chain, Eliminated, eliminate, own_covariances
+from magcal_ros.core.smoother.solver import block_chain
 from magcal_ros.core.smoothing.drive_model import (
     GYRO_BIAS,
     GYRO_SCALE,
-    OFFSET,
     SHARED,
+    SharedPrior,
     Unknowns,
     field_jacobians,
     field_of,
     gyro_residual,
 )
-from magcal_ros.core.smoothing.drive_prior import SharedPrior
 from magcal_ros.core.smoothing.nodes import Nodes
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 UNTIED = 1e-4
 """Information of the gyro on a yaw that it did not watch."""
+
+
+LOCAL = 4
+"""Unknowns of a node: yaw and three of street. Neighbours are tied yaw to yaw and axis to axis,
+so the band is as wide as one node."""
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations of a chain and of what its nodes share."""
+
+    blocks: FloatArray
+    """Information of each node on itself. Shape (n, 4, 4)."""
+    ties: FloatArray
+    """Diagonal of the information between each node and the next. Shape (n - 1, 4)."""
+    coupling: FloatArray
+    """Information between each node and what is shared. Shape (n, 4, g)."""
+    shared: FloatArray
+    """Information on what is shared. Shape (g, g)."""
+    local_gradient: FloatArray
+    shared_gradient: FloatArray
+    """Downhill. Shape (n, 4), (g,)."""
+
+    def covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Return each node's covariance, and that with the next, what is shared held."""
+        return block_chain(self.blocks, self.ties[:, :, None] * np.eye(LOCAL)).covariance()
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """A chain's unknowns taken out."""
+
+    shared_step: FloatArray
+    local_step: FloatArray
+    """To the optimum of the normal equations. Shape (g,)."""
+    information: FloatArray
+    """Schur complement: what is known of the shared numbers. Shape (g, g)."""
+
+
+def eliminate(chain: Equations) -> Eliminated | None:
+    """Solve the normal equations; None where they are not positive definite."""
+    # Loaded only by who fits a drive: it takes longer than all the rest of the package.
+    from scipy.linalg import cho_solve_banded, cholesky_banded
+
+    n, g = len(chain.blocks), len(chain.shared)
+    band = np.zeros((LOCAL + 1, LOCAL * n))
+    for row in range(LOCAL):
+        for column in range(row + 1):
+            band[row - column, column::LOCAL] = chain.blocks[:, row, column]
+    band[LOCAL, : LOCAL * (n - 1)] = chain.ties.ravel()
+    right = np.empty((LOCAL * n, g + 1))
+    right[:, :g] = chain.coupling.reshape(-1, g)
+    right[:, g] = chain.local_gradient.ravel()
+    try:
+        factor = cholesky_banded(band, lower=True, check_finite=False)
+        solved = cho_solve_banded((factor, True), right, check_finite=False)
+        cross = right[:, :g].T @ solved
+        information = np.asarray(chain.shared - cross[:, :g], dtype=np.float64)
+        # Only to find out whether it is positive definite.
+        np.linalg.cholesky(0.5 * (information + information.T))
+    except np.linalg.LinAlgError:
+        return None
+    left = chain.shared_gradient - cross[:, g]
+    shared = np.asarray(np.linalg.solve(information, left), dtype=np.float64)
+    local = solved[:, g] - solved[:, :g] @ shared
+    return Eliminated(shared, local.reshape(n, LOCAL), information)
 
 
 @dataclass(frozen=True)
@@ -42,39 +111,36 @@ class Problem:
 
     nodes: Nodes
     prior: SharedPrior
-    declination: float = 0.0
-    """Radians, for the course."""
     sizes: Sizes = Sizes()
-    tuning: SmootherTuning = TUNING
 
     @cached_property
     def keeps(self) -> FloatArray:
         """Share of the street that lasts from the node before, shape (n - 1,)."""
-        lasting = np.exp(-self.nodes.metres[1:] / self.tuning.reach)
+        lasting = np.exp(-self.nodes.metres[1:] / TUNING.reach)
         # A robot that stands sees the same street, and a chain may not be tied without end.
         return np.asarray(np.minimum(lasting, 1.0 - 1e-4))
+
+    @property
+    def street(self) -> float:
+        """Standard deviation of the street per axis, microtesla."""
+        return self.sizes.street * TUNING.street
+
+    @property
+    def noise(self) -> float:
+        """The same of the field's noise."""
+        return self.sizes.noise * TUNING.noise
 
     @cached_property
     def street_variance(self) -> FloatArray:
         """Of the street's change from node to node, of the first its own, shape (n,)."""
-        whole = (self.sizes.street * self.tuning.street) ** 2
+        whole = self.street**2
         return np.concatenate([[whole], whole * (1.0 - self.keeps**2)])
-
-    @property
-    def noise_variance(self) -> float:
-        """Of the field's noise per axis."""
-        return (self.sizes.noise * self.tuning.noise) ** 2
 
     @cached_property
     def gyro_information(self) -> FloatArray:
         """Of the gyro on the turn from node to node, shape (n - 1,)."""
-        variance = self.tuning.angle_walk**2 * np.maximum(self.nodes.seconds[1:], 1e-3)
+        variance = TUNING.angle_walk**2 * np.maximum(self.nodes.seconds[1:], 1e-3)
         return np.where(self.nodes.is_tied[1:], 1.0 / variance, UNTIED)
-
-    @cached_property
-    def course_information(self) -> FloatArray:
-        """Of the course on the yaw, shape (n,)."""
-        return np.asarray(self.nodes.course_sigma**-2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,45 +168,38 @@ class Linearisation:
         return gyro_residual(self.problem.nodes, self.unknowns)
 
     @cached_property
-    def course(self) -> FloatArray:
-        """Yaw and offset less course, shape (n,)."""
-        expected = self.unknowns.yaw - self.problem.declination + self.unknowns.shared[OFFSET]
-        return wrap_angle(expected - self.problem.nodes.course)
-
-    @cached_property
     def squares(self) -> tuple[FloatArray, FloatArray]:
         """Squares of field and street residuals over their variance, shape (n,) each."""
-        field = np.sum(self.field**2, axis=1) / self.problem.noise_variance
+        field = np.sum(self.field**2, axis=1) / self.problem.noise**2
         street = np.sum(self.street**2, axis=1) / self.problem.street_variance
         return field, street
 
     @cached_property
     def weights(self) -> tuple[FloatArray, FloatArray]:
         """Of field and street, Student's, shape (n,) each."""
-        nu = self.problem.tuning.freedom
+        nu = TUNING.freedom
         field, street = self.squares
         return (nu + 3.0) / (nu + field), (nu + 3.0) / (nu + street)
 
     @cached_property
     def node_costs(self) -> FloatArray:
-        """What each node has of `misfit`, the course left out, shape (n,)."""
-        nu = self.problem.tuning.freedom
+        """What each node has of `misfit`, shape (n,)."""
+        nu = TUNING.freedom
         costs = sum((nu + 3.0) * np.log1p(square / nu) for square in self.squares)
         gyro = np.concatenate([[0.0], self.gyro**2 * self.problem.gyro_information])
         return np.asarray(costs + gyro)
 
     @cached_property
     def shared_gap(self) -> FloatArray:
-        """Shared numbers less their prior, shape (15,)."""
+        """Shared numbers less their prior, shape (14,)."""
         return np.asarray(self.unknowns.shared - self.problem.prior.mean)
 
     @cached_property
     def misfit(self) -> float:
         """Minus twice the log likelihood of the nodes, but for the sizes' own part."""
-        nu = self.problem.tuning.freedom
+        nu = TUNING.freedom
         robust = (nu + 3.0) * sum(np.log1p(square / nu).sum() for square in self.squares)
-        gyro = float(self.gyro**2 @ self.problem.gyro_information)
-        return float(robust + gyro + self.course**2 @ self.problem.course_information)
+        return float(robust + self.gyro**2 @ self.problem.gyro_information)
 
     @cached_property
     def cost(self) -> float:
@@ -149,12 +208,12 @@ class Linearisation:
         return self.misfit + float(gap @ self.problem.prior.information @ gap)
 
     @cached_property
-    def chain(self) -> Chain:
+    def chain(self) -> Equations:
         """The normal equations here."""
         problem, nodes = self.problem, self.problem.nodes
         local, every = field_jacobians(nodes, self.unknowns)
         field_weight, street_weight = self.weights
-        weight = field_weight / problem.noise_variance
+        weight = field_weight / problem.noise**2
         pulled = local * weight[:, None, None]
         blocks = np.swapaxes(pulled, 1, 2) @ local
         coupling = np.swapaxes(pulled, 1, 2) @ every
@@ -165,16 +224,10 @@ class Linearisation:
         ties = np.empty((len(nodes) - 1, 4))
         self._add_street(blocks, ties, down, street_weight)
         self._add_gyro(blocks, ties, coupling, down, shared, shared_down)
-        course = problem.course_information
-        blocks[:, 0, 0] += course
-        coupling[:, 0, OFFSET] += course
-        shared[OFFSET, OFFSET] += course.sum()
-        down[:, 0] -= course * self.course
-        shared_down[OFFSET] -= course @ self.course
         information = problem.prior.information
         shared += information
         shared_down -= information @ self.shared_gap
-        return Chain(blocks, ties, coupling, shared, down, shared_down)
+        return Equations(blocks, ties, coupling, shared, down, shared_down)
 
     def _add_street(
         self, blocks: FloatArray, ties: FloatArray, down: FloatArray, weight: FloatArray
@@ -238,13 +291,12 @@ class Smoothed:
 
 def descend(problem: Problem, unknowns: Unknowns) -> Smoothed | None:
     """Take robust Gauss-Newton steps to the optimum; None where no step can be made."""
-    tuning = problem.tuning
     here = Linearisation(problem, unknowns)
     rounds, moved = 0, np.inf
     eliminated = eliminate(here.chain)
-    while eliminated is not None and rounds < tuning.most_rounds and moved > tuning.enough:
+    while eliminated is not None and rounds < TUNING.most_rounds and moved > TUNING.enough:
         largest = float(np.abs(eliminated.local_step[:, 0]).max())
-        share = min(1.0, tuning.largest_turn / max(largest, 1e-12))
+        share = min(1.0, TUNING.largest_turn / max(largest, 1e-12))
         for _ in range(5):
             tried = Linearisation(
                 problem,
@@ -258,7 +310,7 @@ def descend(problem: Problem, unknowns: Unknowns) -> Smoothed | None:
         eliminated = eliminate(here.chain)
     if eliminated is None:
         return None
-    return Smoothed(here, eliminated, rounds, moved <= tuning.enough)
+    return Smoothed(here, eliminated, rounds, moved <= TUNING.enough)
 
 
 def sizes_of(smoothed: Smoothed) -> Sizes:
@@ -268,11 +320,11 @@ def sizes_of(smoothed: Smoothed) -> Sizes:
     of the usual size keep both from vanishing.
     """
     problem, here = smoothed.problem, smoothed.here
-    tuning, n = problem.tuning, len(problem.nodes)
-    own, between = own_covariances(here.chain)
+    n = len(problem.nodes)
+    own, between = here.chain.covariances()
     local, _ = field_jacobians(problem.nodes, here.unknowns)
     field_weight, street_weight = here.weights
-    spent = np.einsum("nij,njk,nik->n", local, own, local) / problem.noise_variance
+    spent = np.einsum("nij,njk,nik->n", local, own, local) / problem.noise**2
     field_left = 3.0 * n - float(field_weight @ spent)
     keeps = problem.keeps
     trace = np.einsum("nii->n", own[:, 1:, 1:])
@@ -284,8 +336,8 @@ def sizes_of(smoothed: Smoothed) -> Sizes:
         float(weight @ square) for weight, square in zip(here.weights, here.squares, strict=True)
     )
     return Sizes(
-        max(tuning.least_street, _size(problem.sizes.street, street, street_left, tuning.pseudo)),
-        max(tuning.least_noise, _size(problem.sizes.noise, field, field_left, tuning.pseudo)),
+        max(TUNING.least_street, _size(problem.sizes.street, street, street_left, TUNING.pseudo)),
+        max(TUNING.least_noise, _size(problem.sizes.noise, field, field_left, TUNING.pseudo)),
     )
 
 
@@ -310,7 +362,7 @@ def smooth(problem: Problem, unknowns: Unknowns, reviews: int = 4) -> Smoothed |
         if found is None:
             return None
         sizes = sizes_of(found)
-        prior = problem.prior.widened(found.unknowns.shared, problem.tuning)
+        prior = problem.prior.widened(found.unknowns.shared)
         problem = replace(problem, sizes=sizes, prior=prior)
         found = descend(problem, found.unknowns)
     return found

@@ -12,7 +12,7 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.certainty import Twelve, twelve_of
-from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
+from magcal_ros.core.smoothing.descent import Problem, Smoothed, descend, smooth
 from magcal_ros.core.smoothing.drive_model import (
     DOWN_FIELD,
     GYRO_BIAS,
@@ -20,12 +20,14 @@ from magcal_ros.core.smoothing.drive_model import (
     LEVEL_FIELD,
     SHARED,
     SOFT,
+    SharedPrior,
     Unknowns,
+    free_prior,
+    held_prior,
     turned_into,
 )
-from magcal_ros.core.smoothing.drive_prior import SharedPrior, free_prior, held_prior
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 SECTORS = 12
 
@@ -70,39 +72,37 @@ def _sector(yaw: FloatArray) -> IntArray:
     return (np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(np.int64) % SECTORS
 
 
-def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING) -> DriveFit:
+def fit_nodes(nodes: Nodes, knowledge: Knowledge) -> DriveFit:
     """Find all twelve numbers from a drive.
 
     Parameters
     ----------
     nodes : Nodes
     knowledge : Knowledge
-    tuning : SmootherTuning
 
     Raises
     ------
     Refusal
         `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
     """
-    if len(nodes) < tuning.fewest_nodes:
+    if len(nodes) < TUNING.fewest_nodes:
         raise Refusal(
             Reason.TOO_FEW_SAMPLES,
-            f"only {len(nodes)} half seconds of movement; at least {tuning.fewest_nodes} are"
+            f"only {len(nodes)} half seconds of movement; at least {TUNING.fewest_nodes} are"
             " needed: drive on",
         )
-    if nodes.tied_share < tuning.least_tied:
+    if nodes.tied_share < TUNING.least_tied:
         raise Refusal(
             Reason.AXES_DISAGREE,
             "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
             " stamp each sample when it is measured, not when a buffer is read",
         )
-    believed = free_prior(knowledge, tuning)
-    start, prior = linear_start(nodes, believed, tuning)
-    declination = knowledge.reference.declination or 0.0
-    weakened = start.shared[LEVEL_FIELD] < tuning.weak * believed.mean[LEVEL_FIELD]
+    believed = free_prior(knowledge)
+    start, prior = linear_start(nodes, believed)
+    weakened = start.shared[LEVEL_FIELD] < TUNING.weak * believed.mean[LEVEL_FIELD]
     if weakened and not knowledge.reference.strength.is_unknown:
-        prior = uneven(prior, tuning)
-    smoothed = smooth(Problem(nodes, prior, declination, Sizes(), tuning), start)
+        prior = uneven(prior)
+    smoothed = smooth(Problem(nodes, prior), start)
     if smoothed is None or not np.isfinite(smoothed.unknowns.shared).all():
         raise Refusal(
             Reason.NO_SOLUTION,
@@ -110,7 +110,7 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
         )
     found = smoothed.unknowns.shared[LEVEL_FIELD]
     pull = float((found - believed.mean[LEVEL_FIELD]) / believed.sigma[LEVEL_FIELD])
-    strain = max(1.0, abs(pull) / tuning.no_strain)
+    strain = max(1.0, abs(pull) / TUNING.no_strain)
     try:
         twelve = twelve_of(smoothed, knowledge.mounting.matrix, strain)
     except (ValueError, np.linalg.LinAlgError) as fault:
@@ -122,11 +122,11 @@ def fit_nodes(nodes: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNIN
     return DriveFit(smoothed, twelve, pull)
 
 
-def uneven(prior: SharedPrior, tuning: SmootherTuning = TUNING) -> SharedPrior:
+def uneven(prior: SharedPrior) -> SharedPrior:
     """Return the prior for a body that takes much of the level field away, and unevenly."""
     covariance = prior.covariance.copy()
     rows = np.arange(len(covariance))[SOFT]
-    covariance[rows, rows] = tuning.widest_soft_iron**2
+    covariance[rows, rows] = TUNING.widest_soft_iron**2
     return replace(prior, covariance=covariance)
 
 
@@ -149,7 +149,6 @@ def fit_iron(
     nodes: Nodes,
     correction: Correction,
     knowledge: Knowledge,
-    tuning: SmootherTuning = TUNING,
 ) -> DriveFit | None:
     """Find what was added to the hard iron since a calibration was made.
 
@@ -159,25 +158,23 @@ def fit_iron(
     correction : Correction
         The calibration; its matrix is kept but for the little that the priors allow.
     knowledge : Knowledge
-    tuning : SmootherTuning
 
     Returns
     -------
     DriveFit or None
         Its `twelve` is of the raw field. None where too little was driven.
     """
-    if len(nodes) < tuning.fewest_for_iron or nodes.tied_share < tuning.least_tied:
+    if len(nodes) < TUNING.fewest_for_iron or nodes.tied_share < TUNING.least_tied:
         return None
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     believed = held_prior(
-        free_prior(knowledge, tuning),
+        free_prior(knowledge),
         iron=True,
-        tilt=tuning.kept_tilt,
-        soft_iron=tuning.kept_soft_iron,
+        tilt=TUNING.kept_tilt,
+        soft_iron=TUNING.kept_soft_iron,
     )
-    start, prior = linear_start(inside, believed, tuning)
-    declination = knowledge.reference.declination or 0.0
-    smoothed = smooth(Problem(inside, prior, declination, Sizes(), tuning), start, reviews=2)
+    start, prior = linear_start(inside, believed)
+    smoothed = smooth(Problem(inside, prior), start, reviews=2)
     if smoothed is None:
         return None
     return DriveFit(smoothed, added_to(correction, smoothed), 0.0)
@@ -194,40 +191,11 @@ def added_to(correction: Correction, smoothed: Smoothed) -> Twelve:
     return replace(change, correction=change.correction.after(correction), covariance=covariance)
 
 
-def held_fit(
-    nodes: Nodes,
-    correction: Correction,
-    knowledge: Knowledge,
-    sizes: Sizes,
-    tuning: SmootherTuning = TUNING,
-) -> Smoothed | None:
-    """Let the nodes' yaw, their street and the Earth's field follow a calibration that is held.
-
-    Parameters
-    ----------
-    nodes : Nodes
-    correction : Correction
-    knowledge : Knowledge
-    sizes : Sizes
-        The same for all that are compared.
-    tuning : SmootherTuning
-
-    Returns
-    -------
-    Smoothed or None
-        `here.cost` of two calibrations on the same nodes can be compared.
-    """
-    return _held(corrected(nodes, correction, knowledge.mounting.matrix), knowledge, sizes, tuning)
-
-
-def _held(
-    inside: Nodes, knowledge: Knowledge, sizes: Sizes, tuning: SmootherTuning
-) -> Smoothed | None:
-    prior = held_prior(free_prior(knowledge, tuning), iron=False)
+def _held(inside: Nodes, knowledge: Knowledge) -> Smoothed | None:
+    """Let yaw, street and the Earth's field follow a field whose calibration is held."""
+    prior = held_prior(free_prior(knowledge), iron=False)
     start = Unknowns(prior.mean, inside.heading, np.zeros((len(inside), 3)))
-    declination = knowledge.reference.declination or 0.0
-    problem = Problem(inside, prior, declination, sizes, tuning)
-    return descend(problem, aligned(start, inside))
+    return descend(Problem(inside, prior), aligned(start, inside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,9 +219,7 @@ class LikelihoodRatio:
         return float(-np.sum(np.minimum(self.by_sector, 0.0)))
 
 
-def likelihood_ratio_of(
-    old: Nodes, new: Nodes, knowledge: Knowledge, tuning: SmootherTuning = TUNING
-) -> LikelihoodRatio:
+def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:
     """Return the log likelihood ratio of nodes between a new calibration and an old one.
 
     Parameters
@@ -262,20 +228,19 @@ def likelihood_ratio_of(
         Corrected by the one and by the other, which both are held; yaw, street and the Earth's
         field are free.
     knowledge : Knowledge
-    tuning : SmootherTuning
 
     Returns
     -------
     LikelihoodRatio
         Nothing where one of them cannot be followed.
     """
-    fits = [_held(each, knowledge, Sizes(), tuning) for each in (old, new)]
+    fits = [_held(each, knowledge) for each in (old, new)]
     if fits[0] is None or fits[1] is None:
         return LikelihoodRatio()
     gain = fits[0].here.cost - fits[1].here.cost
     by_node = fits[0].here.node_costs - fits[1].here.node_costs
     by_sector = np.bincount(_sector(fits[1].unknowns.yaw), by_node, SECTORS)
-    return LikelihoodRatio(gain / tuning.counts, by_sector / tuning.counts)
+    return LikelihoodRatio(gain / TUNING.counts, by_sector / TUNING.counts)
 
 
 def aligned(start: Unknowns, inside: Nodes) -> Unknowns:
@@ -296,9 +261,7 @@ BIASES: FloatArray = np.radians(
 """rad/s that a gyro may be off by, at rest as well."""
 
 
-def linear_start(
-    nodes: Nodes, prior: SharedPrior, tuning: SmootherTuning = TUNING
-) -> tuple[Unknowns, SharedPrior]:
+def linear_start(nodes: Nodes, prior: SharedPrior) -> tuple[Unknowns, SharedPrior]:
     """Fit field and hard iron in the gyro's axes by IRLS, for several biases; the best is taken.
 
     Returns
@@ -309,7 +272,7 @@ def linear_start(
     best, chosen, bias = math.inf, np.zeros(6), 0.0
     clock = np.cumsum(nodes.seconds)
     for trial in BIASES:
-        found, misfit = _fitted(nodes, nodes.heading - trial * clock, prior, tuning)
+        found, misfit = _fitted(nodes, nodes.heading - trial * clock, prior)
         if misfit < best:
             best, chosen, bias = misfit, found, float(trial)
     shared = prior.mean.copy()
@@ -323,19 +286,17 @@ def linear_start(
     return Unknowns(shared, yaw, np.zeros((len(nodes), 3))), prior.about(chosen[3:])
 
 
-def _fitted(
-    nodes: Nodes, heading: FloatArray, prior: SharedPrior, tuning: SmootherTuning
-) -> tuple[FloatArray, float]:
+def _fitted(nodes: Nodes, heading: FloatArray, prior: SharedPrior) -> tuple[FloatArray, float]:
     """Return field in the gyro's axes and hard iron (6,), and the median misfit, microtesla."""
     n = len(nodes)
     design = np.concatenate(
         [nodes.axes @ turned_into(heading), np.broadcast_to(np.eye(3), (n, 3, 3))], axis=2
     )
     expected = np.array([0.0, 0.0, -prior.mean[DOWN_FIELD], 0.0, 0.0, 0.0])
-    known = np.array([1e-6, 1e-6, tuning.start_field**-2.0, *(prior.sigma[IRON] ** -2.0)])
+    known = np.array([1e-6, 1e-6, TUNING.start_field**-2.0, *(prior.sigma[IRON] ** -2.0)])
     rows, read = design.reshape(-1, 6), nodes.field.ravel()
     weight, found, misfit = np.ones(n), expected, math.inf
-    for _ in range(tuning.start_rounds):
+    for _ in range(TUNING.start_rounds):
         weighted = rows * np.repeat(weight, 3)[:, None]
         normal = weighted.T @ rows + n * np.diag(known) * 0.01
         found = np.linalg.solve(normal, weighted.T @ read + n * 0.01 * known * expected)

@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations, turns_about_z
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
+from magcal_ros.core.smoothing.tuning import TUNING
 
 MICROTESLA = 1e6
 
@@ -57,10 +57,6 @@ class Nodes:
     """From there, too. Shape (n,)."""
     is_tied: BoolArray
     """Whether the gyro was heard all the way from there; never for the first. Shape (n,)."""
-    course: FloatArray
-    course_sigma: FloatArray
-    """Course over ground to true north, radians ENU, and its standard deviation; infinite where
-    there is none. Shape (n,)."""
     lean: LeanDoubt = LeanDoubt()
     """Of up."""
     iron_from: float = -math.inf
@@ -107,8 +103,6 @@ class Nodes:
             seconds,
             metres,
             tied,
-            self.course[rows],
-            self.course_sigma[rows],
             self.lean,
             self.iron_from,
         )
@@ -167,7 +161,7 @@ def yaw_steps(time: FloatArray, rate: FloatArray, level: FloatArray) -> FloatArr
     return -turns_about_z(step)
 
 
-def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING) -> Nodes:
+def nodes_of(track: Track, to_body: FloatArray) -> Nodes:
     """Average a track into nodes; a robot that stands makes one node, however long it stands.
 
     Parameters
@@ -176,7 +170,6 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         At least one sample.
     to_body : ndarray, shape (3, 3)
         From sensor axes to nominal body axes, `Mounting.to_body`.
-    tuning : SmootherTuning
     """
     time, level = track.time, levelled_axes(track.up)
     gaps = np.diff(time) > STREAMS.longest_gyro_step
@@ -184,19 +177,19 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
     yaw = np.concatenate([[0.0], np.cumsum(steps)])
     field = MICROTESLA * track.field @ to_body.T
     pieces = np.concatenate([[0], np.cumsum(gaps)])
-    length = max(tuning.node, float(time[-1] - time[0]) / tuning.most_nodes)
+    length = max(TUNING.node, float(time[-1] - time[0]) / TUNING.most_nodes)
     block = ((time - time[0]) / length).astype(int) + pieces * (len(time) + 1)
     blocks = Means(np.flatnonzero(np.diff(block, prepend=-1)), len(time))
-    limit = _still(field, blocks, tuning)
-    stands = _standing(blocks.of(time), blocks.of(field), blocks.of(yaw), limit, tuning)
+    limit = _still(field, blocks)
+    stands = _standing(blocks.of(time), blocks.of(field), blocks.of(yaw), limit)
     stands &= pieces[blocks.first] == pieces[np.maximum(blocks.first - 1, 0)]
-    way = _way(track, blocks.spread(stands.astype(float)) > 0.0, tuning)
+    way = _way(track, blocks.spread(stands.astype(float)) > 0.0)
     means = Means(blocks.first[~stands], len(time))
     middle, centre = means.of(yaw), means.of(time)
     inside = yaw - means.spread(middle)
     c, s = np.cos(inside)[:, None], np.sin(inside)[:, None]
     columns = (c * level[:, 0] - s * level[:, 1], s * level[:, 0] + c * level[:, 1], level[:, 2])
-    n, piece = len(centre), pieces[means.first]
+    piece = pieces[means.first]
     return Nodes(
         centre,
         means.of(field),
@@ -205,8 +198,6 @@ def nodes_of(track: Track, to_body: FloatArray, tuning: SmootherTuning = TUNING)
         np.diff(centre, prepend=centre[0]),
         np.diff(means.of(way), prepend=0.0),
         np.diff(piece, prepend=piece[0] - 1) == 0,
-        np.zeros(n),
-        np.full(n, np.inf),
         replace(track.lean, wander=_wander(track, means)),
     )
 
@@ -245,23 +236,21 @@ class Means:
         return np.repeat(values, self.sizes, axis=0)
 
 
-def _still(field: FloatArray, blocks: Means, tuning: SmootherTuning) -> FloatArray:
+def _still(field: FloatArray, blocks: Means) -> FloatArray:
     """Return by how much the mean fields of two blocks at rest may differ, (b, 3)."""
     if len(field) < 2:
-        return np.full((1, 3), tuning.still_field)
+        return np.full((1, 3), TUNING.still_field)
     noise = np.median(np.abs(np.diff(field, axis=0)), axis=0) / 0.954
-    return np.asarray(tuning.still_field + 4.0 * noise * np.sqrt(2.0 / blocks.sizes)[:, None])
+    return np.asarray(TUNING.still_field + 4.0 * noise * np.sqrt(2.0 / blocks.sizes)[:, None])
 
 
-def _standing(
-    time: FloatArray, field: FloatArray, yaw: FloatArray, limit: FloatArray, tuning: SmootherTuning
-) -> BoolArray:
+def _standing(time: FloatArray, field: FloatArray, yaw: FloatArray, limit: FloatArray) -> BoolArray:
     """Return which blocks tell nothing beyond the one that began their rest."""
     stands = np.zeros(len(yaw), dtype=bool)
     begun = 0
     for k in range(1, len(yaw)):
         moved = np.abs(field[k] - field[begun]) > limit[k]
-        turned = tuning.still_yaw + tuning.still_rate * (time[k] - time[begun])
+        turned = TUNING.still_yaw + TUNING.still_rate * (time[k] - time[begun])
         if moved.any() or abs(yaw[k] - yaw[begun]) > turned:
             begun = k
         else:
@@ -269,10 +258,10 @@ def _standing(
     return stands
 
 
-def _way(track: Track, stands: BoolArray, tuning: SmootherTuning) -> FloatArray:
+def _way(track: Track, stands: BoolArray) -> FloatArray:
     """Return the metres driven up to each sample, shape (m,)."""
     if track.speed is None:
-        speed = np.where(stands, 0.0, tuning.usual_speed)
+        speed = np.where(stands, 0.0, TUNING.usual_speed)
     else:
         speed = np.abs(track.speed)
     seconds = np.minimum(np.diff(track.time), STREAMS.longest_gyro_step)

@@ -16,8 +16,6 @@ class SmootherTuning:
         Seconds of samples that make one row of the log of a drive.
     chunk : int
         Rows after which it is asked whether the robot rests.
-    turning : float
-        rad/s from which a robot turns.
     rests, rest_chunks : int
         What is remembered of the gyro: rests, and chunks of each that its mean is over.
     node : float
@@ -76,10 +74,9 @@ class SmootherTuning:
         m/s, for the metres of a robot that tells no speed.
     angle_walk : float
         rad/s^.5, angle random walk of the gyro's yaw, what turns leave of its scale included.
-    hard_iron, tilt, soft_iron, soft_iron_upright, gyro_bias, gyro_scale, course_offset : float
+    hard_iron, tilt, soft_iron, soft_iron_upright, gyro_bias, gyro_scale : float
         Prior sigmas: hard iron about the linear start, installation roll and pitch (rad), soft
-        iron in the level plane and out of it, the gyro's bias about up (rad/s), its scale, compass
-        against course (rad).
+        iron in the level plane and out of it, the gyro's bias about up (rad/s), its scale.
     strength, unknown_strength, unknown_dip, gain : float
         Prior sigmas of the level and upright field where the reference says less: per axis;
         relative and radians where there is no reference; the sensor's own gain, relative.
@@ -111,12 +108,6 @@ class SmootherTuning:
     pseudo, least_street, least_noise : float
         The sizes of street and noise are estimated with so many observations of the usual size,
         and never below these shares of it.
-    cluster : float
-        Metres of road that count as one independent observation in the sandwich covariance.
-    fewest_clusters : int
-        Fewer say nothing of how much they differ.
-    lost_clusters : float
-        Of so many the fit has taken away how much they differ.
     most_repeated : float
         By how much a road that is driven again and again widens the variance at most: part of what
         it tells is the sensor's own noise, which does not repeat.
@@ -135,7 +126,6 @@ class SmootherTuning:
 
     row: float = 0.1
     chunk: int = 10
-    turning: float = math.radians(3.0)
     rests: int = 60
     rest_chunks: int = 60
     node: float = 0.5
@@ -180,7 +170,6 @@ class SmootherTuning:
     soft_iron_upright: float = 0.01
     gyro_bias: float = math.radians(0.3)
     gyro_scale: float = 0.01
-    course_offset: float = 10.0
     strength: tuple[float, float] = (1.5, 2.0)
     unknown_strength: float = 0.3
     unknown_dip: float = math.radians(20.0)
@@ -204,9 +193,6 @@ class SmootherTuning:
     pseudo: float = 18.0
     least_street: float = 0.1
     least_noise: float = 0.1
-    cluster: float = 150.0
-    fewest_clusters: int = 5
-    lost_clusters: float = 4.0
     most_repeated: float = 4.0
     usual_observations: float = 6.0
     lasting: float = 0.15
