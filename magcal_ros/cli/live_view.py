@@ -1,4 +1,4 @@
-"""The turn as a person watches it: a line a second, or a panel that is drawn again."""
+"""The turn as a person watches it, and the access of a command to the graph."""
 
 from __future__ import annotations
 

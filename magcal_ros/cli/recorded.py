@@ -1,4 +1,4 @@
-"""What the commands on recordings share: their options, the reading, the progress line."""
+"""What the commands on recordings share: options, known headings, reading, progress line."""
 
 from __future__ import annotations
 

@@ -2,6 +2,11 @@
 
 Both types have never changed, so their places in CDR (ROS 2) and in ROS 1's format are fixed:
 a header with stamp and frame, and doubles after it.
+
+`rosbag2_py` reads bags on a robot that has no other library, with the names that the library
+rosbags gives. Checked against its published source from Humble to Rolling: before Jazzy the
+metadata's duration is a `timedelta`, since then an `rclpy` Duration; Humble wants the storage
+named.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The steps from a field message of any magnetometer to the published heading."""
+"""From a field message of any magnetometer to the published heading; the inputs it counts."""
 
 from __future__ import annotations
 

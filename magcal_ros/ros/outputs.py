@@ -1,4 +1,4 @@
-"""The outputs of a field message: the corrected field, and the yaw."""
+"""The outputs of a field message: the corrected field, the yaw, and the markers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration needs from the graph, looked at before the robot turns."""
+"""What a calibration and `doctor` need from the graph, and what is heard there."""
 
 from __future__ import annotations
 

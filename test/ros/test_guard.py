@@ -12,15 +12,15 @@ import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from support import PATIENCE, wait_until
 
-from magcal_ros.ros import rotator as guard_module
-from magcal_ros.ros.rotator import Guard, is_needed
+from magcal_ros.ros import guard as guard_module
+from magcal_ros.ros.guard import Guard, is_needed
 
 SILENCE = 1.0
 """Seconds: a busy machine may keep a process from its word for longer than a robot should wait."""
 
 NODE = """
 import sys, time
-from magcal_ros.ros import rotator as guard
+from magcal_ros.ros import guard
 guard.SILENCE = float(sys.argv[2])
 guard = guard.Guard(sys.argv[1], False, "")
 while not guard.is_ready:

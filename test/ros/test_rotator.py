@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock
 from support import AT_ONCE, PATIENCE, REFERENCE
 
 from magcal_ros.core.session import rotation_plan, self_turn
-from magcal_ros.ros import rotator as guard
+from magcal_ros.ros import guard
 from magcal_ros.ros.main import SIGNALS
 
 TURNING = {**REFERENCE, "rotate.enabled": True, "rotate.speed_rad_s": 0.8}

@@ -1,4 +1,9 @@
-"""Grades of figures, for a turn, a recheck and a drive alike."""
+"""Grades of figures, and whether the reference field is doubtful.
+
+The hard iron along a turn's axis is what is left of the field there after the reference's part.
+So an inclination of the wrong sign looks like a magnet of twice that part, and nothing else in the
+turn contradicts it. A robot may carry such a magnet, so a person has to decide.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which sensor errs: two of three agree."""
+"""Which sensor errs (two of three agree), and whether the sensor stands upright."""
 
 from __future__ import annotations
 

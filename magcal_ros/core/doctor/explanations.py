@@ -5,6 +5,8 @@ differ from it alike. Rows of a candidate's two matrices are the sensor's axes i
 Turning the gyro's axes by G is, for the field, the same as turning the magnetometer's back; a
 mirrored gyro turns against the field. So gyro against field is weighed once for 24 ways and two
 senses, gyro against gravity once for 48, and together only what both leave.
+
+The unit of the gyro's rates is compared with the turning of the field.
 """
 
 from __future__ import annotations

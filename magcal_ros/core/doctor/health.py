@@ -1,4 +1,4 @@
-"""What single sensor streams show of their own faults: stamps, repeats, steps, range, gravity."""
+"""The lines of the page, and the faults that single sensor streams show by themselves."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page: everything that is wrong with the sensors, graded, and what mends it."""
+"""The page: everything that is wrong with the sensors, graded, with what corrects it."""
 
 from __future__ import annotations
 

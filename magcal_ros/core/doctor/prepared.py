@@ -1,4 +1,4 @@
-"""A log made fit for comparing its sensors, and what had to be done for it."""
+"""A log made fit for comparing its sensors, and the parts of it in which the sensor rests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Straight stretches of road: the yaw of the compass against the course."""
+"""The gyro's attitude between ticks, and straight stretches: compass yaw against course."""
 
 from __future__ import annotations
 

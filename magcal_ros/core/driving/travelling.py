@@ -1,4 +1,4 @@
-"""A moving vehicle: compares IMU, speed, fixes and compass with one another."""
+"""A moving vehicle, live or replayed: compares IMU, speed, fixes and compass with one another."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Circles and ellipses through points of a plane.
+"""Circles and ellipses in a plane, spheres and ellipsoids in space, through given points.
 
 All fits first move the points to their centroid and scale them to unit size. The forms that fix
-the constant term at -1 are singular for a curve through the origin; a centroid lies inside every
-ellipse, never on it.
+the constant term at -1 are singular for a curve or surface through the origin; a centroid lies
+inside every ellipse and ellipsoid, never on it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Planes through a cloud of points: the three fits of the ST design tip DT0103.
+"""Planes (the three fits of the ST design tip DT0103) and circles through points of space.
 
 A normal keeps whatever sign the arithmetic gave it. Which of the two is meant is a question of
 the sense of rotation, and only the caller knows that.

@@ -1,4 +1,4 @@
-"""What motors add at the moment beside what their inputs tell.
+"""Whether motors run, and what field they add at the moment.
 
 Inputs come late and leave out a ripple: a current is told some tenths of a second after it flows,
 and that a robot moves is seen after its motors have started. The field of the place cannot change

@@ -1,4 +1,4 @@
-"""A window: the paired, clean samples of one turn."""
+"""The paired, clean samples of one turn, and the stretches of a log that a fit compares."""
 
 from __future__ import annotations
 

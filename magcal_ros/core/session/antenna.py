@@ -1,4 +1,4 @@
-"""Calibrating while another device measures the heading, as two antennas do."""
+"""Calibrating by headings that another device measured, live or in a recording."""
 
 from __future__ import annotations
 

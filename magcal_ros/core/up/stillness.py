@@ -1,4 +1,4 @@
-"""Whether a robot is steady, rests beside a shaking engine, or turns unseen.
+"""Whether a robot rests or turns, and whether its gyro can be used.
 
 A robot on a slow, even circle looks to gyro and accelerometer like one that stands and whose gyro
 has a bias about up. The raw field tells them apart, calibrated or not: it turns with the robot.

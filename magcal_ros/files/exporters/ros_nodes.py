@@ -1,4 +1,4 @@
-"""Calibrations as parameter files of other ROS nodes.
+"""Calibrations for other ROS nodes, for a sensor that corrects itself, and for firmware.
 
 ctu-vras compass stack: magnetometer_bias_remover and magnetometer_compass.
 
@@ -19,6 +19,16 @@ imu_filter_madgwick: the hard iron alone.
 
 `compensated = mag - mag_bias`, in the message's unit, tesla (parameters `mag_bias_x/y/z`,
 wiki.ros.org/imu_filter_madgwick: "Magnetometer bias (hard iron compensation)").
+
+VectorNav: register 23, magnetometer compensation.
+
+`X = C (M - B)`, C row by row, B in gauss (VN-100 user manual UM001, 6.2.1). The sensor's axes are
+forward-right-down. The checksum is the exclusive or of the bytes between `$` and `*`. The command
+rests on uncompensated readings: the ROS drivers publish the compensated field, some in axes of
+their own, so register 23 has to be the identity while the turn is made.
+
+The twelve numbers as a C header: `body = MAGCAL_MATRIX (raw - MAGCAL_HARD_IRON)`, tesla,
+forward-left-up.
 """
 
 from __future__ import annotations

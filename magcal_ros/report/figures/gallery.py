@@ -1,4 +1,4 @@
-"""Which pictures a report holds, in their order."""
+"""Which pictures a report holds, in their order, and those of the heading."""
 
 from __future__ import annotations
 

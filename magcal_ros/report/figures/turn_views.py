@@ -1,4 +1,4 @@
-"""The turn in space, and the residuals around it."""
+"""Drawing as SVG; the turn in space, and the residuals around it."""
 
 from __future__ import annotations
 
