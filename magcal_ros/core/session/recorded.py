@@ -39,8 +39,7 @@ from magcal_ros.core.samples.streams import (
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.smoothing.log import DriveLog
-from magcal_ros.core.smoothing.recorder import DriveRecorder
+from magcal_ros.core.smoothing.log import DriveLog, DriveRecorder
 from magcal_ros.core.up import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None

@@ -15,8 +15,15 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.descent import Problem, Sizes, Smoothed, descend, smooth
-from magcal_ros.core.smoothing.drive_model import GYRO_BIAS, IRON, Unknowns, field_of, turned_into
-from magcal_ros.core.smoothing.drive_prior import free_prior, held_prior
+from magcal_ros.core.smoothing.drive_model import (
+    GYRO_BIAS,
+    IRON,
+    Unknowns,
+    field_of,
+    free_prior,
+    held_prior,
+    turned_into,
+)
 from magcal_ros.core.smoothing.fit import DriveFit, added_to, aligned, corrected
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning

@@ -15,12 +15,12 @@ from magcal_ros.core.smoothing.drive_model import (
     GYRO_SCALE,
     OFFSET,
     SHARED,
+    SharedPrior,
     Unknowns,
     field_jacobians,
     field_of,
     gyro_residual,
 )
-from magcal_ros.core.smoothing.drive_prior import SharedPrior
 from magcal_ros.core.smoothing.nodes import Nodes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 

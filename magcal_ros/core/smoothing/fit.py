@@ -20,10 +20,12 @@ from magcal_ros.core.smoothing.drive_model import (
     LEVEL_FIELD,
     SHARED,
     SOFT,
+    SharedPrior,
     Unknowns,
+    free_prior,
+    held_prior,
     turned_into,
 )
-from magcal_ros.core.smoothing.drive_prior import SharedPrior, free_prior, held_prior
 from magcal_ros.core.smoothing.nodes import MICROTESLA, Nodes
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 

@@ -1,21 +1,251 @@
-"""A drive as it is remembered: sensors averaged over a tenth of a second."""
+"""A drive as it is remembered, averaged over a tenth of a second, and how it is recorded."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import add
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.samples.rest import GyroAtRest
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.nodes import Means, Nodes, Track, nodes_of
+from magcal_ros.core.smoothing.nodes import MICROTESLA, Means, Nodes, Track, nodes_of
 from magcal_ros.core.smoothing.tuning import TUNING, SmootherTuning
 
 if TYPE_CHECKING:
     from magcal_ros.core.smoothing.level import Level
+
+
+COLUMNS = 11
+FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
+
+CHUNKS_TO_TELL = 5
+"""Chunks that tell whether the robot stands."""
+
+
+@dataclass
+class _Rest:
+    """What the gyro reads at rest.
+
+    `clock` is the drive's own when the rest began, minus infinity before any movement; `sigma` is
+    that of `rate` then.
+    """
+
+    clock: float
+    rate: FloatArray
+    sigma: float
+    chunks: int
+
+    @classmethod
+    def of(cls, clock: float, means: FloatArray) -> _Rest:
+        """Begin one with the means of some chunks (n, 3)."""
+        scatter = float(np.mean(means.var(axis=0, ddof=1)))
+        return cls(clock, means.mean(axis=0), math.sqrt(scatter / len(means)), len(means))
+
+    def add(self, mean: FloatArray, most: int) -> None:
+        """Take another chunk: a mean over the newest ones, as a bias wanders."""
+        self.chunks = min(self.chunks + 1, most)
+        self.rate = self.rate + (mean - self.rate) / self.chunks
+
+
+class DriveRecorder:
+    """Averages samples into rows, and keeps those of movement.
+
+    Its clock runs while the robot moves: a pause is cut out, however long it is. Where time jumps,
+    or nothing is heard for longer than it takes to tell a rest, a piece of the drive ends, and the
+    next follows it on the clock. A piece too short to tell a rest is dropped.
+
+    Parameters
+    ----------
+    seconds : float
+        Of movement that is kept.
+    tuning : SmootherTuning
+    gyro : GyroAtRest, optional
+        What a rest beforehand has shown; a rest on the way tells more.
+
+    Attributes
+    ----------
+    begun : float
+        Where its clock began, seconds; NaN before the first movement.
+    """
+
+    def __init__(
+        self,
+        seconds: float = 600.0,
+        tuning: SmootherTuning = TUNING,
+        gyro: GyroAtRest | None = None,
+    ) -> None:
+        self._tuning = tuning
+        self._longest_silence = CHUNKS_TO_TELL * tuning.chunk * tuning.row
+        self._chunks: deque[FloatArray] = deque(
+            maxlen=int(seconds / (tuning.row * tuning.chunk)) + 1
+        )
+        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_TO_TELL)
+        self._rested: deque[_Rest] = deque(maxlen=tuning.rests)
+        self.begin_anew()
+        self._gyro = gyro
+
+    def begin_anew(self) -> None:
+        """Forget the drive."""
+        self._chunks.clear()
+        self._recent.clear()
+        self._rested.clear()
+        self._gyro = None
+        self._rows: list[tuple[float, ...]] = []
+        self._sums = [0.0] * COLUMNS
+        self._count = 0
+        self._row = self._newest = -math.inf
+        self._pause = 0.0
+        self._rests = False
+        self.begun = math.nan
+
+    @property
+    def clock(self) -> float:
+        """The newest moment that is kept, seconds; minus infinity before the first."""
+        return float(self._chunks[-1][-1, 0]) if self._chunks else -math.inf
+
+    @property
+    def seconds(self) -> float:
+        """Of movement that are kept."""
+        return self.clock - float(self._chunks[0][0, 0]) if self._chunks else 0.0
+
+    @property
+    def rests(self) -> bool:
+        """Whether the robot stood in the last second."""
+        return self._rests
+
+    @property
+    def gyro(self) -> GyroAtRest | None:
+        """What the newest rest has shown of the gyro; None where there was none."""
+        if not self._rested:
+            return self._gyro
+        x, y, z = self._rested[-1].rate.tolist()
+        return GyroAtRest((x, y, z), self._rested[-1].sigma)
+
+    def add(
+        self, stamp: float, field: Triple, force: Triple, rate: Triple, speed: float = math.nan
+    ) -> bool:
+        """Take a field sample with what else was measured at its stamp.
+
+        Parameters
+        ----------
+        stamp : float
+            Seconds.
+        field, force, rate : tuple of float
+            Raw field (tesla); specific force (m/s²) less the vehicle's own acceleration where that
+            is known; rad/s.
+        speed : float
+            m/s; NaN where nobody measures it.
+
+        Returns
+        -------
+        bool
+            Whether more of the drive is known than before.
+        """
+        if not 0.0 <= stamp - self._newest <= self._longest_silence:
+            self._end_piece()
+            # The gyro's path does not reach across the hole that is left.
+            hole = 2.0 * STREAMS.longest_gyro_step
+            self._pause = stamp - self.clock - hole if self._chunks else 0.0
+        self._newest = stamp
+        grown = False
+        if stamp >= self._row + self._tuning.row:
+            grown = self._close()
+            self._row = stamp
+        self._count += 1
+        self._sums = list(map(add, self._sums, (stamp, *field, *force, *rate, speed)))
+        return grown
+
+    def _end_piece(self) -> None:
+        if not self._is_told:
+            for _ in self._recent:
+                self._chunks.pop()
+        self._rows.clear()
+        self._recent.clear()
+        self._sums, self._count, self._row = [0.0] * COLUMNS, 0, -math.inf
+        self._rests = False
+
+    @property
+    def _is_told(self) -> bool:
+        """Whether the piece under way is long enough to tell a rest."""
+        return len(self._recent) == CHUNKS_TO_TELL
+
+    def log(self) -> DriveLog:
+        """Return everything that is kept, by the drive's own clock.
+
+        The gyro's bias is taken off the rates where rests have shown it, between two of them as it
+        changes from one to the other.
+        """
+        rows = np.concatenate(list(self._chunks)) if self._chunks else np.zeros((0, COLUMNS))
+        time, rate, gyro = rows[:, 0], rows[:, RATE], self.gyro
+        if gyro is not None:
+            rate = rate - (self._bias_at(time) if self._rested else gyro.rate)
+        sigma = math.inf if gyro is None else gyro.later_sigma
+        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma)
+
+    def _bias_at(self, time: FloatArray) -> FloatArray:
+        """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
+        # One before any movement was when that began.
+        clocks = np.maximum([rest.clock for rest in self._rested], time[0] if len(time) else 0.0)
+        return interpolated(time, clocks, np.array([rest.rate for rest in self._rested]))
+
+    def _close(self) -> bool:
+        """End a row, and a chunk of them now and then."""
+        if self._count:
+            self._rows.append(tuple(value / self._count for value in self._sums))
+            self._sums, self._count = [0.0] * COLUMNS, 0
+        if len(self._rows) < self._tuning.chunk:
+            return False
+        chunk = np.array(self._rows)
+        self._rows.clear()
+        self._recent.append(chunk)
+        rested, self._rests = self._rests, self._stands()
+        if self._rests:
+            if rested:
+                self._rested[-1].add(chunk[:, RATE].mean(axis=0), self._tuning.rest_chunks)
+            else:
+                means = np.array([each[:, RATE].mean(axis=0) for each in self._recent])
+                self._rested.append(_Rest.of(self.clock, means))
+            self._pause += float(chunk[-1, 0] - chunk[0, 0]) + self._tuning.row
+            return False
+        stamps = chunk[:, 0] - self._pause
+        if self._chunks:
+            last = float(self._chunks[-1][-1, 0])
+            # What was cut out left no hole, and what was not heard leaves one.
+            early = last + self._tuning.row - float(stamps[0])
+            if early > 0.0 or (self._pause > 0.0 and -early < STREAMS.longest_gyro_step):
+                stamps = stamps + early
+                self._pause -= early
+        chunk[:, 0] = stamps
+        if math.isnan(self.begun):
+            self.begun = float(stamps[0])
+        self._chunks.append(chunk)
+        return True
+
+    def _stands(self) -> bool:
+        """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
+        if not self._is_told:
+            return False
+        rows, tuning = np.concatenate(list(self._recent)), self._tuning
+        speed = np.abs(rows[-tuning.chunk :, SPEED])
+        if (speed > tuning.rest_speed).any():
+            return False
+        half = len(rows) // 2
+        gap = np.abs(rows[:half].mean(axis=0) - rows[half:].mean(axis=0))
+        spread = rows.std(axis=0)
+        field = MICROTESLA * (gap[FIELD] + tuning.rest_noise * spread[FIELD])
+        return bool(
+            (field < tuning.rest_field).all()
+            and (gap[RATE] + tuning.rest_noise * spread[RATE] < tuning.rest_rate).all()
+            and (spread[FORCE] < tuning.rest_force).all()
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ import pytest
 
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import rotation_about, rotation_from_rpy
-from magcal_ros.core.smoothing.level import level_of
-from magcal_ros.core.smoothing.level_bias import ForceLog, Leans, gyro_bias
+from magcal_ros.core.smoothing.level import ForceLog, Leans, gyro_bias, level_of
 from magcal_ros.core.smoothing.tuning import TUNING
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -7,7 +7,7 @@ import pytest
 
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.smoothing.recorder import DriveRecorder
+from magcal_ros.core.smoothing.log import DriveRecorder
 
 BIAS = np.radians([3.5, -2.0, 1.9])
 STEP = 0.02

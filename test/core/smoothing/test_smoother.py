@@ -20,8 +20,14 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoothing.certainty import cluster_scores
 from magcal_ros.core.smoothing.chain import eliminate, own_covariances
 from magcal_ros.core.smoothing.descent import Linearisation, Problem, descend
-from magcal_ros.core.smoothing.drive_model import SHARED, SOFT, Unknowns, field_jacobians, field_of
-from magcal_ros.core.smoothing.drive_prior import free_prior
+from magcal_ros.core.smoothing.drive_model import (
+    SHARED,
+    SOFT,
+    Unknowns,
+    field_jacobians,
+    field_of,
+    free_prior,
+)
 from magcal_ros.core.smoothing.fit import fit_iron, fit_nodes, held_fit, linear_start
 from magcal_ros.core.smoothing.log import log_of
 
