@@ -48,6 +48,8 @@ Reading: TypeAlias = ImuSample | FieldSample | None
 
 LONGEST_DRIVE = 7200.0
 """Seconds of movement that are remembered; of a longer drive the last ones."""
+LONGER = 20
+"""Times that what is kept of a recording may be as long as a turn: two hours at 50 Hz."""
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
@@ -77,7 +79,7 @@ class Gathering:
     ) -> None:
         self.mounting = mounting
         self.streams = Streams(max_gap)
-        self._session = Session(Limits(), mounting, 0.0)
+        self._session = Session(Limits(), mounting, 0.0, longer=LONGER)
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
         self._topics = (imu_topic, field_topic)
@@ -157,7 +159,7 @@ class Gathering:
             if pair.field.stamp < self._session.newest:
                 self._choose()
                 self._best = self._session
-                self._session = Session(Limits(), self.mounting, 0.0)
+                self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
             self._session.add(pair, 0.0)
             if math.isfinite(pair.imu.rate[0]):
                 (x, y, z), (a, b, c) = pair.imu.force, self._replay.own

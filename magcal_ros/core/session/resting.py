@@ -76,7 +76,8 @@ def apart_from_rests(
         rests += [_rest(near, near[0], rows[end - 1], has_gyro)] if len(near) else []
     sigma = math.inf
     if has_gyro and bias is None and rests:
-        weights = [rest.rate_sigma**-2 for rest in rests]
+        # A simulator may publish a gyro without noise.
+        weights = [max(rest.rate_sigma, 1e-9) ** -2 for rest in rests]
         bias = np.average([rest.rate for rest in rests], axis=0, weights=weights)
     if bias is None and known is not None:
         bias, sigma = np.array(known.rate), known.later_sigma

@@ -19,7 +19,7 @@ from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import Pair
+from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.resting import apart_from_rests
 from magcal_ros.core.up import relative_attitudes
@@ -162,6 +162,8 @@ class Session:
         Seconds on a steady clock.
     gyro : GyroAtRest, optional
         What a rest before it has shown of the gyro.
+    longer : int
+        Times that the buffer may be as large as that of a turn.
 
     Attributes
     ----------
@@ -170,9 +172,14 @@ class Session:
     """
 
     def __init__(
-        self, limits: Limits, mounting: Mounting, now: float, gyro: GyroAtRest | None = None
+        self,
+        limits: Limits,
+        mounting: Mounting,
+        now: float,
+        gyro: GyroAtRest | None = None,
+        longer: int = 1,
     ) -> None:
-        self.limits, self._gyro = limits, gyro
+        self.limits, self._gyro, self._longer = limits, gyro, longer
         self._to_body = mounting.to_body
         self._started = now
         self._last_pair: float | None = None
@@ -267,6 +274,10 @@ class Session:
         rows = rows[np.isfinite(rows[:, 7:10]).all(axis=1)]
         rows, rests, sigma = apart_from_rests(rows, self._gyro)
         turned, kept = relative_attitudes(rows[:, 0], rows[:, 7:10]), self._kept(rows)
+        gaps = [np.diff(rows[each, 0]).max(initial=0.0) for each in (kept, slice(None))]
+        if gaps[0] > max(STREAMS.longest_gyro_step, 2.0 * gaps[1]):
+            # A drive is straight for long: of the force there, nothing may be left out.
+            kept = np.arange(len(rows))
         time, field, force, rate = np.split(rows[kept], [1, 4, 7], axis=1)
         return Window(time[:, 0], field, force, rate, turned[kept], rests, sigma)
 
@@ -311,11 +322,12 @@ class Session:
         return bool(self._glances) and self._glances[-1].sigma <= sigma
 
     def _thin_out(self) -> None:
-        if self._size < TUNING.largest_buffer:
-            more = np.empty((min(self._size, TUNING.largest_buffer - self._size), ROWS))
+        largest = self._longer * TUNING.largest_buffer
+        if self._size < largest:
+            more = np.empty((min(self._size, largest - self._size), ROWS))
             self._buffer = np.concatenate([self._buffer, more])
             return
-        most = TUNING.largest_buffer // 2
+        most = largest // 2
         angle = self._angle(self._buffer)
         if angle is None:
             stamps = self._buffer[:, 0]

@@ -103,7 +103,32 @@ def test_the_whole_span_is_used_and_not_only_the_first_turn():
     assert window.time[-1] - window.time[0] > 0.98 * math.radians(1000.0) / 0.5
 
 
-def test_hours_stay_within_the_sessions_memory():
+def test_nothing_is_left_out_of_the_straight_parts_of_a_drive():
+    """With gaps of seconds there, long drives were refused, or told to turn the sensor over."""
+    stamps = 100.0 + 0.02 * np.arange(15_000)
+    rates = 0.6 * (np.sin(math.tau * stamps / 60.0) > 0.9)
+    yaws = 0.02 * np.cumsum(rates)
+    field = 2e-5 * np.column_stack([np.cos(yaws), -np.sin(yaws), np.full(len(yaws), -2.0)])
+    field += 1e-7 * np.random.default_rng(1).standard_normal(field.shape)
+    gathering = Gathering(ROBOT.mounting)
+    for stamp, rate, raw in zip(stamps.tolist(), rates.tolist(), field.tolist(), strict=True):
+        imu = ImuSample(stamp, (0.0, 0.0, 9.81 + 1e4 * raw[0]), (0.0, 0.0, rate + 10.0 * raw[1]))
+        gathering.take([imu, FieldSample(stamp, tuple(raw))])
+    assert np.diff(gathering.window().time).max() < 0.1
+
+
+def test_a_simulated_gyro_without_noise_is_no_division_by_zero():
+    gathering = Gathering(ROBOT.mounting)
+    for k in range(1500):
+        yaw = 0.01 * min(max(k - 400, 0), 650)
+        imu = ImuSample(100.0 + 0.02 * k, (0.0, 0.0, 9.81), (0.0, 0.0, 0.5 * (400 < k < 1050)))
+        field = (2e-5 * math.cos(yaw), -2e-5 * math.sin(yaw), -4e-5 + 1e-8 * (k % 2))
+        gathering.take([imu, FieldSample(imu.stamp, field)])
+    assert gathering.window().rests
+
+
+def test_hours_stay_within_the_sessions_memory(monkeypatch):
+    monkeypatch.setattr("magcal_ros.core.session.recorded.LONGER", 1)
     motion = turn(arc=60 * math.tau, samples=30_000, duration=600.0)
     window = measure(ROBOT, motion, np.random.default_rng(1), gyro=True)
     gathering = Gathering(ROBOT.mounting)
