@@ -141,7 +141,7 @@ def _nothing(options: argparse.Namespace, log: SensorLog, more: Sequence[Finding
 
 
 def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
-    """Print the page and write what parameters can mend."""
+    """Print the page and write what parameters can correct."""
     status = Exit.REFUSED if page.misleads else Exit.GOOD
     written = write_parameters(options.write, page, None if np.allclose(gains, 1.0) else gains)
     if options.json:
@@ -149,7 +149,7 @@ def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
         return status
     words = page_in_words(page)
     if options.write is not None:
-        nothing = "Nothing is written: no parameter alone mends what was found."
+        nothing = "Nothing is written: no parameter alone corrects what was found."
         words = f"{words}\n\n{f'Written: {written}' if written else nothing}"
     print(plain_lines(words))
     return status
@@ -188,10 +188,10 @@ def page_as_facts(page: Page, written: str | None, status: Exit) -> dict[str, An
 
 
 def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) -> str | None:
-    """Leave what parameters can mend, and the gains that were given; returns the path.
+    """Leave what parameters can correct, and the gains that were given; returns the path.
 
-    Nothing is written where no mounting alone mends the axes: what a driver does wrong is mended
-    there, and never here.
+    Nothing is written where no mounting alone corrects the axes: what a driver does wrong is
+    corrected there, and never here.
     """
     if path is None or not page.parameters:
         return None
@@ -199,5 +199,5 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     if gains is not None:
         lines.append(f"soft_iron_gains: [{', '.join(f'{float(gain)!r}' for gain in gains)}]")
     text = "\n".join(["/**:", "  ros__parameters:", *(f"    {line}" for line in lines)])
-    write_atomically(path, text + "\n", "Choose a writable folder, or mend its permissions.")
+    write_atomically(path, text + "\n", "Choose a writable folder, or correct its permissions.")
     return str(path)

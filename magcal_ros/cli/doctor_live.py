@@ -83,7 +83,7 @@ class Heard:
                 f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
             )
         elif any(f.key in MISLEADING and f.is_wrong for f in page.findings):
-            line = not_shown("description", "description", f"{told}; mend the axes first")
+            line = not_shown("description", "description", f"{told}; correct the axes first")
         else:
             line = looked_at("description", "description", told)
         return page.with_more((*self.more, line))

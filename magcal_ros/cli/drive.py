@@ -59,22 +59,24 @@ def run(options: argparse.Namespace) -> int:
     with opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
         replay = DriveReplay(Knowledge(reference.field, mounting_from(options)), begun)
-        mended = RepairedReadings(source, for_drive=True, known=begun)
+        repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel()
-        with at_work(lambda: f"fitting the drive, {100.0 * mended.share:.0f} % of it", sys.stderr):
-            replay.take(mended, travel)
+        with at_work(
+            lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
+        ):
+            replay.take(repaired, travel)
         frames = source.field_frame, source.imu_frame
         story = replay.story()
         if story.ended is not None and travel:
             north = reference.field.declination
-            course = recorded_course(story.ended, mended, travel, north)
+            course = recorded_course(story.ended, repaired, travel, north)
             story = replace(story, course="" if course is None else course.words)
     page = write_drive_page(folder, story, plain(str(options.recording)))
     files = [page]
     if story.ended is not None and story.ended is not begun:
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], story.ended, Origin.now(*frames))
-    notes = list(dict.fromkeys([*source.notes, *mended.notes]))
+    notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
     content = story, notes, files
     print(document(_facts(*content)) if options.json else plain_lines(_words(*content)))
     return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD

@@ -53,8 +53,8 @@ class Gathered:
     """`frame_id` of the two sensors; empty if there is none."""
     reference: Reference
     """The reference field at its place and date."""
-    mended: list[str]
-    """What was mended in it, in words."""
+    repaired: list[str]
+    """What was corrected in it, in words."""
     notes: tuple[str, ...] = ()
     """What the recording's own kind says of it."""
 
@@ -62,7 +62,7 @@ class Gathered:
         """Return everything that is wrong with it, or with what was said about it."""
         return [
             *self.notes,
-            *self.mended,
+            *self.repaired,
             *self.gathering.complaints(),
             *self.reference.complaints,
         ]
@@ -188,8 +188,8 @@ def gather(
         If its IMU is too slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-    mended = RepairedReadings(source, known=known)
-    gathering.take(watched(mended, mended, sys.stderr), source.travel())
+    repaired = RepairedReadings(source, known=known)
+    gathering.take(watched(repaired, repaired, sys.stderr), source.travel())
     return Gathered(
         gathering,
         source.imu_topic,
@@ -197,7 +197,7 @@ def gather(
         source.imu_frame,
         source.field_frame,
         reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
-        mended.notes,
+        repaired.notes,
         tuple(source.notes),
     )
 

@@ -208,7 +208,7 @@ class FusedOutput:
         While two antennas tell it, no compass is needed to know it.
         """
         self._calibration = calibration
-        if calibration is not None and self._fused is not None and self._fused.is_told:
+        if calibration is not None and self._fused is not None and self._fused.has_external_yaw:
             self._fused.use(calibration, self.patience)
         else:
             self._fused = None

@@ -304,14 +304,14 @@ def _gyro_words(candidates: FloatArray) -> str:
     said = "; or ".join(gyro_slip(axes) for axes in candidates[: TUNING.most_named])
     left = len(candidates) - TUNING.most_named
     more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
-    return f"the gyro's axes are not the accelerometer's: {said}{more}; mend it in the driver"
+    return f"the gyro's axes are not the accelerometer's: {said}{more}; correct it in the driver"
 
 
 def _force_words(candidates: FloatArray) -> str:
     said = "; or ".join(spoken(axes.T) for axes in candidates[: TUNING.most_named])
     return (
         "gyro and magnetometer agree and the accelerometer does not: in their axes the "
-        f"accelerometer's are {said}; mend them in the driver"
+        f"accelerometer's are {said}; correct them in the driver"
     )
 
 

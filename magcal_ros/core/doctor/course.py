@@ -100,7 +100,7 @@ def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> Axe
 def course_findings(
     used: AxesInUse, seen: CourseSeen
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
-    """Return the lines, and the mounting that mends the yaw where it is wrong.
+    """Return the lines, and the mounting that corrects the yaw where it is wrong.
 
     Parameters
     ----------

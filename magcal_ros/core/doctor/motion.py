@@ -283,11 +283,11 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
             "it when it measures, and give it the accelerometer's low-pass filter"
         )
     else:
-        mend = ("take {} off", "add it to") if field_lag > 0.0 else ("add {} to", "take it off")
+        change = ("take {} off", "add it to") if field_lag > 0.0 else ("add {} to", "take it off")
         of_field = (
             "stamp both sensors when they measure: "
-            f"{mend[0].format(f'{abs(field_lag):.3f} s')} the field's stamps in its driver, or "
-            f"{mend[1]} the IMU's"
+            f"{change[0].format(f'{abs(field_lag):.3f} s')} the field's stamps in its driver, or "
+            f"{change[1]} the IMU's"
         )
         of_force = (
             f"acceleration and rate of one message are {abs(force_lag) * 1e3:.0f} ms apart: give "

@@ -35,7 +35,7 @@ class Page:
     findings: tuple[Finding, ...]
     """All lines."""
     mount_rpy_deg: tuple[int, int, int] | None = None
-    """The mounting that alone mends the magnetometer's axes; None where none does, or where none
+    """The mounting that alone corrects the magnetometer's axes; None where none does, or where none
     has to."""
     used: AxesInUse | None = None
     """What a drive's course can be compared with."""
@@ -52,7 +52,7 @@ class Page:
 
     @property
     def parameters(self) -> str:
-        """The lines of a parameter file that mend what parameters can mend; may be empty."""
+        """The lines of a parameter file that correct what parameters can correct; may be empty."""
         return "" if self.mount_rpy_deg is None else parameter_line(self.mount_rpy_deg)
 
     def with_more(self, findings: Iterable[Finding]) -> Page:

@@ -1,4 +1,4 @@
-"""Habits of drivers that are known: how they show in a log, and what mends them."""
+"""Habits of drivers that are known: how they show in a log, and what corrects them."""
 
 from __future__ import annotations
 
@@ -219,6 +219,6 @@ def orientation_findings(
 
 def as_markdown() -> str:
     """Return the table for people."""
-    rows = ["| driver | what it does | what mends it | named in |", "|---|---|---|---|"]
+    rows = ["| driver | what it does | what corrects it | named in |", "|---|---|---|---|"]
     rows += [f"| {each.driver} | {each.habit} | {each.remedy} | `{each.line}` |" for each in QUIRKS]
     return "\n".join(rows) + "\n"

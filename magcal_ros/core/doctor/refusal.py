@@ -67,7 +67,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
         return Refusal(
             Reason.AXES_DISAGREE,
-            f"the gyro's {words}; mend the driver, or let it mark the rates as absent "
+            f"the gyro's {words}; correct the driver, or let it mark the rates as absent "
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )

@@ -195,7 +195,7 @@ class FusedYaw:
         if self._unlearnt >= self.tuning.learning_step:
             self._move_on(self._unlearnt, innovation, heading)
             self._unlearnt = 0.0
-        if self.is_told:
+        if self.has_external_yaw:
             # A compass that headings calibrate tells nothing beside them.
             return
         if is_new:
@@ -260,8 +260,8 @@ class FusedYaw:
             self._told_ahead, self._told_since, self._lost = [], stamp, 0.0
 
     @property
-    def is_told(self) -> bool:
-        """Whether something else than the compass has told the yaw lately."""
+    def has_external_yaw(self) -> bool:
+        """Whether a source other than the compass gave the yaw lately."""
         return self._north is not None and self._stamp - self._told < self.tuning.heading_tau
 
     def heading(self) -> Heading | None:
