@@ -37,7 +37,7 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
+from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.keeping.worker import answer

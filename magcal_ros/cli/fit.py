@@ -31,7 +31,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
-from magcal_ros.core.multi_turn.keep import names_of
+from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.core.session.session import Progress

@@ -18,8 +18,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.multi_turn.keep import Kept
-from magcal_ros.core.multi_turn.result import Several
+from magcal_ros.core.multi_turn.result import Kept, Several
 from magcal_ros.core.samples.window import Window
 
 if TYPE_CHECKING:

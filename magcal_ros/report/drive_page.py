@@ -14,7 +14,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.candidates import difference
-from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.jobs import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.samples import REMEDY

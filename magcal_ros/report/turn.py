@@ -26,7 +26,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.coverage import Coverage, yaw_progress
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.up.windows import propagated_up
+from magcal_ros.core.up.follower import propagated_up
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
-from magcal_ros.core.keeping.decisions import Mode
+from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro

@@ -17,7 +17,7 @@ from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, res
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
-from magcal_ros.core.keeping.decisions import Mode
+from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.streams import FieldSample, Streams
 from magcal_ros.core.samples.units import Heard, complaints

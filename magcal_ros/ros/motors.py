@@ -13,7 +13,7 @@ from sensor_msgs.msg import BatteryState
 from magcal_ros.core.calibration.motors import MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.motors_now import MotionSense
-from magcal_ros.core.keeping.decisions import Mode
+from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample

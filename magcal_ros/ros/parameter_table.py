@@ -5,7 +5,7 @@ from __future__ import annotations
 from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
-from magcal_ros.core.keeping.decisions import Mode
+from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
     INCLINATION_SIGMA_DEG,

@@ -14,8 +14,7 @@ from rclpy.node import Node
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.candidates import CourseSwing
-from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
-from magcal_ros.core.keeping.jobs import DriveJob, Findings
+from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.smoothing.log import DriveLog

@@ -14,8 +14,7 @@ from support import PATIENCE, REFERENCE, ROBOT, store_calibration
 from test_travel import Car
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.keeping.decisions import Decision, Verb
-from magcal_ros.core.keeping.jobs import Findings
+from magcal_ros.core.keeping.jobs import Decision, Findings, Verb
 from magcal_ros.core.simulation import Robot, measure, turn
 from magcal_ros.files.backups import backup_files
 from magcal_ros.files.calibration_file import read_calibration

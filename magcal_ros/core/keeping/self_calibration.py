@@ -15,9 +15,11 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.keeping.candidates import (
+    KEEPING,
     METHOD,
     CourseSwing,
     DriveCandidate,
+    KeepingTuning,
     Kind,
     course_gain,
     difference,
@@ -26,9 +28,19 @@ from magcal_ros.core.keeping.candidates import (
     known_sigma,
     narrows,
 )
-from magcal_ros.core.keeping.decisions import Decision, Mode, Probation, Trial, Verb, is_same
-from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
-from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
+from magcal_ros.core.keeping.jobs import (
+    Contest,
+    Decision,
+    DriveJob,
+    Findings,
+    Mode,
+    Probation,
+    Proof,
+    Step,
+    Trial,
+    Verb,
+    is_same,
+)
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.log import DriveLog, DriveRecorder
 
@@ -38,13 +50,10 @@ TRIAL = "trial"
 class SelfCalibration:
     """Follows a drive and decides.
 
-    Parameters
-    ----------
-    mode : Mode
-    tuning : KeepingTuning
-
     Attributes
     ----------
+    before : deque of Calibration
+        What was in force before, the newest last.
     proposal : Calibration or None
         What waits for a person's word.
     lost : int
@@ -57,7 +66,7 @@ class SelfCalibration:
         self.proposal: Calibration | None = None
         self._recorder = DriveRecorder(tuning.memory)
         self._in_force: Calibration | None = None
-        self._before: deque[Calibration] = deque(maxlen=tuning.kept)
+        self.before: deque[Calibration] = deque(maxlen=tuning.kept)
         self._on_probation: dict[Kind, Probation] = {}
         self._first: DriveCandidate | None = None
         self._trial: Trial | None = None
@@ -75,11 +84,6 @@ class SelfCalibration:
     def decisions(self) -> tuple[Decision, ...]:
         """The last decisions, the oldest first."""
         return tuple(self._decisions)
-
-    @property
-    def before(self) -> tuple[Calibration, ...]:
-        """What was in force before, the newest last."""
-        return tuple(self._before)
 
     @property
     def seconds(self) -> float:
@@ -133,11 +137,11 @@ class SelfCalibration:
         self._first = None
         self._generation += 1
         if old is not None:
-            self._before.append(old)
+            self.before.append(old)
         self._promised = 0.0 if calibration is None else calibration_sigma(calibration)
         rolled = last is not None and last.verb is Verb.ROLLED_BACK
         if last is not None and last.verb is Verb.REFINED and decided:
-            self._before.pop()
+            self.before.pop()
             return
         self._trial = None
         if decided and old is not None and not rolled:
@@ -349,9 +353,9 @@ class SelfCalibration:
         if since.sigma > self.tuning.notice_sigma or apart < self.tuning.notice_differs * sigma:
             return []
         self._on_probation[Kind.IRON] = Probation.of(since)
-        if self._before:
+        if self.before:
             # Iron that goes again leaves what was in force before it came.
-            self._trial = Trial(self._before[-1], since.start)
+            self._trial = Trial(self.before[-1], since.start)
         words = (
             f"the hard iron seems to have changed {since.seconds:.0f} s of driving ago: headings"
             f" would differ by {math.degrees(apart):.0f}° ±{math.degrees(sigma):.0f}°"

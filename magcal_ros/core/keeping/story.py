@@ -16,8 +16,8 @@ from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.geometry.attitude import level_part, yaw_from_up_and_field
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.keeping.decisions import Decision, Mode, Verb
-from magcal_ros.core.keeping.keeping_tuning import KEEPING
+from magcal_ros.core.keeping.candidates import KEEPING
+from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge

@@ -9,9 +9,14 @@ import numpy as np
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.keeping.candidates import DriveCandidate, Kind, candidate_of
+from magcal_ros.core.keeping.candidates import (
+    KEEPING,
+    DriveCandidate,
+    KeepingTuning,
+    Kind,
+    candidate_of,
+)
 from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
-from magcal_ros.core.keeping.keeping_tuning import KEEPING, KeepingTuning
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoothing.change import find_change
 from magcal_ros.core.smoothing.drive_model import turned_into

@@ -13,7 +13,6 @@ from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.methods.smoother_one import estimate_of
-from magcal_ros.core.multi_turn.agreement import Agreement, agreement
 from magcal_ros.core.multi_turn.observability import (
     advise,
     heading_jacobians,
@@ -22,7 +21,7 @@ from magcal_ros.core.multi_turn.observability import (
     yaw_sigma,
 )
 from magcal_ros.core.multi_turn.result import Several, Shown, TurnFate
-from magcal_ros.core.multi_turn.turn import Turn
+from magcal_ros.core.multi_turn.turn import Agreement, Turn, agreement
 from magcal_ros.core.smoother.posterior import posterior
 from magcal_ros.core.smoother.several import Together, fit_together
 from magcal_ros.core.smoother.unknowns import TURNED

@@ -9,7 +9,7 @@ from typing import TypeAlias
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Order

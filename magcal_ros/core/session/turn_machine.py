@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples.streams import Pair
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev

@@ -1,9 +1,14 @@
 """Where up is: propagated by the gyro, corrected by the accelerometer."""
 
-from magcal_ros.core.up.follower import Up, UpFollower
+from magcal_ros.core.up.follower import (
+    Up,
+    UpFollower,
+    propagated_up,
+    relative_attitudes,
+    unseen_angles,
+)
 from magcal_ros.core.up.propagation import GyroBias
 from magcal_ros.core.up.up_tuning import UpTuning
-from magcal_ros.core.up.windows import propagated_up, relative_attitudes, unseen_angles
 
 __all__ = [
     "GyroBias",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from recorded_truth import in_force, read_drive
 
-from magcal_ros.core.keeping.decisions import Verb
+from magcal_ros.core.keeping.jobs import Verb
 from magcal_ros.core.keeping.story import DriveReplay
 from magcal_ros.core.samples.streams import FieldSample
 

@@ -18,8 +18,7 @@ from magcal_ros.core.keeping.candidates import (
     Kind,
     difference,
 )
-from magcal_ros.core.keeping.decisions import Mode, Verb
-from magcal_ros.core.keeping.jobs import Findings, Proof
+from magcal_ros.core.keeping.jobs import Findings, Mode, Proof, Verb
 from magcal_ros.core.keeping.self_calibration import TRIAL, SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import knowledge_of

@@ -6,8 +6,7 @@ from slope_turns import EAST, KNOWN, LEVEL, ROBOT, window_on
 
 from magcal_ros.core.calibrate import take_turn
 from magcal_ros.core.errors import Reason
-from magcal_ros.core.multi_turn.keep import TUNING, Kept, names_of
-from magcal_ros.core.multi_turn.result import Several, Shown, TurnFate
+from magcal_ros.core.multi_turn.result import TUNING, Kept, Several, Shown, TurnFate, names_of
 
 METHOD = "maximum_likelihood"
 

@@ -9,7 +9,7 @@ import numpy as np
 from magcal_ros.core.calibrate import Outcome, calibrate
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.multi_turn.keep import Kept
+from magcal_ros.core.multi_turn.result import Kept
 from magcal_ros.core.samples import ImuSample, Pairer, Streams
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn, Topics
 from magcal_ros.core.session.session import Limits

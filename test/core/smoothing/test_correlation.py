@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.samples.correlation import inefficiency_factor
+from magcal_ros.core.smoothing.certainty import inefficiency_factor
 
 
 def autoregressive(coefficient, n, seed):
