@@ -39,7 +39,7 @@ from realistic_robots import (
     with_motors,
 )
 
-from magcal_ros.core.calibrate import calibrate, calibrate_by
+from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation.simulator import (
@@ -202,9 +202,7 @@ class Tally:
         """Fit one turn."""
         window = collected(scene.window) if scene.has_course else scene.window
         began = time.process_time()
-        # By default the smoother answers turns without a gyro.
-        fit = calibrate_by if window.angular_rate is None else calibrate
-        outcome = fit(window, knowledge, method)
+        outcome = calibrate(window, knowledge, method)
         self.seconds += time.process_time() - began
         if outcome.estimate is None or (method == METHODS[0] and not outcome.verdict.accepted):
             self.refused += 1

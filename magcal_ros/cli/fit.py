@@ -25,7 +25,7 @@ from magcal_ros.cli.recorded import (
     mounting_from,
     opened,
 )
-from magcal_ros.core.calibrate import METHODS, Outcome, calibrate_by
+from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
 from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
@@ -302,7 +302,7 @@ def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
     """Return a table of what each method makes of a window, and why some make nothing."""
     if window is None:
         return "no method has anything to work on: the recording holds no usable turn"
-    outcomes = {method: calibrate_by(window, knowledge, method) for method in METHODS}
+    outcomes = {method: calibrate(window, knowledge, method) for method in METHODS}
     rows = [HEADER, *(_row(method, outcome) for method, outcome in outcomes.items()), ""]
     rows += [f"{method}: {outcome.verdict.summary}" for method, outcome in outcomes.items()]
     return "\n".join(rows)

@@ -116,22 +116,6 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    return calibrate_by(window, knowledge, method, told)
-
-
-def _has_gyro(window: Window) -> bool:
-    from magcal_ros.core.smoother.without_gyro import living_axes
-
-    return living_axes(window.angular_rate)[2]
-
-
-def calibrate_by(
-    window: Window,
-    knowledge: Knowledge,
-    method: str,
-    told: Callable[[float], object] | None = None,
-) -> Outcome:
-    """Fit a window by one method alone, and judge the result; otherwise as `calibrate`."""
     from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_reading
 
     wrong = wrong_reading(window, knowledge)
@@ -219,11 +203,11 @@ def calibrate_turns(
     """
     called = [f"turn {k + 1}" for k in range(len(windows))] if names is None else names
     if method in POOL:
-        return calibrate_by(pooled(windows), knowledge, method)
+        return calibrate(pooled(windows), knowledge, method)
     if method != JOINS:
         if len(windows) > 1:
             raise Misuse(f"the method {method} takes one turn; {JOINS} joins several")
-        return calibrate_by(windows[0], knowledge, method)
+        return calibrate(windows[0], knowledge, method)
     from magcal_ros.core.multi_turn.joined import join
     from magcal_ros.core.multi_turn.turn import survey
 
@@ -315,8 +299,10 @@ def predicted_sigma(window: Window, knowledge: Knowledge, method: str = METHODS[
 
     Infinite where there is no fit.
     """
+    from magcal_ros.core.smoother.without_gyro import living_axes
+
     try:
-        if method in ONE_SMOOTHER and _has_gyro(window):
+        if method in ONE_SMOOTHER and living_axes(window.angular_rate)[2]:
             from magcal_ros.core.methods.checks import check_window
             from magcal_ros.core.smoother.kinds_of_motion import promised_sigma
 

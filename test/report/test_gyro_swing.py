@@ -8,7 +8,7 @@ from drives import ROBOT
 from long_form import first_of
 
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
-from magcal_ros.core.calibrate import METHODS, calibrate_by
+from magcal_ros.core.calibrate import METHODS, calibrate
 from magcal_ros.core.calibration import Figure
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Knowledge
@@ -26,7 +26,7 @@ def no_look(monkeypatch):
 
 
 def shown(window, knowledge):
-    outcome = calibrate_by(window, knowledge, METHODS[0])
+    outcome = calibrate(window, knowledge, METHODS[0])
     subject = Subject(window, knowledge, outcome, "here", METHODS[0])
     return outcome, Turn.of(subject)
 

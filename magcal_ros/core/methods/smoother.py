@@ -1,4 +1,4 @@
-"""A calibration from a drive without a turn: the smoother (doc/estimator.md, section 13)."""
+"""A calibration from a drive without a turn: the smoother (doc/smoother.md, "Long drives")."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""The smoother: a calibration from a whole drive (doc/estimator.md, section 13)."""
+"""The smoother: a calibration from a whole drive (doc/smoother.md, "Long drives")."""
