@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from magcal_ros.core.keeping.keeping_tuning import KEEPING
 from simulated.drive import Iron
 from streets import BOSTON, driven, heading_error, log_from
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.keeping.candidates import KEEPING
 from magcal_ros.core.smoothing.change import find_change
 
 NOBODY = np.eye(3)
