@@ -20,8 +20,7 @@ from magcal_ros.core.geometry.rotations import (
     skews,
 )
 from magcal_ros.core.smoother.places import Places
-from magcal_ros.core.smoother.rests import Course
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     ATTITUDE,

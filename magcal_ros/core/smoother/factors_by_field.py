@@ -8,8 +8,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_vectors, skews
 from magcal_ros.core.smoother.factors import QUARTER, Linear
-from magcal_ros.core.smoother.rests import Course
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, LOCAL, RATE, SHARED, VELOCITY
 
 

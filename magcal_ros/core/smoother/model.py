@@ -14,9 +14,8 @@ from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
-from magcal_ros.core.smoother.rests import Course, level_axes
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
-from magcal_ros.core.smoother.state import State, damped
+from magcal_ros.core.smoother.state import Course, State, damped, level_axes
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
     AT,

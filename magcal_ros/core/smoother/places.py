@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.smoother.rests import Course
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
 MOST = 32

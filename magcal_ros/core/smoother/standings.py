@@ -20,9 +20,8 @@ from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
-from magcal_ros.core.smoother.rests import Course
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     BODY_FIELD,

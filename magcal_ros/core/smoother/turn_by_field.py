@@ -17,8 +17,7 @@ from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_upright, mixed
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
-from magcal_ros.core.smoother.rests import Course
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     KINDS,
     ON_THE_SPOT,

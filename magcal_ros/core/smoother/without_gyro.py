@@ -19,8 +19,8 @@ from magcal_ros.core.geometry.planes import fit_circle_robustly
 from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
-from magcal_ros.core.smoother.guesses import Guess, starts
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
+from magcal_ros.core.smoother.start import Guess, starts
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
     AT,
