@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from limit import Scene, covariance_limit, heading_rms
 
-from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
+from magcal_ros.core.calibration.calibration import Estimate, yaw_jacobian
 from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.smoother_one import fit

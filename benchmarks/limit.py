@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import yaw_jacobian
+from magcal_ros.core.calibration.calibration import yaw_jacobian
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import exp_rotations, minimal_rotation, rotation_from_rpy

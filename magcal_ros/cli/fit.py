@@ -26,7 +26,7 @@ from magcal_ros.cli.recorded import (
     opened,
 )
 from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.errors import Misuse

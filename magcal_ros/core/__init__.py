@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from magcal_ros.core.assessment.grading import Grade
     from magcal_ros.core.assessment.verdict import Verdict
     from magcal_ros.core.calibrate import METHODS, Outcome, calibrate, calibrate_turns
-    from magcal_ros.core.calibration.calibration import Calibration
+    from magcal_ros.core.calibration.calibration import Calibration, Estimate, Installation
     from magcal_ros.core.calibration.correction import Correction
-    from magcal_ros.core.calibration.estimate import Estimate, Installation
     from magcal_ros.core.calibration.figure import Figure
     from magcal_ros.core.errors import MagcalError, Reason, Refusal
     from magcal_ros.core.heading.compass import Compass
@@ -54,9 +53,8 @@ _ROOMS = {
     "assessment.grading": ("Grade",),
     "assessment.verdict": ("Verdict",),
     "calibrate": ("METHODS", "Outcome", "calibrate", "calibrate_turns"),
-    "calibration.calibration": ("Calibration",),
+    "calibration.calibration": ("Calibration", "Estimate", "Installation"),
     "calibration.correction": ("Correction",),
-    "calibration.estimate": ("Estimate", "Installation"),
     "calibration.figure": ("Figure",),
     "errors": ("MagcalError", "Reason", "Refusal"),
     "heading.compass": ("Compass",),

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import Misuse, Reason, Refusal

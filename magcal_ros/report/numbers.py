@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.assessment.bounds import TURN_BOUNDS
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import common_figures
 from magcal_ros.core.knowledge import Belief, Knowledge

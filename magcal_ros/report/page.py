@@ -18,7 +18,7 @@ from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several
-from magcal_ros.report.figures.gallery import Picture
+from magcal_ros.report.gallery import Picture
 from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
 from magcal_ros.report.turn import Subject, Turn
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.motors import MotorField
+from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.session.turn_events import Conclusion

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import BatteryState
 
-from magcal_ros.core.calibration.motors import MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import MotorField, MotorInput, Running
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.keeping.jobs import Mode

@@ -19,8 +19,7 @@ from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw, unit

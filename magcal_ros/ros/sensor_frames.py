@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.estimate import Installation
+from magcal_ros.core.calibration.calibration import Installation
 from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.frame_tree import (

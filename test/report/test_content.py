@@ -201,7 +201,7 @@ def test_a_nominal_mounting_turns_the_raw_field_into_body_axes(tmp_path):
 
 
 def test_a_picture_that_fails_does_not_take_the_report_with_it(tmp_path, monkeypatch):
-    from magcal_ros.report.figures import turn_views
+    from magcal_ros.report import turn_views
 
     def fail(*_):
         raise ZeroDivisionError("a <bug>")

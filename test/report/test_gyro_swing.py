@@ -15,7 +15,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import measure, turn
 from magcal_ros.report import turn as turn_module
-from magcal_ros.report.figures.gallery import caption_of_gyro, deviations
+from magcal_ros.report.gallery import caption_of_gyro, deviations
 from magcal_ros.report.turn import Subject, Turn
 
 

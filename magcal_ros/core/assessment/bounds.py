@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from magcal_ros.core.assessment.grading import SITS_OTHERWISE, Aspect, Bound, shown
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import arc_sigma
 from magcal_ros.core.samples.units import Z_NOT_UP

@@ -14,7 +14,7 @@ from enum import Enum
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.knowledge import Knowledge

@@ -28,8 +28,7 @@ from magcal_ros.core.assessment.grading import (
     shown,
     worst,
 )
-from magcal_ros.core.calibration.calibration import Evidence
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate, Evidence
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     axis_share,

@@ -2,17 +2,19 @@
 
 from magcal_ros.core.calibration.calibration import (
     Calibration,
-    Evidence,
-)
-from magcal_ros.core.calibration.correction import (
-    PARAMETERS,
-    Correction,
-)
-from magcal_ros.core.calibration.estimate import (
     Estimate,
+    Evidence,
     GyroSwing,
     Installation,
     yaw_jacobian,
+)
+from magcal_ros.core.calibration.correction import (
+    AT_REST,
+    PARAMETERS,
+    Correction,
+    MotorField,
+    MotorInput,
+    Running,
 )
 from magcal_ros.core.calibration.figure import (
     Figure,
@@ -28,12 +30,6 @@ from magcal_ros.core.calibration.heading_sigma import (
     predicted_heading_sigma,
     rms_apart,
     sideways_pull,
-)
-from magcal_ros.core.calibration.motors import (
-    AT_REST,
-    MotorField,
-    MotorInput,
-    Running,
 )
 
 __all__ = [

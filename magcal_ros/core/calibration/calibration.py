@@ -1,17 +1,145 @@
-"""A calibration: the correction, its covariance, and the evidence for it."""
+"""What a method returns (`Estimate`), and what is stored and applied (`Calibration`)."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction, MotorField
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.motors import MotorField
-from magcal_ros.core.geometry.arrays import FloatArray, frozen_array
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, frozen_array
+from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry.rotations import rotation_angle, rotation_from_rpy
+
+
+@dataclass(frozen=True)
+class Installation:
+    """How far the magnetometer is turned from its nominal pose in the IMU's frame.
+
+    Radians as in a URDF origin. After one turn the yaw is zero by convention, because one
+    rotation cannot show it; turns on different tilts do.
+    """
+
+    roll: float
+    pitch: float
+    yaw: float = 0.0
+
+    @property
+    def pose(self) -> FloatArray:
+        """Sensor axes to body axes, shape (3, 3)."""
+        return rotation_from_rpy(self.roll, self.pitch, self.yaw)
+
+    @property
+    def angle(self) -> float:
+        """Radians of the whole turn from the nominal pose."""
+        return rotation_angle(self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class GyroSwing:
+    """How the compass swings against the gyro over a turn: what is judged, and what is drawn."""
+
+    heading: FloatArray
+    """ENU yaw to magnetic north of the sectors of a turn, or of single samples, radians. Shape
+    (s,)."""
+    deviation: FloatArray
+    """Compass less gyro there, radians; what is the gyro's own taken off. Shape (s,)."""
+    rms: float
+    """Of the deviation, less what the noise of single samples leaves in means, radians."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The result of one method on one window."""
+
+    method: str
+    """Name of the method."""
+    correction: Correction
+    """The twelve numbers."""
+    covariance: FloatArray
+    """Of the twelve numbers (A row by row, then h in tesla), what the turn could not show included.
+    It is singular where a direction is fixed by convention. Shape (12, 12)."""
+    installation: Installation | None
+    """Installation error, where the method knows one."""
+    axis: FloatArray
+    """The turn's axis in body axes, unit, upwards. Shape (3,)."""
+    arc: float
+    """Radians of the turn that were seen."""
+    strength: float
+    inclination: float
+    """Of the reference field as the method believes it after the fit: tesla, radians."""
+    noise_field: float
+    noise_up: float
+    """Standard deviations found in the samples: tesla per axis, radians of tilt per axis."""
+    inliers: BoolArray
+    """Samples that the fit believed. Shape (n,)."""
+    residual: FloatArray
+    """Raw field minus the model's, tesla. Shape (n, 3)."""
+    figures: Mapping[Figure, float] = field(default_factory=dict)
+    """Everything else the method measured; SI units."""
+    message: str = ""
+    """Why it stopped."""
+    swing: GyroSwing | None = None
+    """What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared."""
+    motors: MotorField | None = None
+    """What the motors add while they run, where the method tells."""
+
+    def __post_init__(self) -> None:
+        shape = (PARAMETERS, PARAMETERS)
+        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, "covariance"))
+        object.__setattr__(self, "axis", frozen_array(self.axis, (3,), "axis"))
+
+    @property
+    def circle_radius(self) -> float:
+        """Horizontal part of the reference field as the method believes it, tesla."""
+        return self.strength * math.cos(self.inclination)
+
+    def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
+        """Return the yaw's standard deviation from the twelve numbers' covariance alone.
+
+        Parameters
+        ----------
+        up, field_body : ndarray, shape (..., 3)
+            The pose: up and the true field in body axes, any length for up, tesla for the field.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            Radians.
+        """
+        jacobian = yaw_jacobian(self.correction, up, field_body)
+        variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray) -> FloatArray:
+    """Return the derivative of the yaw by the twelve numbers, shape (..., 12), radians each.
+
+    The yaw turns with the field's part towards east: d(yaw) = (east . dm) / |m x u|, for
+    east = (m x u)/|m x u| and a change dm of the field in body axes.
+    """
+    across = np.cross(field_body, unit(up))
+    gradient = across / np.sum(across**2, axis=-1, keepdims=True)
+    return by_twelve(correction, field_body, gradient)
+
+
+def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Return the derivative by the twelve numbers of what has this gradient by the field.
+
+    Parameters
+    ----------
+    correction : Correction
+    field_body, gradient : ndarray, shape (..., 3)
+        Corrected field, and the gradient there, body axes.
+    """
+    uncorrected = correction.undo(field_body) - correction.hard_iron
+    by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
+    by_iron = -gradient @ correction.matrix
+    flat = by_matrix.reshape(*by_matrix.shape[:-2], 9)
+    return np.concatenate([flat, by_iron], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,15 @@
-"""The one form every calibration has: `m_body = A (m_raw - h)`, twelve numbers."""
+"""The twelve numbers of a calibration, and the field that a robot's motors add while they run.
+
+Every calibration has one form: `m_body = A (m_raw - h)`. The motors add a field in proportion to
+speed, turn rate and current.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -70,3 +77,155 @@ class Correction:
         """Return the correction equal to applying `first` and then this one."""
         matrix = self.matrix @ first.matrix
         return Correction(matrix, first.hard_iron + np.linalg.solve(first.matrix, self.hard_iron))
+
+
+class MotorInput(str, Enum):
+    """What the field of motors may be in proportion to, in the order of `Running`."""
+
+    MOVING = "moving"
+    TURN_RATE = "turn_rate"
+    SPEED = "speed"
+    CURRENT = "current"
+    SIDE = "side"
+
+    @property
+    def unit(self) -> str:
+        """The unit that the field is told for."""
+        units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
+        words = {"moving": "while it moves", "side": "while it turns left, less right"}
+        return {**units, **words}[self.value]
+
+
+INPUTS = tuple(MotorInput)
+
+
+class Running(NamedTuple):
+    """What a robot does at a moment, as far as its motors are concerned."""
+
+    moving: float = 0.0
+    """Probability that it moves."""
+    turn_rate: float = 0.0
+    """rad/s about the body's z; NaN where it is unknown, as of the others."""
+    speed: float = 0.0
+    """m/s, negative backwards."""
+    current: float = 0.0
+    """Amperes, by any sign that stays the same."""
+    side: float = 0.0
+    """One while it turns left, minus one to the right, and between where it hardly turns."""
+
+
+AT_REST = Running()
+
+
+@dataclass(frozen=True, eq=False)
+class MotorField:
+    """The field of the motors, `K u` beside the hard iron, with its certainty."""
+
+    inputs: tuple[MotorInput, ...]
+    """What u holds."""
+    gain: FloatArray
+    """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
+    covariance: FloatArray
+    """Of the gains, input by input, tesla² per units. Shape (3 n, 3 n)."""
+    beside: FloatArray
+    """Covariance with the twelve numbers of the calibration. Shape (12, 3 n)."""
+    ripple: float
+    """Tesla per axis that the field deviates by while the robot moves, beside K u."""
+    usual: tuple[float, ...]
+    """Root mean square of each input while the robot moves: what is expected of an input that
+    nobody tells."""
+
+    def __post_init__(self) -> None:
+        count = len(self.inputs)
+        size = 3 * count
+        for name, shape in (
+            ("gain", (count, 3)),
+            ("covariance", (size, size)),
+            ("beside", (PARAMETERS, size)),
+        ):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
+        if len(self.usual) != count or len(set(self.inputs)) != count:
+            raise ValueError("the motors' inputs must differ, and each has one usual size")
+
+    def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
+        """Return the inputs, shape (n,), and their covariance, shape (n, n).
+
+        An unknown one counts as zero, and varies as usual while the robot moves. Where nobody knows
+        whether it moves, or whether it turns, both the step and its side are in doubt.
+        """
+        values = np.array([running[INPUTS.index(each)] for each in self.inputs])
+        unknown = np.isnan(values)
+        covariance = np.diag(np.where(unknown, running.moving * np.square(self.usual), 0.0))
+        side = 0.0 if math.isnan(running.side) else running.side
+        step = {MotorInput.MOVING: 1.0, MotorInput.SIDE: side}
+        steps = np.array([step.get(each, 0.0) for each in self.inputs])
+        covariance += running.moving * (1.0 - running.moving) * np.outer(steps, steps)
+        if MotorInput.SIDE in self.inputs:
+            at = self.inputs.index(MotorInput.SIDE)
+            covariance[at, at] += running.moving * abs(side) * (1.0 - abs(side))
+        return np.where(unknown, 0.0, values), covariance
+
+    def joint(self, covariance: FloatArray) -> FloatArray:
+        """Return the covariance of the twelve numbers and the gains, (12 + 3 n, 12 + 3 n)."""
+        return np.block([[covariance, self.beside], [self.beside.T, self.covariance]])
+
+    def sigma(self, which: int) -> float:
+        """Return the standard deviation of an input's gain, all axes together, tesla per unit."""
+        at = slice(3 * which, 3 * which + 3)
+        return math.sqrt(float(np.trace(self.covariance[at, at])))
+
+    def size(self, which: int) -> float:
+        """Return the field that an input usually makes, tesla."""
+        return float(np.linalg.norm(self.gain[which])) * self.usual[which]
+
+    def with_another_calibration(self) -> MotorField:
+        """Return the same motors beside twelve numbers that were found otherwise."""
+        return replace(self, beside=np.zeros_like(self.beside))
+
+    def with_side(self, side: float) -> MotorField:
+        """Return the same where a step may change side with the turn.
+
+        Turns to one side do not tell a step with motion from one that changes side: either may be
+        all of it.
+        """
+        at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
+        split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))
+        step, turned = slice(3 * at, 3 * at + 3), math.copysign(1.0, side)
+        split[step, step], split[count:, step] = 0.5 * np.eye(3), 0.5 * turned * np.eye(3)
+        apart[step], apart[count:] = np.eye(3), -turned * np.eye(3)
+        whole = np.outer(self.gain[at], self.gain[at]) + self.covariance[step, step]
+        return MotorField(
+            (*self.inputs, MotorInput.SIDE),
+            (split @ self.gain.ravel()).reshape(-1, 3),
+            split @ self.covariance @ split.T + apart @ (0.25 * whole) @ apart.T,
+            self.beside @ split.T,
+            self.ripple,
+            (*self.usual, 1.0),
+        )
+
+    def and_of(self, older: MotorField) -> MotorField:
+        """Return the same with the inputs that only an older field has."""
+        rows = [k for k, each in enumerate(older.inputs) if each not in self.inputs]
+        numbers = [3 * k + axis for k in rows for axis in range(3)]
+        count = len(numbers)
+        apart = np.zeros((len(self.covariance), count))
+        added = older.covariance[np.ix_(numbers, numbers)]
+        return MotorField(
+            (*self.inputs, *(older.inputs[k] for k in rows)),
+            np.vstack([self.gain, older.gain[rows]]),
+            np.block([[self.covariance, apart], [apart.T, added]]),
+            np.hstack([self.beside, np.zeros((PARAMETERS, count))]),
+            self.ripple,
+            (*self.usual, *(older.usual[k] for k in rows)),
+        )
+
+    def tells_more_than(self, other: MotorField | None, share: float) -> bool:
+        """Whether an input is new, is known better by a share of its sigma, or has changed."""
+        if other is None or set(self.inputs) - set(other.inputs):
+            return True
+        for k, each in enumerate(self.inputs):
+            j = other.inputs.index(each)
+            change = float(np.linalg.norm(self.gain[k] - other.gain[j]))
+            if self.sigma(k) < share * other.sigma(j) or change > 3.0 * other.sigma(j):
+                return True
+        return False

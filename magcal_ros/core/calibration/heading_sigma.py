@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration, Estimate, yaw_jacobian
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.calibration.estimate import Estimate, yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import field_in_enu, unit, wrap_angle, yaw_from_up_and_field

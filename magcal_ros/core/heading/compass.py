@@ -13,9 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import (
+    INPUTS,
+    PARAMETERS,
+    Correction,
+    MotorField,
+    Running,
+)
 from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.motors import INPUTS, MotorField, Running
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import true_yaw
 from magcal_ros.core.geometry.vec3 import Triple

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.motors import INPUTS, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import INPUTS, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.conics import Ellipsoid, QuadricFit, fit_quadric

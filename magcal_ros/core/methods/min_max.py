@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import Estimate
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.figure import along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray

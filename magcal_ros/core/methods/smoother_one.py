@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import Estimate, GyroSwing, Installation
+from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Installation
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Estimate
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.estimate import Estimate
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray

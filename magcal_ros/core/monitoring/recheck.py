@@ -13,9 +13,8 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade
 from magcal_ros.core.assessment.verdict import Verdict
-from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.calibration import Calibration, Estimate, GyroSwing
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.estimate import Estimate, GyroSwing
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import level_part, unit, yaw_from_up_and_field

@@ -12,8 +12,7 @@ import math
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import GyroSwing, by_twelve
+from magcal_ros.core.calibration.calibration import Calibration, GyroSwing, by_twelve
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import HEADINGS, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray

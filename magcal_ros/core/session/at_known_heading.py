@@ -10,8 +10,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.estimate import yaw_jacobian
+from magcal_ros.core.calibration.calibration import Calibration, yaw_jacobian
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.estimate import GyroSwing
+from magcal_ros.core.calibration.calibration import GyroSwing
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import turns_about_z
 

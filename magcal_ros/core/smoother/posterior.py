@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction, MotorField, MotorInput
 from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_apart, rms_sigma
-from magcal_ros.core.calibration.motors import MotorField, MotorInput
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import exp_rotations, rotation_from_rpy, skew

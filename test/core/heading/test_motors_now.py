@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.calibration.motors import AT_REST, MotorField, MotorInput, Running
+from magcal_ros.core.calibration.correction import AT_REST, MotorField, MotorInput, Running
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.heading.motors_now import MotorsNow
 

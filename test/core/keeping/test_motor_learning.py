@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.motors import MotorInput, Running
+from magcal_ros.core.calibration.correction import Correction, MotorInput, Running
 from magcal_ros.core.geometry.attitude import field_in_enu
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.keeping.motor_learning import MotorLearning

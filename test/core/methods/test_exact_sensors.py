@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from long_form import first_of
 
-from magcal_ros.core.calibration.estimate import yaw_jacobian
+from magcal_ros.core.calibration.calibration import yaw_jacobian
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.geometry.rotations import rotation_from_rpy

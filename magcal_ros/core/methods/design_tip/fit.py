@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Estimate, Installation
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
-from magcal_ros.core.calibration.estimate import Estimate, Installation
 from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray

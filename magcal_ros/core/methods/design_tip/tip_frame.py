@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magcal_ros.core.calibration.calibration import Installation
 from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.estimate import Installation
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
 from magcal_ros.core.knowledge import Mounting

@@ -11,8 +11,9 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.report.figures import turn_views
-from magcal_ros.report.figures.turn_views import (
+from magcal_ros.report import turn_views
+from magcal_ros.report.turn import Corrected, Turn
+from magcal_ros.report.turn_views import (
     CORRECTED,
     IDEAL,
     LEFT_OUT,
@@ -22,7 +23,6 @@ from magcal_ros.report.figures.turn_views import (
     draw_svg,
     legend_below,
 )
-from magcal_ros.report.turn import Corrected, Turn
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,1 +1,0 @@
-"""The report's pictures, one module each; matplotlib is imported when one is drawn."""
