@@ -15,7 +15,7 @@ ERRORS = np.radians([0.5, 3.0, 7.0, 15.0, 40.0])
 
 
 def story(place):
-    path = DrivePath(np.arange(5.0), np.array(place, dtype=float), ERRORS, True, True)
+    path = DrivePath(np.array(place, dtype=float), ERRORS, True, True)
     return DriveStory((), None, None, 60.0, 50.0, "nothing", path)
 
 

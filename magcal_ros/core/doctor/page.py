@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.axes import parameter_line
-from magcal_ros.core.assessment.grading import Grade, worst
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations
@@ -44,11 +44,6 @@ class Page:
     def misleads(self) -> bool:
         """Whether something is wrong that would make a heading wrong."""
         return any(finding.grade is Grade.REFUSED for finding in self.findings)
-
-    @property
-    def grade(self) -> Grade:
-        """The worst of all lines; what was not shown is none."""
-        return worst([f.grade for f in self.findings if f.grade is not Grade.GOOD])
 
     @property
     def parameters(self) -> str:

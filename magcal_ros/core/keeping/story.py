@@ -37,8 +37,6 @@ from magcal_ros.core.smoothing.tuning import TUNING
 class DrivePath:
     """Where was driven, and how the field was there under the last calibration."""
 
-    time: FloatArray
-    """Seconds from the beginning. Shape (n,)."""
     place: FloatArray
     """Metres east and north of the beginning. Shape (n, 2)."""
     error: FloatArray
@@ -193,7 +191,7 @@ def path_along(
         steps *= np.where(known, speed, TUNING.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
-    return DrivePath(time - time[0], place - place[0], error, is_measured, bool(known.any()))
+    return DrivePath(place - place[0], error, is_measured, bool(known.any()))
 
 
 def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:

@@ -102,9 +102,6 @@ class Screening:
     """Radians: the ends of an arc are known to no better."""
     smallest_radius: float = 0.1
     """Of the circle, over the field's strength: below it the heading drowns in noise."""
-    smallest_alone: float = 0.05
-    """The same in field scales where the reference field is not known: of one turn strength and
-    inclination are then a guess, and only the circle is seen."""
     steepest: float = math.radians(84.0)
     """Radians of inclination at which too little of the field is level. Up to there the heading's
     sigma tells what the steepness costs."""
@@ -116,8 +113,6 @@ class Screening:
     """Share of the samples."""
     widest_rival: float = math.radians(5.0)
     """Radians of heading by which rival solutions may differ."""
-    worst_deviation: float = math.radians(20.0)
-    """Radians between gyro and compass: no room distorts so much."""
 
 
 SCREENING = Screening()

@@ -32,8 +32,6 @@ class Alignment:
     tilt_seen: float
     """The same; zero where gravity deviates farther than that, for it may be the gyro's own
     wandering."""
-    size: float
-    """Tesla in which field and hard iron are counted."""
 
     @property
     def best(self) -> int:
@@ -87,7 +85,7 @@ def align(
     attitude = problem.propagate(some)[0][best]
     tilt = _tilt_spread(attitude)
     seen = tilt if tilt > _gravity_spread(attitude, stretch.up) else 0.0
-    return Alignment(misfit, rms, state, covariance, tilt, seen, stretch.size)
+    return Alignment(misfit, rms, state, covariance, tilt, seen)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:

@@ -75,11 +75,6 @@ class Linear:
         rest = (None if each is None else each[:, components] for each in (self.there, self.shared))
         return Linear(self.residual[:, components], self.here[:, components], *rest)
 
-    def along(self, axes: FloatArray) -> Linear:
-        """Return the residuals' components along the columns of a matrix (3, 3)."""
-        rest = (None if each is None else axes.T @ each for each in (self.there, self.shared))
-        return Linear(self.residual @ axes, axes.T @ self.here, *rest)
-
     def by(self, free: IntArray) -> FloatArray:
         """Return the derivatives by the free shared unknowns, without those left out."""
         assert self.shared is not None

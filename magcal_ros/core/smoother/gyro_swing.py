@@ -118,23 +118,3 @@ def _without_gyro_errors(sectors: _Sectors) -> FloatArray:
         found = np.linalg.solve(weighted @ rows + believed, weighted @ sectors.deviation)
         left = sectors.deviation - rows @ found
     return np.asarray(left)
-
-
-def lasting_stray(radial: FloatArray, turned: FloatArray) -> float:
-    """Return the lasting part of a residual along the turn's radius, without the noise of samples.
-
-    Without a gyro nothing shows the deviation across the radius; the one along it is as large.
-
-    Parameters
-    ----------
-    radial : ndarray, shape (n,)
-        Residual along the radius over it: what it would be across, in radians.
-    turned : ndarray, shape (n,)
-        Angle of the turn, radians, unwrapped.
-    """
-    noise = _sample_noise(radial)
-    index = np.unique(np.floor(turned / SWING.sector), return_inverse=True)[1]
-    count = np.bincount(index)
-    mean = np.bincount(index, radial) / count
-    lasting = math.sqrt(max(float(np.mean(mean**2) - np.mean(noise**2 / count)), 0.0))
-    return lasting if lasting < SWING.most_radial else 0.0

@@ -107,16 +107,6 @@ class Nodes:
             self.iron_from,
         )
 
-    def between(self, start: float, end: float) -> Nodes:
-        """Return the nodes of a span of stamps, seconds.
-
-        Raises
-        ------
-        ValueError
-            If there is none.
-        """
-        return self.take(np.flatnonzero((self.time >= start) & (self.time <= end)))
-
 
 @dataclass(frozen=True, eq=False)
 class Track:

@@ -51,11 +51,6 @@ class UpFilter:
         return self.state[:3]
 
     @property
-    def bias(self) -> FloatArray:
-        """The gyro's bias, rad/s, shape (3,)."""
-        return self.state[3:6]
-
-    @property
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
         _, across, square = self._by_up(0)

@@ -11,7 +11,7 @@ from magcal_ros.core.geometry.attitude import body_from_enu
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.methods.smoother_one import fit
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, measure, turn
-from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing, lasting_stray
+from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 
 
 def known(robot):
@@ -42,13 +42,3 @@ def test_a_room_that_turns_the_field_shows_in_its_true_size(phase, swing_deg):
     relative = motion.attitude @ motion.attitude[0].T
     found = gyro_compass_swing(relative, attitude, window.time).rms
     assert found == pytest.approx(swing_deg * DEGREE / math.sqrt(2.0), rel=0.2)
-
-
-def test_a_stray_along_the_radius_lasts_where_noise_does_not():
-    rng = np.random.default_rng(5)
-    turned = np.linspace(0.0, math.tau, 600)
-    noise = 0.01 * rng.standard_normal(600)
-    wave = 0.01 * np.sin(3.0 * turned)
-    assert lasting_stray(noise, turned) < 0.0015
-    assert lasting_stray(noise + wave, turned) == pytest.approx(0.01 / math.sqrt(2.0), rel=0.2)
-    assert lasting_stray(30.0 * wave, turned) == 0.0

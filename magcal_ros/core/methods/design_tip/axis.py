@@ -29,8 +29,6 @@ class TurnAxis:
     """Gravity across the axis, body axes, gravity = 1. Shape (n, 3)."""
     noise: float
     """Standard deviation of the accelerometer per axis, gravity = 1, which is radians of tilt."""
-    plane: Plane | None
-    """The accelerometer's plane; None where its samples are one point."""
 
     @property
     def tilt(self) -> float:
@@ -77,7 +75,6 @@ def find_axis(samples: TipSamples, circle: FieldCircle, options: Options) -> Tur
         axial_gravity=min(1.0, axial_gravity),
         across=samples.down - axial[:, None] * direction,
         noise=noise,
-        plane=plane,
     )
 
 

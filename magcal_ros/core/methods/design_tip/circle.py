@@ -44,8 +44,6 @@ class FieldCircle:
     """Distance of the plane from the origin along the normal, tesla."""
     conic: Conic
     """The fitted curve in the plane's axes."""
-    plane: Plane
-    """The fitted plane of the raw samples."""
 
     @property
     def normal(self) -> FloatArray:
@@ -105,7 +103,7 @@ def fit_field_circle(samples: TipSamples, options: Options) -> FieldCircle:
     height = float(flat[:, 2].mean())
     around = flat - np.append(conic.centre, height)
     phasor = around[:, 0] + 1j * around[:, 1]
-    return FieldCircle(basis, around @ basis.T, phasor, height, conic, plane)
+    return FieldCircle(basis, around @ basis.T, phasor, height, conic)
 
 
 def derotation(normal: FloatArray) -> FloatArray:
