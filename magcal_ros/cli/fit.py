@@ -131,7 +131,7 @@ def _fit(
     everything: tuple[Gathered, ...],
     options: argparse.Namespace,
     heard: tuple[HeardAtHeadings | None, ...],
-    told: Callable[[float], object],
+    report_share: Callable[[float], object],
 ) -> Fitted:
     frames = sorted({each.field_frame for each in everything if each.field_frame})
     if len(frames) > 1:
@@ -148,7 +148,7 @@ def _fit(
         return Fitted(everything[-1], knowledge, at_headings, progress, everything)
     if len(everything) == 1:
         gathering = everything[0].gathering
-        outcome = fit_gathered(gathering, knowledge, options.method, told)
+        outcome = fit_gathered(gathering, knowledge, options.method, report_share)
         return Fitted(everything[0], knowledge, outcome, gathering.progress(), everything)
     names = names_of([str(path) for path in options.recordings])
     gatherings = [each.gathering for each in everything]

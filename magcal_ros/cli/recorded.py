@@ -161,11 +161,11 @@ def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManag
         pose = rotation_from_rpy(*map(math.radians, options.imu_rpy_deg))
     line = StatusLine(sys.stderr)
 
-    def told(share: float) -> None:
+    def progress(share: float) -> None:
         line.tell(f"reading: {100.0 * share:3.0f} %")
 
     try:
-        return open_recording(recording, **chosen, **span, imu_pose=pose, told=told)
+        return open_recording(recording, **chosen, **span, imu_pose=pose, progress=progress)
     finally:
         line.clear()
 
@@ -366,6 +366,6 @@ def fit_known(
     if options.heading_topic:
         return fit_heading_topic(known[0].readings, known[0].headings, is_true, knowledge)
     sigma = math.radians(options.sigma_deg)
-    told = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
-    outcome, words = fit_at_headings([each.pairs for each in known], told, knowledge)
+    given = [ExternalHeading(math.radians(yaw), sigma, is_true) for yaw in options.heading_deg]
+    outcome, words = fit_at_headings([each.pairs for each in known], given, knowledge)
     return replace(outcome, verdict=replace(outcome.verdict, summary=words))

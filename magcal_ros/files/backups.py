@@ -10,10 +10,13 @@ from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.calibration_file import LARGEST_FILE, is_free_or_ours, read_calibration
 from magcal_ros.files.reading import read_small
 
+KEPT = 3
+"""Former files that are kept."""
 
-def backup_files(path: Path, kept: int = 3) -> list[Path]:
+
+def backup_files(path: Path) -> list[Path]:
     """Return the paths of a file's backups, the newest first; they need not exist."""
-    return [path.with_name(f"{path.stem}.before_{k}{path.suffix}") for k in range(1, kept + 1)]
+    return [path.with_name(f"{path.stem}.before_{k}{path.suffix}") for k in range(1, KEPT + 1)]
 
 
 def keep_backup(path: Path, successor: Calibration) -> None:

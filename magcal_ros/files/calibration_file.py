@@ -15,7 +15,7 @@ import yaml
 from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
-from magcal_ros.core.driving.front import VehicleYaw
+from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.plausibility import require_possible

@@ -19,7 +19,7 @@ from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.bags import open_bag
 from magcal_ros.files.logs import ardupilot, phone, px4
-from magcal_ros.files.logs.common import Told
+from magcal_ros.files.logs.common import Progress
 from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -144,7 +144,7 @@ def open_recording(
     start: float = 0.0,
     stop: float = math.inf,
     imu_pose: FloatArray | None = None,
-    told: Told | None = None,
+    progress: Progress | None = None,
 ) -> AbstractContextManager[Source]:
     """Open a bag, a CSV folder, an autopilot's log or a phone's folder.
 
@@ -161,7 +161,7 @@ def open_recording(
         Seconds from the recording's beginning, by the bag's own clock.
     imu_pose : ndarray, shape (3, 3), optional
         Pose of the sensors in the vehicle, of all but a bag.
-    told : callable, optional
+    progress : callable, optional
         Is given the share that has been read of what is read whole.
 
     Raises
@@ -173,7 +173,7 @@ def open_recording(
     """
     if not path.exists():
         raise FileTrouble(f"cannot read {path}: there is no such file or folder")
-    recording = _held(path, imu, field, told)
+    recording = _held(path, imu, field, progress)
     if recording is None:
         if imu_pose is not None:
             raise Misuse(
@@ -185,13 +185,13 @@ def open_recording(
     )
 
 
-def _held(path: Path, imu: str, field: str, told: Told | None) -> Recording | None:
+def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Recording | None:
     """Return a recording that is read whole; None of a bag."""
     kind = path.suffix.lower()
     if path.is_file() and kind in ardupilot.SUFFIXES:
-        return ardupilot.read_ardupilot(path, imu, field, told)
+        return ardupilot.read_ardupilot(path, imu, field, progress)
     if path.is_file() and kind == ".ulg":
-        return px4.read_px4(path, imu, field, told)
+        return px4.read_px4(path, imu, field, progress)
     is_csv = (path / "imu.csv").exists() or (path / "mag.csv").exists()
     if not is_csv and not phone.is_phone_folder(path):
         return None

@@ -10,8 +10,8 @@ from typing import NamedTuple, Protocol, TypeVar
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import MotorField
-from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.errors import in_words
+from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.backups import keep_backup

@@ -94,9 +94,9 @@ class Rehearsal:
             raise MagcalError(f"the service {self._calibrator}/{service} does not answer")
         return client.call_async(Trigger.Request())
 
-    def answer(self, future: Any, patience: float = PATIENCE) -> Any:
+    def answer(self, future: Any) -> Any:
         """Let the robot stand until a service has answered; returns the answer."""
-        self.run(patience, stop=future.done)
+        self.run(PATIENCE, stop=future.done)
         if not future.done():
             raise MagcalError("the service did not answer in time")
         return future.result()

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.calibration.calibration import Installation
-from magcal_ros.core.driving.front import VehicleYaw
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.geometry.frame_tree import (
     FIXED,
@@ -28,7 +27,7 @@ from magcal_ros.core.geometry.frame_tree import (
     sensor_poses,
 )
 from magcal_ros.core.geometry.rotations import rotation_from_quaternion
-from magcal_ros.core.heading.base_view import BaseView, CorrectedPose, corrected_pose
+from magcal_ros.core.heading.base_view import BaseView, CorrectedPose, VehicleYaw, corrected_pose
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as

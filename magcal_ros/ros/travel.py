@@ -14,11 +14,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix
 
 from magcal_ros.core.driving.driving_tuning import SpeedSource
-from magcal_ros.core.driving.front import Declination, Front, VehicleYaw, where_is_the_front
 from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.earth_field.position import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.heading.base_view import Declination, Front, VehicleYaw, where_is_the_front
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
-from magcal_ros.core.driving.front import VehicleYaw
+from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (
     LARGEST_FILE,

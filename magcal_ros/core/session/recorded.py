@@ -66,8 +66,6 @@ class Gathering:
         How the magnetometer is meant to sit; kept as `mounting`.
     imu_topic, field_topic : str
         What to call the two streams in words.
-    max_gap : float
-        Seconds. IMU samples further apart are not interpolated between.
     """
 
     def __init__(
@@ -75,10 +73,9 @@ class Gathering:
         mounting: Mounting,
         imu_topic: str = "the IMU",
         field_topic: str = "the field",
-        max_gap: float = STREAMS.max_gap,
     ) -> None:
         self.mounting = mounting
-        self.streams = Streams(max_gap)
+        self.streams = Streams(STREAMS.max_gap)
         self._session = Session(Limits(), mounting, 0.0, longer=LONGER)
         self._best: Session | None = None
         self._pairer = Pairer(self.streams)
@@ -183,13 +180,13 @@ def fit_gathered(
     gathering: Gathering,
     knowledge: Knowledge,
     method: str = METHODS[0],
-    told: Callable[[float], object] | None = None,
+    progress: Callable[[float], object] | None = None,
 ) -> Outcome:
     """Calibrate from what was gathered.
 
     Parameters
     ----------
-    told : callable, optional
+    progress : callable, optional
         Takes the share of the work that is done, 0 to 1, of a fit that takes long.
 
     Returns
@@ -202,7 +199,7 @@ def fit_gathered(
         return calibrate_drive(log, knowledge)
     window = _window_or_refusal(gathering)
     if isinstance(window, Window):
-        outcome = calibrate(window, knowledge, method, told)
+        outcome = calibrate(window, knowledge, method, progress)
         verdict, slow = outcome.verdict, gathering.slow_field
         if slow and not verdict.accepted and outcome.reason is not Reason.TOO_SLOW:
             verdict = replace(verdict, summary=f"{verdict.summary} {slow}.")

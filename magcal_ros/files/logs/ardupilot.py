@@ -27,7 +27,7 @@ from magcal_ros.files.logs.common import (
     Deadline,
     LogTables,
     Names,
-    Told,
+    Progress,
     begun_with,
     quietly,
     recording_of,
@@ -69,7 +69,9 @@ EVERY = 1000
 """Messages between two looks at the clock."""
 
 
-def read_ardupilot(path: Path, imu: str = "", mag: str = "", told: Told | None = None) -> Recording:
+def read_ardupilot(
+    path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
+) -> Recording:
     """Read a DataFlash or telemetry log.
 
     Parameters
@@ -78,7 +80,7 @@ def read_ardupilot(path: Path, imu: str = "", mag: str = "", told: Told | None =
         Ends in .BIN, .log or .tlog.
     imu, mag : str
         Which sensors, as "IMU[1]", "MAG[1]"; empty for the first that lives.
-    told : callable, optional
+    progress : callable, optional
         Is given the share that has been read.
 
     Raises
@@ -97,8 +99,8 @@ def read_ardupilot(path: Path, imu: str = "", mag: str = "", told: Told | None =
         for count, (message, share) in enumerate(messages):
             if count % EVERY == 0:
                 deadline.check()
-                if told is not None:
-                    told(share)
+                if progress is not None:
+                    progress(share)
             if message is not None:
                 read.take(message)
         tables = read.tables()

@@ -33,7 +33,7 @@ FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
 
 GRAVITY = 9.80665
 
-Told = Callable[[float], None]
+Progress = Callable[[float], None]
 """Is given the share of a log that has been read, 0 to 1."""
 
 
@@ -44,20 +44,17 @@ class Deadline:
     ----------
     path : Path
         For words.
-    seconds : float
-        How long it may take.
     """
 
-    def __init__(self, path: Path, seconds: float | None = None) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
-        self._allowed = LONGEST_READING if seconds is None else seconds
-        self._end = time.monotonic() + self._allowed
+        self._end = time.monotonic() + LONGEST_READING
 
     def check(self) -> None:
         """Raise FileTrouble if the time is over."""
         if time.monotonic() > self._end:
             raise FileTrouble(
-                f"reading {plain(str(self._path))} takes longer than {self._allowed:g} s: it is "
+                f"reading {plain(str(self._path))} takes longer than {LONGEST_READING:g} s: it is "
                 "damaged or too long. Cut it with the autopilot's own tools, or record again"
             )
 

@@ -27,7 +27,7 @@ from magcal_ros.files.logs.common import (
     Deadline,
     LogTables,
     Names,
-    Told,
+    Progress,
     begun_with,
     quietly,
     recording_of,
@@ -82,7 +82,9 @@ RIGHT_ANGLES = (
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
 
-def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None) -> Recording:
+def read_px4(
+    path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
+) -> Recording:
     """Read a ULog.
 
     Parameters
@@ -91,7 +93,7 @@ def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None)
         Ends in .ulg.
     imu, mag : str
         Which sensors, as "sensor_mag[1]"; empty for the first that lives.
-    told : callable, optional
+    progress : callable, optional
         Is given the share that has been read.
 
     Raises
@@ -109,7 +111,7 @@ def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None)
             "pip install 'magcal_ros[px4]', or pip install pyulog"
         ) from error
     deadline = Deadline(path)
-    with quietly(path, deadline), _Watched(path, deadline, told) as handle:
+    with quietly(path, deadline), _Watched(path, deadline, progress) as handle:
         tables = _tables(ULog(handle, list(TOPICS)))
     return recording_of(path, tables, NAMES, imu, mag)
 
@@ -117,17 +119,17 @@ def read_px4(path: Path, imu: str = "", mag: str = "", told: Told | None = None)
 class _Watched(io.BufferedReader):
     """A file whose reading may end by time, with its progress."""
 
-    def __init__(self, path: Path, deadline: Deadline, told: Told | None) -> None:
+    def __init__(self, path: Path, deadline: Deadline, progress: Progress | None) -> None:
         super().__init__(io.FileIO(path))
-        self._deadline, self._told = deadline, told
+        self._deadline, self._progress = deadline, progress
         self._size, self._count = max(path.stat().st_size, 1), 0
 
     def read(self, size: int | None = -1, /) -> bytes:
         self._count += 1
         if self._count % 1000 == 0:
             self._deadline.check()
-            if self._told is not None:
-                self._told(self.tell() / self._size)
+            if self._progress is not None:
+                self._progress(self.tell() / self._size)
         return super().read(size)
 
 

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.driving.course_offset import CourseOffset
-from magcal_ros.core.driving.front import Declination, VehicleYaw, where_is_the_front
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry import rotation_from_rpy, rpy_from_rotation
-from magcal_ros.core.heading.base_view import corrected_pose
+from magcal_ros.core.heading.base_view import (
+    Declination,
+    VehicleYaw,
+    corrected_pose,
+    where_is_the_front,
+)
 
 DEGREE = math.pi / 180.0
 EAST = Declination(9.0 * DEGREE, 0.5 * DEGREE)
