@@ -299,9 +299,10 @@ def prior_at(model: Model, point: Point) -> Prior:
     information = np.zeros((count, count))
     free = model.free
     information[free, free] = _scales(model, point.groups)[free] ** -2.0
-    information[EARTH, EARTH] = np.linalg.inv(model.priors.earth)
+    information[EARTH, EARTH], earth_offset = model.priors.of_earth(state.shared[EARTH])
     information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
     offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
+    offset[EARTH] = earth_offset
     counted = counted_unknowns(model, places)
     return Prior(local, -state.local, information[np.ix_(counted, counted)], offset[counted])
 
@@ -374,6 +375,8 @@ def cost_of_shared(model: Model, point: Point, names: Iterable[str] = tuple(AT))
         if name == "earth":
             earth = model.priors.earth
             cost += float(off[at] @ np.linalg.solve(earth, off[at]) + np.linalg.slogdet(earth)[1])
+            excess, sigma, _ = model.priors.beyond_strongest(point.state.shared[at])
+            cost += (excess / sigma) ** 2
             continue
         seen = scales[at] > 0.0
         scale, spread = scales[at][seen], model.priors.spread[name]

@@ -188,6 +188,9 @@ STANDING = Size(
 """Of a robot at a known heading, which stands on one spot instead of passing along a street."""
 
 
+STRONGEST = 50.0, 12.0
+"""µT: beyond so many the strength of a field that nobody knows is improbable, with this standard
+deviation; by the World Magnetic Model it is 22 to 67."""
 NOTHING = 1e-3
 """µT of a local disturbance or of currents that are known to be none."""
 EXACT_IRON = 1e-5, 2.5, 1e4
@@ -284,6 +287,8 @@ class Priors:
     """Sigma of each number; zero for one that is known. Shape (SHARED,)."""
     earth: FloatArray
     """Covariance of level and downward field, µT². Shape (2, 2)."""
+    strength: tuple[float, float] | None = None
+    """Strength of the Earth's field and its sigma, µT, where no reference tells it."""
     spread: Mapping[str, float] = field(
         default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
     )
@@ -302,6 +307,25 @@ class Priors:
         if self.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
             mean[EARTH.start] = level
         return replace(self, mean=mean)
+
+    def of_earth(self, earth: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the information on level and downward field, and their expectation less `earth`.
+
+        The strength is not linear in them: its limit counts as at that value.
+        """
+        information = np.linalg.inv(self.earth)
+        drawn = information @ (self.mean[EARTH] - earth)
+        excess, sigma, along = self.beyond_strongest(earth)
+        if excess > 0.0:
+            information = information + np.outer(along, along) / sigma**2
+            drawn = drawn - along * excess / sigma**2
+        return np.asarray(information), np.asarray(np.linalg.solve(information, drawn))
+
+    def beyond_strongest(self, earth: FloatArray) -> tuple[float, float, FloatArray]:
+        """Return by how much a field exceeds its limit, the sigma of that, and its direction."""
+        most, sigma = self.strength or (math.inf, 1.0)
+        size = float(np.linalg.norm(earth))
+        return max(0.0, size - most), sigma, earth / max(size, 1e-9)
 
 
 def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
@@ -345,7 +369,8 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
     if knowledge.soft_iron.sigma_diagonal == 0.0:
         for name in ("axes", "soft_iron", "shielding"):
             scale[AT[name]] = 0.0
-    return Priors(mean, scale, earth, spread, most, sizes)
+    strength = STRONGEST if knowledge.reference.strength.is_unknown else None
+    return Priors(mean, scale, earth, strength, spread, most, sizes)
 
 
 def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:
