@@ -120,13 +120,17 @@ class CollectedSamples:
         )
 
 
-def calibrate_standing(before: tuple[Standing, ...], collected: CollectedSamples) -> HeadingResult:
+def calibrate_standing(
+    before: tuple[Standing, ...],
+    collected: CollectedSamples,
+    in_force: Calibration | None = None,
+) -> HeadingResult:
     """Make a standing of what was collected, and calibrate with those before."""
     try:
         new = collected.standing()
     except Refusal as refusal:
         return _refused(before, refusal)
-    return add_standing(before, new, collected.knowledge)
+    return add_standing(before, new, collected.knowledge, in_force)
 
 
 def _refused(before: tuple[Standing, ...], refusal: Refusal) -> HeadingResult:
