@@ -1,7 +1,7 @@
-"""Two estimators on the same turns: `python benchmarks/side_by_side.py [--runs N] [--first K]`.
+"""Two methods on the same turns: `python benchmarks/side_by_side.py [--runs N] [--first K]`.
 
-Each row is a kind of turn. For the estimator in use and for the one smoother (`smoother_one`) it
-prints the RMS of the heading error on the level (degrees), the median of the predicted sigma, NEES
+Each row is a kind of turn. For the default, the smoother, and for the design tip of ST it prints
+the RMS of the heading error on the level (degrees), the median of the predicted sigma, NEES
 (the mean squared error over the predicted variance, which should be one), the share of answers
 within one and two sigmas, the largest error in sigmas, how many turns were refused, and the CPU
 time of a turn. The seeds are `--first` and those after it.
@@ -54,7 +54,7 @@ from magcal_ros.core.simulation.simulator import (
 
 TILTED = "no gyro, no reference, swaying: at 10°, "
 """How rows are called whose heading is judged on slopes of 10°."""
-METHODS = ("maximum_likelihood", "smoother_one")
+METHODS = ("maximum_likelihood", "design_tip")
 
 
 def small_circle(radius: float, course: Course | None = None) -> Scenes:
@@ -190,7 +190,7 @@ def rows() -> dict[str, Scenes]:
 
 @dataclass
 class Tally:
-    """What one estimator made of a row; with a tilt (radians), on slopes to all sides."""
+    """What one method made of a row; with a tilt (radians), on slopes to all sides."""
 
     tilt: float = 0.0
     errors: list[float] = field(default_factory=list)
@@ -237,7 +237,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=24)
     parser.add_argument("--first", type=int, default=0, help="seed of the first turn")
     parser.add_argument("--only", default="", help="rows whose name holds this")
-    parser.add_argument("--method", choices=METHODS, help="one estimator alone")
+    parser.add_argument("--method", choices=METHODS, help="one method alone")
     arguments = parser.parse_args()
     methods = METHODS if arguments.method is None else (arguments.method,)
     print(f"{'':42s}" + "   ".join(f"{name:>48s}" for name in methods))
