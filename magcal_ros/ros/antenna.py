@@ -18,12 +18,13 @@ from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample
 from magcal_ros.core.session.external_heading import LOG, ExternalHeading, HeadingAgainstGyro
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.wire import Unreadable, by_rclpy
-from magcal_ros.ros.worker_process import BackgroundThread, Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome

@@ -15,12 +15,13 @@ from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer
 from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.antenna import Antenna
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.services import Turns
-from magcal_ros.ros.worker_process import BackgroundThread, Stopped, WorkerProcess
+from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.session.at_known_heading import HeadingResult

@@ -17,6 +17,7 @@ from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.known_headings import KnownHeadings
@@ -40,7 +41,6 @@ from magcal_ros.ros.status import (
 )
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import Unreadable, read_imu
-from magcal_ros.ros.worker_process import BackgroundThread
 
 TICK = 0.1
 """Seconds between looks at a turn under way; at rest nothing ticks."""

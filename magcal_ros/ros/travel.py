@@ -30,6 +30,7 @@ from magcal_ros.core.monitoring.recorded_course import (
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
+from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.sensor_loop import SENSOR_DATA
 from magcal_ros.ros.wire import (
@@ -40,7 +41,6 @@ from magcal_ros.ros.wire import (
     read_stamp,
     read_velocity,
 )
-from magcal_ros.ros.worker_process import BackgroundThread
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
