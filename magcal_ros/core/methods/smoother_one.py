@@ -14,13 +14,11 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, u
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import (
-    SCREENING,
     check_agreement,
     check_arc,
     check_radius,
     check_rival,
     check_window,
-    refuse_empty,
     too_slow,
 )
 from magcal_ros.core.samples.units import likely_field_unit
@@ -102,9 +100,8 @@ def smoothed(
     Refusal
         If there is nothing to be found in the samples.
     """
-    refuse_empty(window, SCREENING.fewest_samples)
-    _check_unit(window)
     check_window(window, knowledge)
+    _check_unit(window)
     if living_axes(window.angular_rate)[2]:
         return smooth(window, knowledge, too_slow(window, knowledge), told)
     return smooth_by_field(window, knowledge)
