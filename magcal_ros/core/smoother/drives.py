@@ -48,7 +48,7 @@ BELIEVED = 0.25
 """Of a difference of evidence or cost, as for kinds of motion."""
 FIXED = 0.01
 """Spread of the logarithm of a size that is known."""
-TOLERANCES = Tolerances(rounds=60)
+TOLERANCES = Tolerances(rounds=60, step=0.2, evidence=2.0)
 HELD = (
     "installation",
     "axes",
