@@ -44,7 +44,7 @@ class KeepingTuning:
     """Times the road it came of that this must be fitted to."""
     notice_sigma: float = math.radians(5.0)
     notice_differs: float = 4.0
-    notice_proof: float = 5.0
+    notice_proof: float = 2.0
     """Radians of heading to which a change of the hard iron must be known to be told, how many
     sigmas it must differ from what is in force, and by how many units of log likelihood the road
     before and since must be likelier with it."""
