@@ -7,7 +7,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import ChordTuning, TickTuning
+from magcal_ros.core.driving.driving_tuning import CHORDS, SPEED, TICKS
 from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated, unit_triple
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, PositionSample, VelocitySample
 
@@ -44,8 +44,7 @@ class GyroFrame:
         How often the frame began anew, after a gap or a step back in time.
     """
 
-    def __init__(self, tuning: TickTuning | None = None) -> None:
-        self._tuning = tuning or TickTuning()
+    def __init__(self) -> None:
         self._last: ImuSample | None = None
         self.axes: Axes | None = None
         self.restarts = 0
@@ -80,7 +79,7 @@ class GyroFrame:
         )
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(stamp) if self._seconds >= self._tuning.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= TICKS.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
@@ -109,13 +108,13 @@ class GyroFrame:
         seconds, turned = self._seconds, self._turned
         self._anew()
         self._level((x, y, z), seconds)
-        if abs(forward) < self._tuning.steepest:
+        if abs(forward) < TICKS.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
         """Lean the frame towards the force, by little: its up is right in the long run."""
-        self._levelled = min(self._levelled + seconds, self._tuning.levelling)
+        self._levelled = min(self._levelled + seconds, TICKS.levelling)
         size = length(force)
         if size <= 0.0:
             return
@@ -139,7 +138,7 @@ class Chord(NamedTuple):
     course: float
     """ENU, radians, where the vehicle went."""
     gap: float
-    """Yaw of the compass less course, radians, unwrapped by nobody."""
+    """Yaw of the compass less course, radians, not unwrapped."""
     gyro_gap: float
     """The same of the gyro's yaw, whose zero is anywhere."""
     sigma: float
@@ -177,10 +176,9 @@ class Chords:
         Seconds by which the receiver's stamps are late.
     """
 
-    def __init__(self, tuning: ChordTuning | None = None, delay: float = 0.5) -> None:
-        self._tuning = tuning or ChordTuning()
-        self.delay = delay
-        self._looked: deque[_Looked] = deque(maxlen=self._tuning.remembered)
+    def __init__(self) -> None:
+        self.delay = SPEED.receiver_delay
+        self._looked: deque[_Looked] = deque(maxlen=CHORDS.remembered)
         self._sum, self._count = 0.0 + 0.0j, 0
         self._anchor: PositionSample | None = None
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
@@ -203,9 +201,10 @@ class Chords:
         made: list[Chord] = []
         while self._waiting and self._waiting[0].stamp - self.delay <= tick.stamp:
             fix = self._waiting.popleft()
-            isfix = isinstance(fix, PositionSample)
-            chord = self._by_position(fix) if isinstance(fix, PositionSample) else None
-            chord = chord if isfix else self._by_velocity(fix)  # type: ignore[arg-type]
+            if isinstance(fix, PositionSample):
+                chord = self._by_position(fix)
+            else:
+                chord = self._by_velocity(fix)
             if chord is not None:
                 made.append(chord)
         return made
@@ -223,40 +222,39 @@ class Chords:
         self._placed_at = -math.inf
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
-        tuning = self._tuning
         self._place, self._placed_at = (fix.east, fix.north), fix.stamp
         if self._has_good_velocity(fix.stamp):
             self._anchor = None
             return None
         start = self._anchor
-        if start is None or not 0.0 < fix.stamp - start.stamp <= tuning.longest:
+        if start is None or not 0.0 < fix.stamp - start.stamp <= CHORDS.longest:
             self._anchor = fix
             return None
         east, north = fix.east - start.east, fix.north - start.north
         metres, seconds = math.hypot(east, north), fix.stamp - start.stamp
-        if metres < tuning.shortest:
+        if metres < CHORDS.shortest:
             return None
         looked = self._straight(start.stamp, fix.stamp)
-        if looked is None or metres / seconds < tuning.slowest:
+        if looked is None or metres / seconds < CHORDS.slowest:
             self._anchor = fix
             return None
         # The next chord begins with another fix: an error of this one shows once.
         self._anchor = None
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
-        sigma = math.sqrt(2.0) * tuning.relative_sigma / metres
+        sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
         return self._chord(fix.stamp, middle, math.atan2(north, east), looked, sigma, metres)
 
     def _by_velocity(self, fix: VelocitySample) -> Chord | None:
-        tuning, before, self._velocity = self._tuning, self._velocity, fix
+        before, self._velocity = self._velocity, fix
         speed = math.hypot(fix.east, fix.north)
         seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= tuning.longest:
+        if not 0.0 < seconds <= CHORDS.longest:
             return None
-        if fix.stamp - self._placed_at > tuning.longest:
+        if fix.stamp - self._placed_at > CHORDS.longest:
             x, y = self._place
             self._place = (x + fix.east * seconds, y + fix.north * seconds)
-        is_good = fix.sigma <= tuning.good_velocity
-        if speed < (tuning.slowest_velocity if is_good else tuning.slowest):
+        is_good = fix.sigma <= CHORDS.good_velocity
+        if speed < (CHORDS.slowest_velocity if is_good else CHORDS.slowest):
             return None
         looked = self._straight(fix.stamp - 0.5, fix.stamp + 0.1)
         if looked is None:
@@ -285,7 +283,7 @@ class Chords:
             course,
             math.remainder(compass - course, math.tau),
             math.remainder(gyro - course, math.tau),
-            math.hypot(sigma, self._tuning.course_sigma),
+            math.hypot(sigma, CHORDS.course_sigma),
             metres,
         )
 
@@ -298,12 +296,12 @@ class Chords:
         among = [each for each in self._looked if each.end > begin and each.begin < end]
         if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
             return None
-        if any(abs(each.turn_rate) > self._tuning.largest_rate for each in among):
+        if any(abs(each.turn_rate) > CHORDS.largest_rate for each in among):
             return None
         if not all(each.compass for each in among):
             return None
         turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > self._tuning.largest_turn:
+        if turned > CHORDS.largest_turn:
             return None
         compass = sum(each.compass / abs(each.compass) for each in among)
         gyro = sum(each.gyro for each in among)

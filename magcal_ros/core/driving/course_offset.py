@@ -2,7 +2,7 @@
 
     r_i = o + a1 cos psi + b1 sin psi + a2 cos 2psi + b2 sin 2psi + g(p_i) + n_i
 
-psi is the course, g what the street at the place p_i bends: cov = s² exp(-|p_i - p_j|/30 m), but
+psi is the course, g what the street at the place p_i adds: cov = s² exp(-|p_i - p_j|/30 m), but
 for a quarter of it that is alike over two metres only.
 Generalised least squares with Student's weights; the sigma is the largest of three, and a share of
 a plain swing.
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.driving_tuning import COURSE
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
@@ -87,9 +87,8 @@ class CourseCells:
         That were taken so far.
     """
 
-    def __init__(self, tuning: CourseTuning | None = None) -> None:
-        self._tuning = tuning or CourseTuning()
-        self.side = self._tuning.cell
+    def __init__(self) -> None:
+        self.side = COURSE.cell
         self.chords = 0
         self._cells: dict[Key, _Cell] = {}
 
@@ -101,7 +100,7 @@ class CourseCells:
         self.chords += 1
         key = self._key(chord.east, chord.north, chord.course)
         self._cells.setdefault(key, _Cell()).join(_Cell.of(chord, self.chords))
-        while len(self._cells) > self._tuning.most_cells:
+        while len(self._cells) > COURSE.most_cells:
             self._coarsen()
 
     def table(self) -> CellTable:
@@ -119,7 +118,7 @@ class CourseCells:
         )
 
     def _key(self, east: float, north: float, course: float) -> Key:
-        sector = round(course / math.tau * self._tuning.sectors) % self._tuning.sectors
+        sector = round(course / math.tau * COURSE.sectors) % COURSE.sectors
         return (math.floor(east / self.side), math.floor(north / self.side), sector)
 
     def _coarsen(self) -> None:
@@ -142,10 +141,6 @@ class CourseOffset:
     """cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,)."""
     covariance: FloatArray
     """Of offset and harmonics. Shape (5, 5)."""
-    street: float
-    """Radians by which streets bend the heading."""
-    cells: int
-    """Places and courses seen."""
     metres: float
     """Straight way driven."""
     sectors: int
@@ -162,26 +157,24 @@ class CourseOffset:
         return float(np.hypot(*pair)), math.sqrt(float(pair @ np.linalg.solve(own, pair)))
 
 
-def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | None:
+def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     """Fit the offset; None before enough places were seen."""
-    if len(cells.gap) < tuning.fewest:
+    if len(cells.gap) < COURSE.fewest:
         return None
     start = _cluster(cells)
-    found = _Fit(cells, wrap_angle(cells.gap - start), tuning)
-    for _ in range(tuning.rounds):
+    found = _Fit(cells, wrap_angle(cells.gap - start))
+    for _ in range(COURSE.rounds):
         found.improve()
     variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
-    variance += tuning.swing_share**2 * found.plain_swing()
+    variance += COURSE.swing_share**2 * found.plain_swing()
     covariance = found.covariance.copy()
     covariance[0, 0] = variance
-    sectors = np.round(cells.course / math.tau * tuning.sectors) % tuning.sectors
+    sectors = np.round(cells.course / math.tau * COURSE.sectors) % COURSE.sectors
     return CourseOffset(
         float(wrap_angle(start + found.values[0])),
         math.sqrt(variance),
         found.values[1:],
         covariance,
-        found.street,
-        len(cells.gap),
         float(np.sum(cells.metres)),
         len(np.unique(sectors)),
     )
@@ -203,81 +196,82 @@ def _cluster(cells: CellTable) -> float:
 class _Fit:
     """The weights, the street's size and the values of one fit."""
 
-    def __init__(self, cells: CellTable, gap: FloatArray, tuning: CourseTuning) -> None:
-        self._tuning, self._cells, self._gap = tuning, cells, gap
+    def __init__(self, cells: CellTable, gap: FloatArray) -> None:
+        self._cells, self._gap = cells, gap
         psi = cells.course
         ones = np.ones(len(psi))
         self._design = np.column_stack(
             [ones, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
         )
-        first, second = tuning.first_sigma**-2, tuning.second_sigma**-2
+        first, second = COURSE.first_sigma**-2, COURSE.second_sigma**-2
         self._prior = np.diag([1e-6, first, first, second, second])
         away = cells.place[:, None] - cells.place[None]
         self._distance = np.hypot(away[..., 0], away[..., 1])
-        small = tuning.small_share
-        self._alike = (1.0 - small) * np.exp(-self._distance / tuning.reach)
-        self._alike += small * np.exp(-self._distance / tuning.small_reach)
-        self._noise = (cells.variance + tuning.noise**2) / cells.count
+        small = COURSE.small_share
+        self._alike = (1.0 - small) * np.exp(-self._distance / COURSE.reach)
+        self._alike += small * np.exp(-self._distance / COURSE.small_reach)
+        self._noise = (cells.variance + COURSE.noise**2) / cells.count
         self._weight = ones
-        self.street = tuning.street
+        self.street = COURSE.street
         self.values: FloatArray = np.zeros(5)
         self.covariance: FloatArray = np.eye(5)
 
     def improve(self) -> None:
         """One round: values by least squares, then weights and street by what is left."""
-        solved, design = self._solve(np.column_stack([self._design, self._gap]))
+        design = self._design
+        solved = self._solve(np.column_stack([design, self._gap]), slice(None))
         self._whitened = solved[:, :5]
         information = design.T @ self._whitened + self._prior
         self.covariance = np.asarray(np.linalg.inv(information))
         self.values = np.asarray(self.covariance @ (design.T @ solved[:, 5]))
         self.left = self._gap - design @ self.values
-        own, freedom = self.street**2 + self._noise, self._tuning.freedom
+        own, freedom = self.street**2 + self._noise, COURSE.freedom
         self._weight = (freedom + 1.0) / (freedom + self.left**2 / own)
         self._weigh_street()
 
-    def _solve(self, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-        own = np.sqrt(self._weight)
-        # A cell of little weight is one that its street bends more than others.
-        spread = self.street**2 * self._alike / np.outer(own, own)
-        spread[np.diag_indices_from(spread)] += self._noise / self._weight
-        return np.asarray(np.linalg.solve(spread, right)), self._design
+    def _solve(self, right: FloatArray, rows: slice | BoolArray) -> FloatArray:
+        """Return the inverse covariance of some rows times `right`."""
+        weight = self._weight[rows]
+        own = np.sqrt(weight)
+        # A cell of little weight is one that its street disturbs more than others.
+        spread = self.street**2 * self._alike[rows][:, rows] / np.outer(own, own)
+        spread[np.diag_indices_from(spread)] += self._noise[rows] / weight
+        return np.asarray(np.linalg.solve(spread, right))
 
     def _weigh_street(self) -> None:
         """Take the street's size from what is left, with some pseudo-observations.
 
         What is seen counts by its places: a street that is driven again is the same one.
         """
-        tuning = self._tuning
         own = np.sqrt(self._weight) * self.left
         shape = self._alike.copy()
         shape[np.diag_indices_from(shape)] += self._noise / self.street**2
         squares = float(own @ np.linalg.solve(shape, own))
-        places = len(np.unique(np.floor(self._cells.place / tuning.reach), axis=0))
+        places = len(np.unique(np.floor(self._cells.place / COURSE.reach), axis=0))
         seen = min(places, len(own))
-        total = tuning.street_weight * tuning.street**2 + seen * squares / len(own)
-        self.street = math.sqrt(total / (tuning.street_weight + seen))
+        total = COURSE.street_weight * COURSE.street**2 + seen * squares / len(own)
+        self.street = math.sqrt(total / (COURSE.street_weight + seen))
 
     def plain_swing(self) -> float:
         """Return the harmonics' square, radians², beyond what is uncertain of them.
 
-        Iron that is there for a part of the way swings the compass, and puts the offset off in a
-        way that no scatter of streets tells.
+        Iron that is there for a part of the way swings the compass, and changes the offset in a
+        way that the scatter of streets does not show.
         """
         uncertain = np.trace(self.covariance[1:, 1:])
         return max(0.0, float(np.sum(self.values[1:] ** 2) - uncertain))
 
     def by_clusters(self) -> float:
         """Return the offset's variance by the scatter of clusters of 150 m (sandwich)."""
-        tuning = self._tuning
-        spot = np.floor(self._cells.place / tuning.cluster).astype(np.int64)
+        spot = np.floor(self._cells.place / (5.0 * COURSE.reach)).astype(np.int64)
         _, label = np.unique(spot, axis=0, return_inverse=True)
         count = int(label.max()) + 1
-        if count <= tuning.few_clusters + 2:
+        if count <= 3:
             return 0.0
         scores = self._whitened * self.left[:, None]
         sums = np.zeros((count, 5))
         np.add.at(sums, label.ravel(), scores)
-        middle = sums.T @ sums * count / (count - tuning.few_clusters) + self._prior
+        middle = sums.T @ sums * count / (count - 1) + self._prior
         return float((self.covariance @ middle @ self.covariance)[0, 0])
 
     def by_first_ways(self) -> float:
@@ -290,17 +284,14 @@ class _Fit:
         if not again.any():
             return 0.0
         kept = ~again
-        own = np.sqrt(self._weight[kept])
-        spread = self.street**2 * self._alike[np.ix_(kept, kept)] / np.outer(own, own)
-        spread[np.diag_indices_from(spread)] += self._noise[kept] / self._weight[kept]
         design = self._design[kept]
-        information = design.T @ np.linalg.solve(spread, design) + self._prior
+        information = design.T @ self._solve(design, kept) + self._prior
         return float(np.linalg.inv(information)[0, 0])
 
     def _again(self) -> BoolArray:
         """Tell which cells lie where the vehicle has been before, on another course."""
         cells = self._cells
-        near = self._distance < max(1.5 * self._tuning.cell, 0.5 * self._tuning.reach)
+        near = self._distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
         other = np.cos(cells.course[:, None] - cells.course[None]) < 0.0
         earlier = cells.first[None] < cells.first[:, None]
         return np.asarray((near & other & earlier).any(axis=1))

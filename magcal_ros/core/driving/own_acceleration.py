@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
+from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -135,7 +135,7 @@ class _Evidence:
 
 
 class OwnAcceleration:
-    """Frees the force of what the vehicle accelerates by.
+    """Subtracts the vehicle's own acceleration from the force.
 
     Over the last half second that the speed is known for, the mean force less the change of
     velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
@@ -144,7 +144,7 @@ class OwnAcceleration:
     Attributes
     ----------
     yaw : float
-        Of the IMU in the vehicle, radians; zero until somebody knows better.
+        Of the IMU in the vehicle, radians; zero until it is known.
     scale : float
         Force over change of speed: the latter's noise makes it less than one.
     noise : float
@@ -152,7 +152,7 @@ class OwnAcceleration:
     is_used : bool
         Whether the speed explains the force of the last seconds.
     is_yaw_usable, is_yaw_known : bool
-        Whether somebody does, roughly and well: before the latter, a vehicle is taken to drive
+        Whether it is known roughly, and well: before the latter, a vehicle is taken to drive
         forwards.
     sign : float
         Minus one while a speed without sign is that of a vehicle that backs up.
@@ -160,18 +160,17 @@ class OwnAcceleration:
         Sigmas by which the force speaks for `sign` since the vehicle stood.
     """
 
-    def __init__(self, tuning: DrivingTuning | None = None) -> None:
-        self._tuning = tuning or DrivingTuning()
+    def __init__(self) -> None:
         self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
-        self._trial = SpeedTrial(self._tuning.own.watched)
-        self._trip = SpeedTrial(self._tuning.own.watched)
+        self._matched: deque[_Matched] = deque(maxlen=max(OWN.spans.values()) + 1)
+        self._trial = SpeedTrial(OWN.watched)
+        self._trip = SpeedTrial(OWN.watched)
         self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
         self._gravity: tuple[float, Triple] | None = None
-        self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
-        self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
+        self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
+        self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
         self._gives, self._pauses_until = False, -math.inf
         self._speaker: tuple[SpeedSource, float] | None = None
         self.is_used = False
@@ -180,7 +179,7 @@ class OwnAcceleration:
     @property
     def is_clear(self) -> bool:
         """Whether the force has decided on the direction of travel since the vehicle stood."""
-        return self.sign_score > self._tuning.trip.clear
+        return self.sign_score > TRIP.clear
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
         """Return the sign of a trip under way at a stamp, or that ended after it.
@@ -204,30 +203,30 @@ class OwnAcceleration:
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
-            is_late = tick.stamp - first.stamp > self._tuning.own.oldest
+            is_late = tick.stamp - first.stamp > OWN.oldest
             if track is not None and not track.has_passed(first.stamp) and not is_late:
                 break
             self._waiting.popleft()
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
-                spoken = SpeedSource.VELOCITY if track.is_slow else track.source
-                self._slow = self._tuning.own.slow[track.source]
+                like = SpeedSource.VELOCITY if track.is_slow else track.source
+                self._slow = OWN.slow[track.source]
                 self._is_rough = track.source is SpeedSource.FIXES
-                self._span = self._tuning.own.spans[spoken]
+                self._span = OWN.spans[like]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to take off a specific force, m/s², body axes; None if it is not known.
+        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
 
-        It does not come and go: a force that is freed of it for moments only would mislead.
+        It does not come and go: a force that is corrected for moments only would mislead.
         """
         gravity = self._gravity_at(stamp)
         if gravity is None or frame.axes is None or stamp < self._pauses_until:
             if self._gives:
-                self._pauses_until = stamp + self._tuning.own.pause
+                self._pauses_until = stamp + OWN.oldest
             self._gives = False
             return None
         self._gives = True
@@ -239,7 +238,7 @@ class OwnAcceleration:
         if self._gravity is None or not self.is_used:
             return None
         since, gravity = self._gravity
-        return gravity if 0.0 <= stamp - since <= self._tuning.own.oldest else None
+        return gravity if 0.0 <= stamp - since <= OWN.oldest else None
 
     def restart(self) -> None:
         """Forget ticks: the gyro's frame is another one."""
@@ -261,13 +260,13 @@ class OwnAcceleration:
             self._matched.clear()
             self._gravity = None
             return
-        is_slow = abs(speed) < self._tuning.trip.standing
+        is_slow = abs(speed) < TRIP.standing
         if is_slow and self._is_under_way:
             self._before = _Trip(tick.stamp, self.sign, self.is_clear)
             self._stand(tick.stamp)
         self._is_under_way = not is_slow
-        if abs(speed) < min(self._tuning.trip.crawling, self._speed):
-            # A speed that is told once a second may leave out that the vehicle stood.
+        if abs(speed) < min(TRIP.crawling, self._speed):
+            # A speed that comes once a second may leave out that the vehicle stood.
             self._newer = _Evidence(tick.stamp, self._trial.left(self._turn))
         self._speed = abs(speed)
         velocity = speed * cmath.exp(1j * tick.yaw)
@@ -304,17 +303,17 @@ class OwnAcceleration:
 
     def _judge(self) -> None:
         """Look whether the speed explains the force of the last seconds, and with which sign."""
-        own, trial = self._tuning.own, self._trial
+        trial = self._trial
         self.is_used = False
-        if len(trial) < own.fewest:
+        if len(trial) < OWN.fewest:
             return
         if not self._is_signed:
             self._decide()
         without, with_it = trial.scatter(0j), trial.scatter(self._turn)
-        quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
+        quiet, gain = OWN.quiet**2, OWN.rough_gain if self._is_rough else OWN.gain
         self.is_used = with_it <= (gain * without if without > quiet else quiet)
-        # An even circle is seen through without: the speed of mere fixes would only add noise.
-        if self._is_rough and (trial.share_along < own.pulling or not self.is_yaw_usable):
+        # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
+        if self._is_rough and (trial.share_along < OWN.along or not self.is_yaw_usable):
             self.is_used = False
 
     def _decide(self) -> None:
@@ -324,21 +323,21 @@ class OwnAcceleration:
         """
         if not self._is_under_way:
             return
-        trip, newest, last = self._tuning.trip, self._trip.newest, self._trip.last
+        newest, last = self._trip.newest, self._trip.last
         self._whole.add(newest.force, newest.change * self._turn)
         # Where the sign may have changed meanwhile, a mean over both parts would be of neither.
         self._newer.add(last.force - self._newer.slope, last.change * self._turn)
         if not self.is_yaw_known:
             return
         whole, newer = (
-            each.score(self.noise, trip.correlated) for each in (self._whole, self._newer)
+            each.score(self.noise, TRIP.correlated) for each in (self._whole, self._newer)
         )
-        if newer * self.sign < -trip.clear < whole * self.sign:
+        if newer * self.sign < -TRIP.clear < whole * self.sign:
             self._before = _Trip(self._newer.since, self.sign, self.is_clear)
             self._whole, whole = self._newer, newer
-        if whole * self.sign < -trip.clear:
+        if whole * self.sign < -TRIP.clear:
             self.sign = -self.sign
             self._trial.turn_back(self._whole.count)
         # Mere fixes smear a stop over seconds: what was known before it is known no longer.
-        told = min(whole * self.sign, newer * self.sign) if self._is_rough else whole * self.sign
-        self.sign_score = told
+        least = min(whole * self.sign, newer * self.sign)
+        self.sign_score = least if self._is_rough else whole * self.sign

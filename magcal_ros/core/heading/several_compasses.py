@@ -17,7 +17,7 @@ from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
-from magcal_ros.core.heading.fusion_tuning import SeveralTuning
+from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
 from magcal_ros.core.heading.yaw_agreement import (
     SMALLEST_VARIANCE,
     CompassYaw,
@@ -25,7 +25,12 @@ from magcal_ros.core.heading.yaw_agreement import (
     excess_variance,
     misfit,
 )
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up import Up
+
+LASTING = 3.0
+"""Seconds over which a disagreement without a reason is averaged, for the time when only one
+magnetometer is left."""
 
 
 class Share(NamedTuple):
@@ -73,8 +78,9 @@ class _Member:
         self.moment, self.arrived = moment, now
         if moment.up is not None and moment.heading is not None:
             up = moment.up
-            told = self.doubt.add(moment.stamp, moment.field, up.direction, up.variance)
-            self.doubt_variance = told
+            self.doubt_variance = self.doubt.add(
+                moment.stamp, moment.field, up.direction, up.variance
+            )
 
     @property
     def own_variance(self) -> float:
@@ -106,8 +112,7 @@ class SeveralCompasses:
         Radians between those that disagree while none of them is known to be wrong; else zero.
     """
 
-    def __init__(self, tuning: SeveralTuning | None = None) -> None:
-        self.tuning = tuning or SeveralTuning()
+    def __init__(self) -> None:
         self._members: dict[int, _Member] = {}
         self._now = self._stamp = -math.inf
         self._forget()
@@ -170,7 +175,7 @@ class SeveralCompasses:
             member.forget()
 
     def _is_new(self, stamp: float) -> bool:
-        return self._now - stamp <= self.tuning.lost
+        return self._now - stamp <= STREAMS.longest_gyro_step
 
     def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
         seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
@@ -205,13 +210,13 @@ class SeveralCompasses:
         if not turned:
             return []
         origin = None if fused is None else fused.north_at(moment.stamp)
-        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= self.tuning.lost:
+        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._is_by_gyro = origin is not None
             for member in self._members.values():
                 member.off = math.nan
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
-        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.memory)
+        share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
         return [
             self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share)
             for k, seen in turned.items()
@@ -223,7 +228,7 @@ class SeveralCompasses:
         if then is None or then.heading is None or lead is None:
             return None
         since = moment.stamp - then.stamp
-        if abs(since) > self.tuning.lost:
+        if abs(since) > STREAMS.longest_gyro_step:
             return None
         seen, rate = then.field, moment.rate
         if since and rate is not None and math.isfinite(rate[0]):
@@ -248,7 +253,7 @@ class SeveralCompasses:
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
         # What is too far for noise need not be averaged.
-        leaps = abs(change) > self.tuning.left_out_from * math.sqrt(member.noise_variance)
+        leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.noise_variance)
         if math.isnan(change) or leaps:
             member.off = ahead
         else:
@@ -281,8 +286,7 @@ class SeveralCompasses:
     @property
     def _gate(self) -> float:
         """Squared sigmas; who was left out must come back further."""
-        tuning = self.tuning
-        return (tuning.believed_below if self._left_out else tuning.left_out_from) ** 2
+        return (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
 
     def _note_disagreement(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
@@ -298,7 +302,7 @@ class SeveralCompasses:
         # A field that is seen to be bent is a reason.
         sound = [each for each in kept if not self._members[each.number].is_doubted] or kept
         self._between = excess_variance(sound)
-        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.lasting)
+        share = 1.0 - math.exp(-max(seconds, 0.0) / LASTING)
         self._lasting += share * (self._between - self._lasting)
         if len(sound) > 1 and misfit(sound) > self._gate:
             first = sound[0].ahead
@@ -316,8 +320,8 @@ class SeveralCompasses:
         mean = _mean([each.field for each in kept], shares)
         for each in kept:
             member = self._members[each.number]
-            step = min(seconds, self.tuning.lost)
-            member.learnt = min(member.learnt + step, self.tuning.offset_memory)
+            step = min(seconds, STREAMS.longest_gyro_step)
+            member.learnt = min(member.learnt + step, DISTURBANCE.amplitude_memory)
             new = minus(each.field, mean)
             member.offset = between(member.offset, new, step / member.learnt)
 

@@ -1,7 +1,7 @@
 """Yaw, gyro bias and the field's disturbance, estimated together.
 
-What tells the disturbance from an error of the yaw: it changes with the place within seconds of
-driving, and an error of the propagated yaw stays. Plain floats: this is on the path of every
+The disturbance changes with the place within seconds of driving, while an error of the propagated
+yaw stays: this separates the two. Plain floats: this is on the path of every
 message.
 """
 
@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.heading.fusion_tuning import FUSION
 
 
 class YawFilter:
@@ -200,11 +200,6 @@ class GyroLoss:
     For each pair of sizes on a grid a Kalman filter follows by how much headings are ahead of the
     gyro, and the bias. Their likelihoods and log-normal priors weigh the pairs.
 
-    Parameters
-    ----------
-    tuning : FusionTuning
-        The priors.
-
     Attributes
     ----------
     share : float
@@ -213,14 +208,14 @@ class GyroLoss:
         (rad/s)² a second by which its bias walks.
     """
 
-    def __init__(self, tuning: FusionTuning) -> None:
-        walk, spread = tuning.bias_walk, tuning.loss_spread
+    def __init__(self) -> None:
+        walk, spread = FUSION.bias_walk, FUSION.loss_spread
         first, second = np.meshgrid(np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7))
-        self._walks: FloatArray = (walk * np.exp(tuning.walk_spread * first.ravel())) ** 2
+        self._walks: FloatArray = (walk * np.exp(FUSION.walk_spread * first.ravel())) ** 2
         self._shares: FloatArray = np.exp(spread * second.ravel() - 0.5 * spread**2)
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2).ravel()
-        self._bias_variance = tuning.bias_sigma**2
-        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * tuning.walk_spread**2)
+        self._bias_variance = FUSION.bias_sigma**2
+        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * FUSION.walk_spread**2)
         self.begin()
 
     def begin(self) -> None:

@@ -8,13 +8,11 @@ from magcal_ros.core.up.follower import (
     unseen_angles,
 )
 from magcal_ros.core.up.propagation import GyroBias
-from magcal_ros.core.up.up_tuning import UpTuning
 
 __all__ = [
     "GyroBias",
     "Up",
     "UpFollower",
-    "UpTuning",
     "propagated_up",
     "relative_attitudes",
     "unseen_angles",

@@ -16,7 +16,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
-from magcal_ros.core.up.up_tuning import FilterTuning
+from magcal_ros.core.up.up_tuning import CLEAR, FILTER
 
 IDENTITY: FloatArray = np.eye(3)
 
@@ -37,11 +37,10 @@ class UpFilter:
     `MotionPrior`.
     """
 
-    def __init__(self, tuning: FilterTuning | None = None) -> None:
-        self.tuning = tuning or FilterTuning()
+    def __init__(self) -> None:
         self.state: FloatArray = np.zeros(12)
         self.covariance: FloatArray = np.zeros((12, 12))
-        self.covariance[3:6, 3:6] = IDENTITY * self.tuning.bias_sigma**2
+        self.covariance[3:6, 3:6] = IDENTITY * FILTER.bias_sigma**2
         self._transition = np.eye(12)
         self._reads: FloatArray = np.hstack([IDENTITY, np.zeros((3, 6)), IDENTITY])
 
@@ -54,7 +53,7 @@ class UpFilter:
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
         _, across, square = self._by_up(0)
-        return max(0.0, across) / (2.0 * square) if square > 0.0 else self.tuning.unknown**2
+        return max(0.0, across) / (2.0 * square) if square > 0.0 else 1.0
 
     @property
     def bias_variance(self) -> float:
@@ -115,9 +114,9 @@ class UpFilter:
         motion : MotionPrior
             How the robot may move.
         """
-        tuning, step = self.tuning, self._transition
-        fast = math.exp(-seconds / tuning.speed_lasts)
-        kept = math.exp(-seconds / tuning.acceleration_lasts)
+        step = self._transition
+        fast = math.exp(-seconds / FILTER.speed_lasts)
+        kept = math.exp(-seconds / FILTER.acceleration_lasts)
         step[:3, :3] = exp_rotation(np.array(turned))
         step[:3, :3] = step[:3, :3].T
         x, y, z = (seconds * each for each in up)
@@ -126,12 +125,12 @@ class UpFilter:
         self.state[:3] = up
         self.state[6:9] *= fast
         self.state[9:] *= kept
-        grown = tuning.angle_walk**2 * seconds + tuning.turn_error**2 * length(turned)
+        grown = FILTER.angle_walk**2 * seconds + FILTER.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
-        if acceleration > tuning.implausible * math.sqrt(3.0) * motion.acceleration:
-            grown += acceleration**2 * seconds / tuning.regain
+        if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
+            grown += acceleration**2 * seconds / FILTER.regain
         p = step @ self.covariance @ step.T
-        walked = tuning.bias_walk**2 * seconds
+        walked = FILTER.bias_walk**2 * seconds
         sped = motion.speed**2 * (1.0 - fast**2)
         shoved = motion.acceleration**2 * (1.0 - kept**2)
         p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]
@@ -153,7 +152,7 @@ class UpFilter:
         reads = self._reads
         reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
-        self._correct(reads, variance + self.tuning.floor**2, left)
+        self._correct(reads, variance + FILTER.floor**2, left)
 
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
@@ -185,14 +184,14 @@ class UpFilter:
     def admit_bias(self, rate: FloatArray) -> None:
         """Allow for a bias that lies further off than what was known of it."""
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
-        if float(gap @ gap) > self.tuning.implausible**2 * float(np.trace(own)):
+        if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
 
     def bound_bias(self) -> None:
         """Keep the bias within what a gyro can have."""
         size = length(self.state[3:6].tolist())
-        if size > self.tuning.largest_bias:
-            self.state[3:6] *= self.tuning.largest_bias / size
+        if size > FILTER.largest_bias:
+            self.state[3:6] *= FILTER.largest_bias / size
 
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Take three readings that differ from what was expected, and how they read the state."""

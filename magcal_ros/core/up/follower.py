@@ -10,16 +10,14 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import exp_rotations
+from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, LivingAxes
-from magcal_ros.core.up.up_tuning import FilterTuning, LevellingTuning, UpTuning
-
-TUNING = FilterTuning()
+from magcal_ros.core.up.up_tuning import CLEAR, FILTER, PROPAGATION
 
 
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -45,9 +43,9 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return rotations from the first sample's body axes to each sample's, shape (n, 3, 3).
 
-    Steps `exp(-[w]x dt)` with the mean rate between both ends, multiplied up by a parallel scan.
-    The trapezoidal rule with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples
-    a second would lose a hundredth by the plain rule.
+    Products of steps `exp(-[w]x dt)` with the mean rate between both ends. The trapezoidal rule
+    with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples a second would lose a
+    hundredth by the plain rule.
 
     Parameters
     ----------
@@ -60,12 +58,7 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     turned = 0.5 * step * (rate[1:] + rate[:-1])
     if len(time) > 2:
         turned -= step**2 / 12.0 * np.diff(np.gradient(rate, time, axis=0), axis=0)
-    product = np.concatenate([np.eye(3)[None], exp_rotations(-turned)])
-    reach = 1
-    while reach < len(product):
-        product[reach:] = product[reach:] @ product[:-reach]
-        reach *= 2
-    return np.asarray(product)
+    return np.asarray(chained(exp_rotations(-turned)[None])[0])
 
 
 def propagated_up(window: Window) -> FloatArray:
@@ -78,7 +71,7 @@ def propagated_up(window: Window) -> FloatArray:
     if rate is None or len(window) < 3:
         return unit(window.specific_force)
     past = _followed(window, rate)
-    if length(past.bias) > TUNING.implausible * TUNING.bias_sigma:
+    if length(past.bias) > CLEAR * FILTER.bias_sigma:
         # Before it was known, it has led up astray by more than the variance says.
         rate = rate - past.bias
         past = _followed(window, rate)
@@ -119,8 +112,6 @@ class Levelling:
     ----------
     force : tuple of float
         First reading of the accelerometer, over gravity; not zero.
-    tuning : LevellingTuning, optional
-        What is taken for granted.
 
     Attributes
     ----------
@@ -128,8 +119,7 @@ class Levelling:
         Unit vector, body axes.
     """
 
-    def __init__(self, force: Triple, tuning: LevellingTuning | None = None) -> None:
-        self._tuning = tuning or LevellingTuning()
+    def __init__(self, force: Triple) -> None:
         self.up = unit_triple(force)
         self._mean = self.up
         self._scatter = 0.0
@@ -139,17 +129,17 @@ class Levelling:
     def add(self, force: Triple, seconds: float) -> None:
         """Take the next reading, so many seconds after the one before."""
         seen = unit_triple(force)
-        up = between(self.up, seen, 1.0 - math.exp(-seconds / self._tuning.smoothing))
+        up = between(self.up, seen, 1.0 - math.exp(-seconds / PROPAGATION.smoothing))
         self.up = unit_triple(up) if length(up) > 0.0 else seen
         self._seconds += seconds
-        memory = 1.0 - math.exp(-seconds / self._tuning.memory)
+        memory = 1.0 - math.exp(-seconds / PROPAGATION.memory)
         self._mean = between(self._mean, self.up, memory)
         away = distance(self.up, self._mean)
         self._scatter += memory * (0.5 * away * away - self._scatter)
         size = length(force)
         self._size += memory * (size - self._size)
         self._rest += (
-            seconds / min(self._seconds + seconds, self._tuning.rest_memory) * (size - self._rest)
+            seconds / min(self._seconds + seconds, PROPAGATION.rest_memory) * (size - self._rest)
         )
 
     @property
@@ -159,8 +149,8 @@ class Levelling:
         Up that scatters is not known better than that, and an acceleration of p g across up
         stretches the accelerometer by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - self._tuning.length_floor)
-        return self._tuning.floor**2 + self._scatter + stretch
+        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.length_sigma)
+        return FILTER.floor**2 + self._scatter + stretch
 
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
@@ -184,10 +174,9 @@ class UpFollower:
     the latter is smoothed.
     """
 
-    def __init__(self, tuning: UpTuning | None = None) -> None:
-        self._tuning = tuning or UpTuning()
-        self._propagation = GyroPropagation(self._tuning)
-        self._axes = LivingAxes(self._tuning.check)
+    def __init__(self) -> None:
+        self._propagation = GyroPropagation()
+        self._axes = LivingAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
@@ -227,7 +216,7 @@ class UpFollower:
         """The same where a rest has shown it; None before any."""
         bias = self.gyro_bias
         sigma = math.sqrt(bias.variance)
-        if sigma > self._tuning.filter.seen_at_rest or not self.is_propagated:
+        if sigma > FILTER.seen_at_rest or not self.is_propagated:
             return None
         return GyroAtRest(bias.rate, sigma)
 
@@ -291,7 +280,7 @@ class UpFollower:
         elif self._levelling is not None and follows:
             self._levelling.add(force, seconds)
         else:
-            self._levelling = Levelling(force, self._tuning.levelling)
+            self._levelling = Levelling(force)
         self._note(stamp)
 
     def at(self, stamp: float, max_gap: float) -> Up | None:

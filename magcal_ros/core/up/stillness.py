@@ -11,7 +11,7 @@ from collections import deque
 from typing import NamedTuple
 
 from magcal_ros.core.geometry.vec3 import Triple, between, cross, distance, dot, length
-from magcal_ros.core.up.up_tuning import GyroCheckTuning, RestTuning, ShakenRestTuning
+from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
 
 
 class FieldStillness:
@@ -23,8 +23,7 @@ class FieldStillness:
         The field of the moment, averaged over some tenths of a second.
     """
 
-    def __init__(self, tuning: RestTuning) -> None:
-        self._tuning = tuning
+    def __init__(self) -> None:
         self._stamp = -math.inf
         self._last = self.mean = ZERO
         self._noise = 0.0
@@ -44,11 +43,11 @@ class FieldStillness:
         """Take a raw field sample (tesla, or any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
-        if not 0.0 < seconds < self._tuning.field_lasts:
+        if not 0.0 < seconds < REST.field_lasts:
             self.mean, self._noise = field, 0.0
             self._begin()
         else:
-            share = min(1.0, seconds / self._tuning.field_mean)
+            share = min(1.0, seconds / REST.field_mean)
             self.mean = between(self.mean, field, share)
             # Half the square of a difference is the noise.
             square = distance(field, self._last) ** 2 / 6.0
@@ -56,13 +55,13 @@ class FieldStillness:
         self._last = field
         if not self._first_count:
             self._since = stamp
-        if stamp - self._since < self._tuning.field_mean:
+        if stamp - self._since < REST.field_mean:
             self._first_count += 1
             self._first = between(self._first, field, 1.0 / self._first_count)
 
     def is_heard(self, stamp: float) -> bool:
         """Whether the field still came shortly before a stamp."""
-        return abs(stamp - self._stamp) < self._tuning.field_lasts
+        return abs(stamp - self._stamp) < REST.field_lasts
 
     def has_turned(self, rate: float) -> bool | None:
         """Whether the robot really turns at a rate; None while the field cannot tell.
@@ -73,11 +72,11 @@ class FieldStillness:
             rad/s about up that the gyro reads beyond its known bias.
         """
         seconds = self._stamp - self._since
-        if not seconds > 2.0 * self._tuning.field_mean:
+        if not seconds > 2.0 * REST.field_mean:
             return None
-        bound = self._tuning.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
+        bound = REST.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
         change = distance(self.mean, self._first)
-        noise = self._tuning.clear * math.sqrt(2.0 * self._noise / self._first_count)
+        noise = CLEAR * math.sqrt(2.0 * self._noise / self._first_count)
         if change + noise < bound:
             return False
         return True if change - noise > bound else None
@@ -112,12 +111,7 @@ class SteadySpell:
         Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
     """
 
-    def __init__(self, tuning: RestTuning | None = None) -> None:
-        self.tuning = tuning or RestTuning()
-        self.end()
-
-    def end(self) -> None:
-        """Forget the spell: it is over."""
+    def __init__(self) -> None:
         self.seconds = self.sway = self.shake = 0.0
         self.count = 0
         self.force = self.rate = ZERO
@@ -134,10 +128,10 @@ class SteadySpell:
         """
         force, rate, count, seconds = block
         if self.count:
-            alike = self.tuning.alike * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = REST.alike * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
-                distance(force, self.force) < self.tuning.loose + alike * noise
-                and distance(rate, self.rate) < self.tuning.loose_rate + alike * rate_noise
+                distance(force, self.force) < REST.loose + alike * noise
+                and distance(rate, self.rate) < REST.loose_rate + alike * rate_noise
             ):
                 self.count += count
                 share = count / self.count
@@ -165,21 +159,17 @@ class SteadySpell:
             Sigma of one message's force per axis, over gravity.
         """
         size, up_size = length(self.force), length(up)
-        if self.seconds >= self.tuning.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
-            return self.seconds >= self.tuning.lasting
+        if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
+            return self.seconds >= REST.lasting
         cosine = min(1.0, dot(self.force, up) / (size * up_size))
         stretch = rest / max(cosine, 0.1) - rest
         excess = size - rest
-        clear = self.tuning.clear * math.sqrt(
-            self.tuning.length_floor**2 + rest_sigma**2 + noise**2 / self.count
-        )
+        clear = CLEAR * math.sqrt(REST.length_floor**2 + rest_sigma**2 + noise**2 / self.count)
         if stretch - excess > abs(excess) + clear:
-            return self.seconds >= self.tuning.shortest
+            return self.seconds >= REST.shortest
         if excess > 0.5 * stretch + 0.5 * clear:
             return False
-        return self.seconds >= (
-            self.tuning.agreeing if cosine > math.cos(self.tuning.agrees) else self.tuning.undecided
-        )
+        return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 
 
 Means = tuple[Triple, Triple, Triple]
@@ -196,9 +186,8 @@ class ShownAtRest(NamedTuple):
 class ShakenRest:
     """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
-    def __init__(self, tuning: ShakenRestTuning) -> None:
-        self._tuning = tuning
-        self._means: deque[Means] = deque(maxlen=tuning.spans)
+    def __init__(self) -> None:
+        self._means: deque[Means] = deque(maxlen=REST.shaken)
         self._begin()
 
     def _begin(self) -> None:
@@ -221,18 +210,18 @@ class ShakenRest:
             between(rate, block.rate, share),
             between(mean, field, share),
         )
-        if self._seconds < self._tuning.span:
+        if self._seconds < 1.0:
             return None
         self._means.append(self._sums)
         self._begin()
-        return self._told()
+        return self._shown()
 
-    def _told(self) -> ShownAtRest | None:
-        tuning, means = self._tuning, self._means
-        if len(means) < tuning.spans:
+    def _shown(self) -> ShownAtRest | None:
+        means = self._means
+        if len(means) < REST.shaken:
             return None
         force, rate, field = (_mean([each[k] for each in means]) for k in range(3))
-        bounds = (tuning.force, tuning.rate, tuning.field * length(field))
+        bounds = (REST.shaken_force, REST.shaken_rate, REST.shaken_field * length(field))
         for each in means:
             gaps = (distance(each[0], force), distance(each[1], rate), distance(each[2], field))
             if any(gap > bound for gap, bound in zip(gaps, bounds, strict=True)):
@@ -240,7 +229,7 @@ class ShakenRest:
         scatter = sum(distance(each[1], rate) ** 2 for each in means) / (3.0 * (len(means) - 1))
         # The next one is of other seconds.
         means.clear()
-        return ShownAtRest(force, rate, tuning.sigma**2 + scatter / tuning.spans)
+        return ShownAtRest(force, rate, REST.shaken_sigma**2 + scatter / REST.shaken)
 
 
 def _mean(vectors: list[Triple]) -> Triple:
@@ -255,10 +244,9 @@ class GyroCheck:
     beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
     """
 
-    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
-        self._tuning = tuning or GyroCheckTuning()
+    def __init__(self) -> None:
         self.is_believed = True
-        self._together = self._said = self._seen = self._count = self._noise = 0.0
+        self._together = self._expected = self._seen = self._count = self._noise = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -290,8 +278,8 @@ class GyroCheck:
         self._turn = (x + turn[0], y + turn[1], z + turn[2])
         self._seconds += seconds
         self._variance += variance
-        clear = self._tuning.clear_turn**2 * self._variance
-        if self._seconds < self._tuning.span and dot(self._turn, self._turn) <= clear:
+        clear = CHECK.clear_turn**2 * self._variance
+        if self._seconds < CHECK.span and dot(self._turn, self._turn) <= clear:
             return
         lasted = self._seconds
         x, y, z = self._force
@@ -310,36 +298,35 @@ class GyroCheck:
             0.5 * (turn[2] + old_turn[2]),
         )
         # A direction fixed in the world turns in the body by u x w dt.
-        said = cross(old, middle)
+        expected = cross(old, middle)
         seen = (new[0] - old[0], new[1] - old[1], new[2] - old[2])
-        keeps = math.exp(-seconds / self._tuning.memory)
-        self._together = keeps * self._together + dot(said, seen)
-        self._said = keeps * self._said + dot(said, said)
+        keeps = math.exp(-seconds / CHECK.memory)
+        self._together = keeps * self._together + dot(expected, seen)
+        self._expected = keeps * self._expected + dot(expected, expected)
         self._seen = keeps * self._seen + dot(seen, seen)
         self._count = keeps * self._count + 3.0
         # Across the force, from the mean of two turns.
         self._noise = keeps * self._noise + self._variance
-        if self._said > self._tuning.enough**2 + self._tuning.clear_noise * self._noise:
+        if self._expected > CHECK.enough**2 + CHECK.clear_noise * self._noise:
             self._judge()
 
     def _judge(self) -> None:
-        explained = self._together / self._said
+        explained = self._together / self._expected
         left = max(0.0, self._seen - explained * self._together)
-        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._said)
-        if explained + self._tuning.clear * sigma < self._tuning.mirrored:
+        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._expected)
+        if explained + CLEAR * sigma < CHECK.mirrored:
             self.is_believed = False
-        elif explained - self._tuning.clear * sigma > self._tuning.mirrored:
+        elif explained - CLEAR * sigma > CHECK.mirrored:
             self.is_believed = True
 
 
 class LivingAxes:
-    """Tells a gyro of which some axes are dead: it does not see the robot lean.
+    """Detects dead axes of a gyro, which does not see the robot lean.
 
     A simulated gyro without noise may rest on two axes and be right.
     """
 
-    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
-        self._tuning = tuning or GyroCheckTuning()
+    def __init__(self) -> None:
         self._last: list[Triple] = []
         self._alive = [False, False, False]
         self._noisy = 0
@@ -347,7 +334,7 @@ class LivingAxes:
     @property
     def are_all(self) -> bool:
         """Whether every axis has changed; true until noise of another has shown itself."""
-        return self._noisy < self._tuning.dead or all(self._alive)
+        return self._noisy < CHECK.dead or all(self._alive)
 
     def add(self, rate: Triple) -> None:
         """Take the next rate, rad/s."""
@@ -357,5 +344,5 @@ class LivingAxes:
             before, last = self._last
             bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
             self._alive = [a or rate[k] != last[k] for k, a in enumerate(self._alive)]
-            self._noisy += max(bends) > self._tuning.bend * max(map(abs, rate))
+            self._noisy += max(bends) > CHECK.bend * max(map(abs, rate))
         self._last = [*self._last[-1:], rate]
