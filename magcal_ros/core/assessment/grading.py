@@ -101,7 +101,7 @@ class Bound:
         excess : float, optional
             The part of it that counts, where some of it is no fault; by default all of it.
         note : str
-            Said of the value.
+            Added to the value.
         before : float, optional
             The figure of the raw field, SI units.
         """
@@ -185,11 +185,9 @@ class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
     noticeable: float = 0.4
-    """Strengths of the field; a smaller one is what robots have, whatever the other sign says."""
-    several: float = 3.0
-    """Times that it must be larger than with the other sign of the inclination."""
-    field: float = 1.0
-    """Strengths of the field from which it is doubtful in any case."""
+    """Strengths of the field; a smaller one is what robots have, whatever the other sign gives."""
+    several: float = 3.0  # times that it must be larger than with the other sign of the inclination
+    field: float = 1.0  # strengths of the field from which it is doubtful in any case
     shown: float = 10.0
     """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 

@@ -7,10 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import AxesFound, most_turned
+from magcal_ros.core.doctor.axes import AxesFound, most_turned
 from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
+from magcal_ros.core.doctor.explanations import (
+    WIDE,
+    Explanations,
+    explain,
+    factor_in_words,
+    rate_factors,
+)
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
@@ -39,20 +45,13 @@ NO_GYRO = (
 class MotionTuning:
     """Where an error between the sensors is worth a word."""
 
-    bias: float = math.radians(0.8)
-    """rad/s of the gyro's bias."""
-    scale: float = 0.03
-    """Relative error of the gyro's scale."""
-    at_rest: float = math.radians(0.1)
-    """rad/s, standard deviation of a bias that was read at rest."""
-    borne_out: float = 0.4
-    """Share of the bias by which the rate at rest may be another."""
-    alike: float = 1.2
-    """Times the least residual with which rad/s are preferred to a known slip."""
-    lag: float = 0.015
-    """Seconds between the sensors' stamps."""
-    sigmas: float = 3.0
-    """So many standard deviations it must be, too."""
+    bias: float = math.radians(0.8)  # rad/s of the gyro's bias
+    scale: float = 0.03  # relative error of the gyro's scale
+    at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias that was read at rest
+    borne_out: float = 0.4  # share of the bias by which the rate at rest may be another
+    alike: float = 1.2  # times the least residual with which rad/s are preferred to a known slip
+    lag: float = 0.015  # seconds between the sensors' stamps
+    sigmas: float = 3.0  # so many standard deviations it must be, too
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
     beyond which it is not shown."""
@@ -84,9 +83,12 @@ class MotionFound:
 
 
 def compare(
-    prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
+    prepared: CleanLog,
+    knowledge: Knowledge,
+    answers: UserAnswers = UserAnswers(),
+    bias_sigma: float = math.inf,
 ) -> MotionFound:
-    """Compare accelerometer, gyro and field."""
+    """Compare accelerometer, gyro and field, where a rest has shown the bias to within a sigma."""
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
@@ -98,7 +100,9 @@ def compare(
     rest = longest_rest(body)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
-    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
+    given, factor = (
+        (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias_sigma)
+    )
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, answers)
     body = replace(body, rate=factor * body.rate)
@@ -127,11 +131,11 @@ def compare(
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge
+    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias_sigma: float
 ) -> tuple[Explanations | None, float]:
     """Explain the movement with the gyro's unit: a known slip where only that fits well."""
     inclination = knowledge.reference.inclination
-    given = explain(log, inclination)
+    given = explain(log, inclination, WIDE.after_rest(bias_sigma))
     # A gyro that may be right and turned too little shows nothing.
     if not factors or (given is None and 1.0 in factors):
         return given, 1.0
@@ -158,7 +162,7 @@ def _opposite(belief: Belief) -> Belief:
 
 
 def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
-    """Return whether the gyro tells a turn beside what it reads at rest."""
+    """Return whether the gyro reads a turn beside what it reads at rest."""
     alone = replace(stretch, turn=stretch.turn - stretch.seconds[:, None] * rest.rate)
     return most_turned(alone) >= WEIGHED.least_turn
 
@@ -244,14 +248,14 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
 
 
 def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
-    """Return whether the field alone tells the same scale of the gyro as with gravity.
+    """Return whether the field alone gives the same scale of the gyro as with gravity.
 
-    Linear acceleration and a field that is bent change what one of them tells.
+    Linear acceleration and a disturbed field change one of them.
     """
     alone = align(
         explanations.part,
         explanations.field[chosen : chosen + 1],
-        WEIGHED.fit,
+        WIDE,
         explanations.gyro[chosen : chosen + 1],
         with_up=False,
     )

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import parameter_line
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.axes import AxesFound, parameter_line
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations
@@ -39,6 +39,8 @@ class Page:
     has to."""
     used: AxesInUse | None = None
     """What a drive's course can be compared with."""
+    axes: AxesFound | None = None
+    """What the movement shows of the magnetometer's axes."""
 
     @property
     def misleads(self) -> bool:
@@ -55,7 +57,7 @@ class Page:
         return replace(self, findings=(*self.findings, *findings))
 
     def with_course(self, seen: CourseSeen) -> Page:
-        """Return the page with what the course says of the axes' yaw, which no turn can tell."""
+        """Return the page with what the course shows of the axes' yaw, which no turn can show."""
         assert self.used is not None
         lines, mount = course_findings(self.used, seen)
         page = self.with_more(lines)
@@ -63,19 +65,35 @@ class Page:
 
 
 def examine(
-    log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
+    log: SensorLog,
+    knowledge: Knowledge = Knowledge(),
+    answers: UserAnswers = UserAnswers(),
+    bias_sigma: float = math.inf,
 ) -> Page:
-    """Look at everything that a log shows of its sensors."""
+    """Look at everything that a log shows of its sensors.
+
+    Parameters
+    ----------
+    log : SensorLog
+        As published.
+    knowledge : Knowledge, optional
+        Its mounting is taken off first.
+    answers : UserAnswers, optional
+        What the user answered about the motion.
+    bias_sigma : float
+        rad/s per axis of the gyro's bias, where a rest has shown it.
+    """
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
-    found = compare(prepared, knowledge, answers)
+    found = compare(prepared, knowledge, answers, bias_sigma)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
     mount = None
     axes = found.axes
-    if axes is not None and not axes.right and len(axes.candidates) == 1:
+    is_field = any(finding.key == "field_axes" for finding in found.findings)
+    if axes is not None and is_field and len(axes.candidates) == 1:
         mount = axes.mount_rpy_deg
         lines += known_habits(log, axes.candidates[0])
     else:
@@ -85,7 +103,7 @@ def examine(
     if found.explained and found.factor == 1.0 and not found.up_is_down:
         assert found.explanations is not None
         used = axes_in_use(found.explanations, found.chosen, knowledge)
-    return Page(tuple(lines), mount, used)
+    return Page(tuple(lines), mount, used, axes)
 
 
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
@@ -93,7 +111,7 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     nothing = np.full((len(window), 3), np.nan)
     rate = nothing if window.angular_rate is None else window.angular_rate
     log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
-    page = examine(log, knowledge)
+    page = examine(log, knowledge, bias_sigma=window.bias_sigma)
     kept = [f for f in page.findings if f.key not in PAIRED]
     return replace(page, findings=tuple(kept))
 
@@ -117,16 +135,11 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
 class PlaceTuning:
     """When the field is called another than the reference's, and the motors' one is."""
 
-    strength: float = 0.2
-    """Relative difference."""
-    inclination: float = math.radians(8.0)
-    """Radians."""
-    sigmas: float = 3.0
-    """So many standard deviations it must be, too."""
-    vague: float = 0.1
-    """Relative standard deviation of the strength beyond which it is not shown."""
-    motors: float = 1.5e-6
-    """Tesla by which the field steps when the robot sets off."""
+    strength: float = 0.2  # relative difference
+    inclination: float = math.radians(8.0)  # radians
+    sigmas: float = 3.0  # so many standard deviations it must be, too
+    vague: float = 0.1  # relative standard deviation of the strength beyond which it is not shown
+    motors: float = 1.5e-6  # tesla by which the field steps when the robot sets off
     turned_too_far: float = 25.0
     scatter_too_large: float = 5.0
     """Degrees of heading of that step, and by which it differs from one time to another, from which
@@ -135,8 +148,7 @@ class PlaceTuning:
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
     """rad/s below which it stands, and above which it turns."""
-    late: float = 0.05
-    """Seconds of a latency that is not shown, up to which it does not matter."""
+    late: float = 0.05  # seconds of a latency that is not shown, up to which it does not matter
     before: tuple[float, float] = (-0.6, -0.1)
     after: tuple[float, float] = (0.3, 0.8)
     """Seconds from and to, around the moment in which it sets off or stops."""
@@ -199,18 +211,10 @@ def motors_finding(
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, only what both of them tell is said.
+    not shown, only what both agree on is reported.
 
-    Parameters
-    ----------
-    log : SensorLog
-        As it was explained: rates in rad/s, the known mounting taken off.
-    explanations : Explanations
-        What explains the axes, the bias and the hard iron.
-    k : int
-        Which explanation.
-    lag_is_shown : bool
-        Whether the movement shows the field's latency.
+    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
+    gives the axes, the bias and the hard iron.
     """
     lag = float(explanations.parameters[k, LAG])
     found = _motors_with(log, explanations, k, lag)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
-from dataclasses import dataclass
-
 import numpy as np
 
-from magcal_ros.core.assessment.axes import GYRO_IS_WRONG, MISLED_BY_AXES, find_axes
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.explanations import rate_factors
 from magcal_ros.core.doctor.health import alive_finding, field_findings, unchanging
 from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
-from magcal_ros.core.samples.units import explained
+from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import Window, stretch_of
 
 AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
@@ -28,21 +24,14 @@ SMOOTH = 1e-4
 
 
 def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
-    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right.
-
-    Which sensor errs is for the page to say; that one does is judged as cheaply as can be.
-    """
+    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
     refusal = wrong_gyro(window, knowledge)
-    if refusal is not None:
+    if refusal is not None or window.angular_rate is None:
         return refusal
-    if gyro_contradicts(window):
-        return Refusal(Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or GYRO_IS_WRONG)
-    found = find_axes(window, knowledge)
-    if found is None or found.right or found.meant is None:
+    words = _by_the_page(window, knowledge, least=Grade.REFUSED)
+    if not words:
         return None
-    return wrong_stamps(window) or Refusal(
-        Reason.AXES_DISAGREE, _by_the_page(window, knowledge) or found.words
-    )
+    return wrong_stamps(window) or Refusal(Reason.AXES_DISAGREE, words)
 
 
 def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
@@ -113,7 +102,7 @@ def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Re
 
 
 def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
-    """Return the refusal of a turn that was not seen, or what the page says of the sensors."""
+    """Return the refusal of a turn that was not seen, or what the page finds of the sensors."""
     gyro = wrong_gyro(window, knowledge)
     if gyro is not None:
         return gyro
@@ -121,50 +110,11 @@ def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) ->
     return Refusal(Reason.AXES_DISAGREE, words) if words else refusal
 
 
-def _by_the_page(window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES) -> str:
+def _by_the_page(
+    window: Window,
+    knowledge: Knowledge,
+    lines: tuple[str, ...] = AXES,
+    least: Grade = Grade.WARN,
+) -> str:
     findings = examine_window(window, knowledge).findings
-    return "; ".join(f.remedy for f in findings if f.is_wrong and f.key in lines)
-
-
-@dataclass(frozen=True)
-class GyroSignsTuning:
-    """When a gyro is said to contradict the accelerometer."""
-
-    span: float = 0.5
-    """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
-    contradicts: float = 1.5
-    """Share of gravity's changes that a gyro at odds with them leaves at least: it makes more of
-    them than there was."""
-    explained: float = 0.6
-    """Share that other signs may leave at most; the rest is a hand's acceleration."""
-
-
-def gyro_contradicts(window: Window, tuning: GyroSignsTuning = GyroSignsTuning()) -> bool:
-    """Return whether axes of the gyro turn against gravity, whichever they are.
-
-    A body that turns by a small angle d sees up change by -d x up. On the level nothing of it
-    shows, and nothing is said.
-    """
-    if window.angular_rate is None or len(window) < 3:
-        return False
-    steps = np.diff(window.time)
-    turned = np.zeros((len(window), 3))
-    mean = 0.5 * (window.angular_rate[1:] + window.angular_rate[:-1])
-    turned[1:] = np.cumsum(mean * steps[:, None], axis=0)
-    later = np.searchsorted(window.time, window.time + tuning.span)
-    first = np.flatnonzero(later < len(window))
-    last = later[first]
-    near = window.time[last] - window.time[first] < 2.0 * tuning.span
-    first, last = first[near], last[near]
-    if not len(first):
-        return False
-    up = unit(window.specific_force)
-    seen, middle, turn = up[last] - up[first], up[last] + up[first], turned[last] - turned[first]
-    left = {
-        signs: float(np.sum((seen + np.cross(turn * signs, 0.5 * middle)) ** 2))
-        for signs in itertools.product((1.0, -1.0), repeat=3)
-    }
-    best = min(left.values())
-    changes = float(np.sum(seen**2))
-    as_given = left[1.0, 1.0, 1.0]
-    return as_given > tuning.contradicts * changes and best < tuning.explained * changes
+    return "; ".join(f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines)

@@ -289,7 +289,7 @@ class _Fit:
         return float(np.linalg.inv(information)[0, 0])
 
     def _again(self) -> BoolArray:
-        """Tell which cells lie where the vehicle has been before, on another course."""
+        """Return which cells lie where the vehicle has been before, on another course."""
         cells = self._cells
         near = self._distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
         other = np.cos(cells.course[:, None] - cells.course[None]) < 0.0

@@ -1,4 +1,4 @@
-"""Follows a drive: the yaw of the IMU in the vehicle, and whether the speed is to be believed."""
+"""Follows a drive: the yaw of the IMU in the vehicle, and whether the speed can be trusted."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SpeedFault(str, Enum):
 
 
 class Judged(NamedTuple):
-    """What a fit says of one source: the yaw it leads to, what is wrong with it, its latency."""
+    """What a fit shows of one source: the yaw it leads to, what is wrong with it, its latency."""
 
     source: SpeedSource
     fitted: MountingYaw | None
@@ -112,7 +112,7 @@ class MountingWatch:
         self._fitted_at = stamp
         self._fits += 1
         table, is_thorough = self._table(), self._fits % 4 == 0
-        spoken = [
+        recent = [
             (source, track.record())
             for source, track in self._speedometer.tracks.items()
             if stamp - track.newest <= MOUNTING.reuse
@@ -120,7 +120,7 @@ class MountingWatch:
 
         def work() -> tuple[Judged, ...]:
             judged: list[Judged] = []
-            for source, record in spoken:
+            for source, record in recent:
                 judged.append(_judged(source, table, record, is_thorough))
                 if judged[-1].is_good and not is_thorough:
                     break

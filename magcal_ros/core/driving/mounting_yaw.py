@@ -100,12 +100,7 @@ class _Filtered:
 def fit_mounting_yaw(ticks: TickTable, delay: float) -> MountingYaw | None:
     """Fit yaw, scale and lever arm; None where nothing moved.
 
-    Parameters
-    ----------
-    ticks : TickTable
-        What was driven.
-    delay : float
-        Seconds of latency that the speeds are already corrected by.
+    The speeds are already corrected by the latency `delay`, seconds.
     """
     if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
         return None

@@ -113,7 +113,7 @@ class _Trip(NamedTuple):
 
 @dataclass
 class _Evidence:
-    """What the force says of the direction of travel since a stamp; positive is forwards.
+    """What the force shows of the direction of travel since a stamp; positive is forwards.
 
     `slope` is what the force was then beside the vehicle's own acceleration.
     """
@@ -157,7 +157,7 @@ class OwnAcceleration:
     sign : float
         Minus one while a speed without sign is that of a vehicle that backs up.
     sign_score : float
-        Sigmas by which the force speaks for `sign` since the vehicle stood.
+        Sigmas by which the force supports `sign` since the vehicle stood.
     """
 
     def __init__(self) -> None:
@@ -172,7 +172,7 @@ class OwnAcceleration:
         self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
         self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
         self._gives, self._pauses_until = False, -math.inf
-        self._speaker: tuple[SpeedSource, float] | None = None
+        self._track_key: tuple[SpeedSource, float] | None = None
         self.is_used = False
         self._stand(-math.inf)
 
@@ -193,10 +193,10 @@ class OwnAcceleration:
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
         self._waiting.append(tick)
-        speaker = None if track is None else (track.source, track.delay)
-        if speaker != self._speaker:
+        key = None if track is None else (track.source, track.delay)
+        if key != self._track_key:
             # Another source, or another latency: a change of velocity would be none.
-            self._speaker = speaker
+            self._track_key = key
             self._matched.clear()
             self._trial.clear()
             self.is_used = False
@@ -317,7 +317,7 @@ class OwnAcceleration:
             self.is_used = False
 
     def _decide(self) -> None:
-        """Sum up, since the vehicle stood, what the force says of the direction of travel.
+        """Sum up, since the vehicle stood, what the force shows of the direction of travel.
 
         Earlier trips have no part in the means that are taken off: they may have another sign.
         """

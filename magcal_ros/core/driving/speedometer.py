@@ -114,7 +114,7 @@ class SpeedTrack:
         return True
 
     def _weigh(self, sample: tuple[float, float]) -> None:
-        """Believe a sample; one to which the speed jumps only if the next one stays there."""
+        """Accept a sample; one to which the speed jumps only if the next one stays there."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._recent) and self._is_jump(self._recent[-1], sample)
         self._wild.append(is_wild)

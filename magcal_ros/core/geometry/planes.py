@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.conics import ConicFit
+from magcal_ros.core.geometry.conics import THINNEST, ConicFit, taubin_rows
 
 ROBUST_ROUNDS = 4
 """Of reweighting; what is left of an outlier after them steers nothing."""
@@ -114,11 +114,10 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
 
 def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     """Fit a circle to centred points (Taubin 1991, in Chernov's SVD form); weights sum to one."""
-    squared = np.sum(xy**2, axis=1)
-    mean = float(weight @ squared)
+    mean = float(weight @ np.sum(xy**2, axis=1))
     if mean <= 0.0:
         return np.zeros(2), 0.0
-    rows = np.column_stack([(squared - mean) / (2.0 * np.sqrt(mean)), xy])
+    rows = taubin_rows(xy, mean)
     _, vectors = np.linalg.eigh((rows * weight[:, None]).T @ rows)
     a, b, c = vectors[:, 0]
     a /= 2.0 * np.sqrt(mean)
@@ -128,17 +127,8 @@ def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     return centre, float(np.sqrt(centre @ centre + mean))
 
 
-@dataclass(frozen=True)
-class PlaneTuning:
-    """Which clouds have no plane."""
-
-    smallest: float = 1e-9
-    """Clouds smaller than this share of their distance from the origin are one point."""
-    thinnest: float = 1e-6
-    """Clouds narrower than this share of their length are a line."""
-
-
-PLANES = PlaneTuning()
+SMALLEST = 1e-9
+"""Clouds smaller than this share of their distance from the origin are one point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +137,13 @@ class Plane:
 
     normal: FloatArray
     """Unit, of either sign. Shape (3,)."""
-    centre: FloatArray
-    """Mean of the points, which lies on the plane. Shape (3,)."""
     scatter: FloatArray
     """Mean outer product of the centred points, in the points' unit squared. Shape (3, 3)."""
     count: int
     """Number of points."""
 
     def __post_init__(self) -> None:
-        for name, shape in (("normal", (3,)), ("centre", (3,)), ("scatter", (3, 3))):
+        for name, shape in (("normal", (3,)), ("scatter", (3, 3))):
             object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
 
     @property
@@ -210,7 +198,7 @@ def _fit_least_squares(points: FloatArray) -> Plane:
     others = [k for k in range(3) if k != main]
     normal = np.ones(3)
     normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
-    return Plane(normal / np.linalg.norm(normal), centre, scatter, len(points))
+    return Plane(normal / np.linalg.norm(normal), scatter, len(points))
 
 
 def _fit_eigen(points: FloatArray) -> Plane:
@@ -222,20 +210,11 @@ def _fit_eigen(points: FloatArray) -> Plane:
     centre, moved = centred(points, 3, "plane")
     values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
     _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-    return Plane(axes[2], centre, moved.T @ moved / len(points), len(points))
-
-
-def _fit_eigen_simple(points: FloatArray) -> Plane:
-    """Fit as `_fit_eigen` does from six running sums, as a microcontroller would."""
-    centre, moved = centred(points, 3, "plane")
-    scatter = moved.T @ moved / len(points)
-    values, axes = np.linalg.eigh(scatter)
-    _refuse_degenerate(np.sqrt(np.maximum(values, 0.0)), centre)
-    return Plane(axes[:, 0], centre, scatter, len(points))
+    return Plane(axes[2], moved.T @ moved / len(points), len(points))
 
 
 class PlaneFit(str, Enum):
-    """The plane fits by name."""
+    """The plane fits by name; the simple eigenvalues differ from the others by rounding alone."""
 
     LEAST_SQUARES = "least_squares"
     EIGEN = "eigen"
@@ -260,16 +239,16 @@ class PlaneFit(str, Enum):
 _FITS: dict[PlaneFit, Callable[[FloatArray], Plane]] = {
     PlaneFit.LEAST_SQUARES: _fit_least_squares,
     PlaneFit.EIGEN: _fit_eigen,
-    PlaneFit.EIGEN_SIMPLE: _fit_eigen_simple,
+    PlaneFit.EIGEN_SIMPLE: _fit_eigen,
 }
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
-    if spread[2] <= PLANES.smallest * float(np.linalg.norm(centre)) or spread[2] == 0.0:
+    if spread[2] <= SMALLEST * float(np.linalg.norm(centre)) or spread[2] == 0.0:
         raise Refusal(
             Reason.NO_MOTION, "All samples are the same point. Turn while the samples are taken."
         )
-    if spread[1] <= PLANES.thinnest * spread[2]:
+    if spread[1] <= THINNEST * spread[2]:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
             "The samples lie on a line, which has no plane. Turn further round.",

@@ -237,7 +237,7 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
 class CorrectedPose:
     """A pose of the IMU in the base, shape (3, 3); None where none is described.
 
-    `contradiction` says in words that driving shows another yaw; empty if it does not.
+    `contradiction` is in words: driving shows another yaw; empty if it does not.
     """
 
     pose: FloatArray | None

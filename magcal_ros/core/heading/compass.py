@@ -183,7 +183,7 @@ class Compass:
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
-        None where gravity or the level part of the field is too small to tell a direction.
+        None where gravity or the level part of the field is too small for a direction.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Moment(NamedTuple):
     up : Up or None
         Of the same moment; None if no IMU sample is near enough.
     heading : Heading or None
-        What field and up come to; None where they tell no direction.
+        What field and up come to; None where they show no direction.
     rate : tuple of float or None
         Newest angular velocity, rad/s, NaN without a gyro; None before the first IMU message.
     """
@@ -306,7 +306,7 @@ class Moment(NamedTuple):
         Parameters
         ----------
         compass, sample, up, rate
-            The calibration, the sample, and what the IMU says at its stamp.
+            The calibration, the sample, and the IMU at its stamp.
         running : Running, optional
             What the motors do; unless given, they are taken to be off.
         turning : tuple of float, optional

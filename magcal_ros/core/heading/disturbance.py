@@ -13,7 +13,8 @@ from magcal_ros.core.heading.compass import field_variance
 from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
 
 PATIENCE = 60.0
-"""Seconds after which a deviating field is taken for the expected one, unless told otherwise."""
+"""Seconds after which a deviating field is taken for the expected one, unless a parameter gives
+another time."""
 
 UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of a yaw of which nothing is known, rad²."""
@@ -101,16 +102,8 @@ class DisturbanceDetector:
     ) -> bool:
         """Take a corrected field (tesla, body axes); returns whether a new field was accepted.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field, up : tuple of float
-            Tesla, and a unit vector; body axes.
-        tilt_variance : float
-            Of up, rad².
-        yaw : float
-            Radians, for the record.
+        `field` (tesla) and `up`, a unit vector, are in body axes; `tilt_variance` is that of up,
+        rad², and `yaw` is kept for the record.
         """
         size = length(field)
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
@@ -132,14 +125,9 @@ class DisturbanceDetector:
     def learn(self, seconds: float, tilt_variance: float, across: float) -> float:
         """Learn how much places bend the field; returns how the variance has grown, at least 1.
 
-        Parameters
-        ----------
-        seconds : float
-            Since this was asked for last.
-        tilt_variance : float
-            Of up, rad²: a tilt shows as dip.
-        across : float
-            Squared departure of the level field across north, over the squared strength.
+        `seconds` have passed since this was asked for last. `tilt_variance` is that of up, rad²: a
+        tilt shows as dip. `across` is the squared deviation of the level field across north, over
+        the squared strength.
         """
         old = self.amplitude_variance
         strength, dip = self._off(self._calibrated)
@@ -221,14 +209,8 @@ class FieldDoubt:
     def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
         """Take a field; returns the variance of the yaw by disturbances, beside its own.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field, up : tuple of float
-            Corrected field, tesla, and a unit vector; body axes.
-        tilt_variance : float
-            Of up, rad².
+        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is that
+        of up, rad².
         """
         rise, square = dot(field, up), dot(field, field)
         level = math.sqrt(max(square - rise * rise, 0.0))

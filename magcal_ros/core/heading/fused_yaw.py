@@ -42,7 +42,7 @@ class FusedYaw:
     Parameters
     ----------
     calibration : Calibration
-        What is in force; tells the field to expect.
+        What is in force; it has the field to expect.
     patience : float
         Seconds after which a deviating field is taken for the expected one.
 
@@ -69,7 +69,7 @@ class FusedYaw:
         self._level_share = level * level
 
     def restart(self) -> None:
-        """Forget where north is; the next compass sample tells."""
+        """Forget where north is; the next compass sample shows it."""
         self._north: Triple | None = None
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
@@ -183,7 +183,7 @@ class FusedYaw:
             self._move_on(self._unlearnt, innovation, heading)
             self._unlearnt = 0.0
         if self.has_external_yaw:
-            # A compass that headings calibrate tells nothing beside them.
+            # A compass that headings calibrate adds nothing to them.
             return
         if is_new:
             self._filter.doubt_yaw(innovation**2)
@@ -309,7 +309,7 @@ class FusedYaw:
         return max(0.0, heading.yaw_variance - own)
 
     def _weigh(self, north: Triple, innovation: float, heading: Heading, seconds: float) -> None:
-        """Correct yaw and bias by what the compass says beyond the propagated yaw."""
+        """Correct yaw and bias by how far the compass is from the propagated yaw."""
         following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class DisturbanceTuning:
-    """How a disturbed field is told from the calibrated one, and how far it may turn the yaw."""
+    """How a disturbed field is recognised, and how far it may turn the yaw."""
 
     strength: float = 0.02
     dip: float = math.radians(1.0)
@@ -33,8 +33,7 @@ class FusionTuning:
     """The Kalman filter on yaw, gyro bias and the field's disturbance."""
 
     angle_walk: float = 1e-3  # radians per root second that a gyro loses
-    turn_error: float = 0.005
-    """Share of a turn that the gyro's scale gets wrong, per root radian."""
+    turn_error: float = 0.005  # share of a turn that the gyro's scale gets wrong, per root radian
     bias_sigma: float = 0.001  # rad/s about up that the up filter left, at the least
     bias_walk: float = 1.8e-5
     walk_spread: float = 1.0

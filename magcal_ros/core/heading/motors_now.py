@@ -2,8 +2,8 @@
 
 Inputs come late and leave out a ripple: a current is reported some tenths of a second after it
 flows, and that a robot moves is seen after its motors have started. The field of the place cannot
-change so fast, except as the gyro says. So a Kalman filter on the field of the place and on what is
-left of the motors' field divides each change between the two.
+change so fast, except by the turn that the gyro measures. So a Kalman filter on the field of the
+place and on what is left of the motors' field divides each change between the two.
 """
 
 from __future__ import annotations
@@ -24,18 +24,14 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 class RunningTuning:
     """When a robot moves."""
 
-    rate: float = 0.03
-    """rad/s from which it turns, as for the smoother (`Lengths.moving`)."""
-    speed: float = 0.01
-    """m/s from which it drives: below a step of a wheel's encoder."""
-    turning: float = 0.1
-    """rad/s at which it surely turns to one side."""
-    slow: float = 0.05
-    """m/s below which it is about to stop, and twice `rate` likewise."""
+    rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
+    speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
+    turning: float = 0.1  # rad/s at which it surely turns to one side
+    slow: float = 0.05  # m/s below which it is about to stop, and twice `rate` likewise
     edge: float = 0.1
     slowing: float = 0.3
-    """Seconds after a start or stop is seen, and after it got slow, in which nobody knows whether
-    the motors run."""
+    """Seconds after a start or stop is seen, and after it got slow, in which it is not known
+    whether the motors run."""
     settles: float = 0.7
     idle: float = 5.0
     """Seconds at rest after which the current is that of rest, and over which that is averaged."""
@@ -138,23 +134,17 @@ class PlaceFieldTuning:
     field: float = 100.0
     """µT of the Earth's field and all around it: what is believed of a place before the first
     sample."""
-    longest: float = 1.0
-    """Seconds without a sample after which the field of the place is unknown."""
+    longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
     street: float = 2.0
     street_length: float = 30.0
     """µT per axis by which places differ, and metres over which they are alike."""
-    passing: float = 0.03
-    """µT per root second by which the field changes while the robot stands."""
-    walk: float = 0.002
-    """rad per root second of the gyro's random walk."""
+    passing: float = 0.03  # µT per root second by which the field changes while the robot stands
+    walk: float = 0.002  # rad per root second of the gyro's random walk
     turn_error: float = 0.01
     """Share of an angle by which the gyro is off, as a random walk over radians."""
-    latency: float = 0.01
-    """Seconds by which gyro and field may be apart."""
-    beside: float = 0.15
-    """Metres of the magnetometer from the pivot."""
-    unknown_speed: float = 0.3
-    """m/s of a robot that moves and does not tell its speed."""
+    latency: float = 0.01  # seconds by which gyro and field may be apart
+    beside: float = 0.15  # metres of the magnetometer from the pivot
+    unknown_speed: float = 0.3  # m/s of a robot that moves and does not tell its speed
 
     def way(self, speed: float, rate: Triple) -> float:
         """Return the metres a second of the magnetometer at a speed (m/s or NaN) and turn rate."""
@@ -166,17 +156,9 @@ class PlaceFieldTuning:
     ) -> FloatArray:
         """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
 
-        Parameters
-        ----------
-        place : ndarray, shape (3,)
-            µT, body axes.
-        turned : ndarray, shape (3,)
-            Radians by which the robot has turned.
-        faster : ndarray, shape (3,)
-            rad/s by which the turn rate has grown.
-        way : float
-            Metres that the magnetometer has gone; zero at rest.
-        seconds : float
+        `place` (3,) is the field in µT, body axes, `turned` (3,) the radians by which the robot has
+        turned, `faster` (3,) the rad/s by which the turn rate has grown, and `way` the metres that
+        the magnetometer has gone, zero at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)
@@ -192,23 +174,20 @@ PLACE_FIELD = PlaceFieldTuning()
 
 @dataclass(frozen=True)
 class InputTuning:
-    """How well the inputs tell what the motors add."""
+    """How well the inputs show what the motors add."""
 
-    body_length: float = 4.0
-    """Seconds over which what no input tells is alike."""
+    body_length: float = 4.0  # seconds over which what no input tells is alike
     late_share: float = 0.03
     """Of the time in which motors run and nothing shows it yet, or the other way round."""
-    longest: float = 0.5
-    """Seconds that this lasts at most."""
-    latency: float = 0.2
-    """Seconds by which a speed or a current may be late."""
+    longest: float = 0.5  # seconds that this lasts at most
+    latency: float = 0.2  # seconds by which a speed or a current may be late
 
 
 INPUT = InputTuning()
 
 
 class _Answer(NamedTuple):
-    """What a sample says if the motors may add so much that no input tells."""
+    """What a sample shows if the motors may add so much that no input shows."""
 
     likelihood: float
     step: FloatArray
@@ -291,13 +270,13 @@ class MotorsNow:
             return field, np.zeros((3, 3))
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
-            return self._as_told(field, running, values, doubt)
+            return self._by_inputs(field, running, values, doubt)
         self._predict(stamp, rate, running, values)
-        told = values @ self._gains
-        measured = MICROTESLA * np.array(field) - told
+        known = values @ self._gains
+        measured = MICROTESLA * np.array(field) - known
         change = np.diag(np.square(self._latency * self._change))
         unknown = self._gains.T @ (doubt + change) @ self._gains
-        otherwise = told[:, None] * told if running.moving > 0.0 else self._whole
+        otherwise = known[:, None] * known if running.moving > 0.0 else self._whole
         answers = [self._answer(measured, unknown + each) for each in (0.0, otherwise)]
         late = self._late(stamp, answers[1].likelihood - answers[0].likelihood)
         if late is None:
@@ -312,7 +291,7 @@ class MotorsNow:
         x, y, z = ((measured - left) / MICROTESLA).tolist()
         return (x, y, z), spread / MICROTESLA**2
 
-    def _as_told(
+    def _by_inputs(
         self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
     ) -> tuple[Triple, FloatArray]:
         """Return a sample less K u alone: what samples cannot show need not be followed."""
@@ -322,8 +301,8 @@ class MotorsNow:
 
     def _level(self, running: Running, values: FloatArray) -> FloatArray:
         """Return the covariance of what motors add beside K u, µT²."""
-        told = (self._by_gains @ values) @ values
-        return np.asarray(running.moving * self._ripple * EYE + told)
+        by_gains = (self._by_gains @ values) @ values
+        return np.asarray(running.moving * self._ripple * EYE + by_gains)
 
     def _late(self, stamp: float, odds: float) -> float | None:
         """Return the probability that motors run otherwise than is seen; None if that lasts."""

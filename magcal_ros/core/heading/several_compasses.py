@@ -49,8 +49,8 @@ class _Member:
     `arrived` and `changed` are stamps of the IMU: when a message came, and when one came with
     other values than before. `doubt_variance` is what its field adds to its yaw's variance. `off`
     is how far its yaw is ahead of the origin of all, smoothed, radians; `offset` its field less
-    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` tells whether
-    it did with others since it speaks.
+    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` is whether it
+    did with others since it sends.
     """
 
     compass: Compass
@@ -99,7 +99,7 @@ class _Member:
 
     @property
     def is_doubted(self) -> bool:
-        """Whether its field departs from the calibrated one by more than is said of it."""
+        """Whether its field departs from the calibrated one by more than its sigma."""
         return self.doubt_variance > self.own_variance
 
 
@@ -139,7 +139,7 @@ class SeveralCompasses:
     ) -> Moment | None:
         """Take a magnetometer's moment; returns that of all if this magnetometer sets the pace.
 
-        The first magnetometer that speaks tells it, so the heading comes at one sensor's rate.
+        The first magnetometer that sends sets it, so the heading comes at one sensor's rate.
 
         Parameters
         ----------
@@ -150,7 +150,7 @@ class SeveralCompasses:
         now : float
             Stamp of the newest IMU message, seconds: the clocks of drivers may differ.
         fused : FusedYaw, optional
-            The gyro's yaw, which tells who is wrong where they disagree.
+            The gyro's yaw, which shows who is wrong where they disagree.
         """
         member = self._members.get(number)
         if member is None:
@@ -161,8 +161,8 @@ class SeveralCompasses:
             self._forget()
         self._now = now
         member.take(moment, now)
-        speaking = [k for k, each in self._members.items() if self._is_new(each.arrived)]
-        if number != min(speaking):
+        sending = [k for k, each in self._members.items() if self._is_new(each.arrived)]
+        if number != min(sending):
             return None
         return self._joined(moment, moment.up, fused)
 
@@ -252,7 +252,7 @@ class SeveralCompasses:
         member = self._members[number]
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
-        # What is too far for noise need not be averaged.
+        # A step that is too large for noise need not be averaged.
         leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.noise_variance)
         if math.isnan(change) or leaps:
             member.off = ahead
@@ -268,10 +268,10 @@ class SeveralCompasses:
         return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
-        """Leave out who is wrong.
+        """Leave out those that are wrong.
 
-        The gyro shows who has changed, so it is no help between those that never agreed. `known`
-        is the variance of its yaw, rad².
+        The gyro shows which one has changed, so it is no help between those that never agreed.
+        `known` is the variance of its yaw, rad².
         """
         gate = self._gate
         if not all(self._members[each.number].has_agreed for each in yaws):
@@ -285,7 +285,7 @@ class SeveralCompasses:
 
     @property
     def _gate(self) -> float:
-        """Squared sigmas; who was left out must come back further."""
+        """Squared sigmas; those that were left out must agree better."""
         return (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
 
     def _note_disagreement(
@@ -293,7 +293,7 @@ class SeveralCompasses:
     ) -> None:
         """Learn the variance by which they disagree without a reason.
 
-        Who is left alone because the others are silent keeps what they disagreed by.
+        One that is left because the others are silent keeps their disagreement.
         """
         self.disagreement = 0.0
         if len(yaws) < 2:

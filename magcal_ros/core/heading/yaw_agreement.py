@@ -31,13 +31,8 @@ def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassY
     One is left out if the others and the origin agree far better without it, and far better than
     without any other.
 
-    Parameters
-    ----------
-    yaws : list of CompassYaw
-    known : float
-        Variance of the origin's yaw, rad²; infinite if it is unknown.
-    gate : float
-        Squared sigmas that count as far.
+    `known` is the variance of the origin's yaw, rad², infinite if it is unknown; `gate` are the
+    squared sigmas that count as far.
     """
     kept = yaws
     while len(kept) > 1 and misfit(kept) > gate:

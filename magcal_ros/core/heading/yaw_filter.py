@@ -39,14 +39,8 @@ class YawFilter:
     def begin(self, yaw_variance: float, bias_variance: float, disturbance: float) -> None:
         """Start from a compass reading.
 
-        Parameters
-        ----------
-        yaw_variance : float
-            Of the reading, but for the disturbance, rad².
-        bias_variance : float
-            (rad/s)².
-        disturbance : float
-            Variance of the disturbance, rad².
+        The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
+        and of the disturbance, rad².
         """
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
@@ -81,12 +75,7 @@ class YawFilter:
     def move_on(self, share: float, variance: float) -> None:
         """Let the disturbance become another one.
 
-        Parameters
-        ----------
-        share : float
-            What is left of it, 0 to 1.
-        variance : float
-            That a disturbance has, rad².
+        `share` of it is left, 0 to 1, and `variance` is that of a disturbance, rad².
         """
         self.disturbance *= share
         self._yaw_disturbance *= share
@@ -110,7 +99,7 @@ class YawFilter:
         self.yaw_variance += variance
 
     def know_bias(self, variance: float) -> None:
-        """Somebody else knows the bias better, and has taken it off the rate."""
+        """Begin anew with a bias of which another filter has subtracted what it knows."""
         self.bias = self._yaw_bias = self._bias_disturbance = self._bias_share = 0.0
         self._bias = variance
 
@@ -128,14 +117,9 @@ class YawFilter:
     def observe(self, innovation: float, noise: float, lasting: float) -> float:
         """Take compass less propagated yaw; returns by what to correct the yaw, radians.
 
-        Parameters
-        ----------
-        innovation : float
-            Radians, less what is known of the calibration's error.
-        noise : float
-            Its variance beside that of the four, rad².
-        lasting : float
-            Sigma of the calibration's error, radians.
+        `innovation` is in radians, less what is known of the calibration's error, `noise` its
+        variance beside that of the four, rad², and `lasting` the sigma of the calibration's error,
+        radians.
         """
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
@@ -226,16 +210,9 @@ class GyroLoss:
     def add(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
         """Take a heading.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        ahead : float
-            Radians by which it is ahead of the yaw of the gyro alone.
-        variance : float
-            Of its error, which is another one than that of the heading before, rad².
-        lost : float
-            rad² that a gyro usually loses since that one, apart from its bias.
+        The heading is `ahead` of the yaw of the gyro alone, radians. `variance` is that of its
+        error, which is independent of that of the heading before, rad²; `lost` are the rad² that a
+        gyro usually loses since that one, apart from its bias.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:

@@ -27,11 +27,9 @@ class Alignment:
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt_spread: float
-    """Radians RMS by which the movement was more than a turn about one axis."""
     tilt_seen: float
-    """The same; zero where gravity deviates farther than that, for it may be the gyro's own
-    wandering."""
+    """Radians RMS by which the movement was more than a turn about one axis; zero where gravity
+    deviates farther than that, for it may be the gyro's own wandering."""
 
     @property
     def best(self) -> int:
@@ -85,7 +83,7 @@ def align(
     attitude = problem.propagate(some)[0][best]
     tilt = _tilt_spread(attitude)
     seen = tilt if tilt > _gravity_spread(attitude, stretch.up) else 0.0
-    return Alignment(misfit, rms, state, covariance, tilt, seen)
+    return Alignment(misfit, rms, state, covariance, seen)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:

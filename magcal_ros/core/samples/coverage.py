@@ -20,16 +20,13 @@ BINS = 36
 class CoverageTuning:
     """When a turn is seen, and when it is complete."""
 
-    bins_needed: int = 34
-    """Of `BINS`, that are filled on a complete turn."""
+    bins_needed: int = 34  # of `BINS`, that are filled on a complete turn
     largest_gap: float = math.radians(20.0)
     """Radians that a complete turn may leave out at one place."""
-    spacings: float = 4.0
-    """Mean distances between samples that are no gap."""
+    spacings: float = 4.0  # mean distances between samples that are no gap
     spread_over_noise: float = 6.0
     """The field's cloud must be so many times wider than its noise before it shows a phase."""
-    smallest_radius: float = 4e-6
-    """Tesla. A smaller circle is noise, or a robot that stands."""
+    smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot that stands
     gyro_leads_until: float = math.radians(60.0)
     """Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
     it."""
@@ -82,11 +79,6 @@ class Coverage:
         return cls(filled, 2.0 * math.pi if is_full else arc, gap, centre, turned)
 
     @property
-    def share(self) -> float:
-        """Share of the bins that are filled, 0 to 1."""
-        return float(self.filled.mean())
-
-    @property
     def is_complete(self) -> bool:
         """Whether every heading was seen, up to small gaps."""
         return self.gap <= COVERAGE.largest_gap and int(self.filled.sum()) >= COVERAGE.bins_needed
@@ -120,7 +112,7 @@ def yaw_progress(
 ) -> FloatArray | None:
     """Return how far the robot has turned since the first sample.
 
-    The field's phase on its circle tells it; the gyro does before the circle can be seen, and
+    The field's phase on its circle shows it; the gyro does before the circle can be seen, and
     where the field is too steep to draw one.
 
     Parameters

@@ -38,22 +38,18 @@ class GyroAtRest(NamedTuple):
 class BiasAtRestTuning:
     """When a robot is taken to have rested."""
 
-    block: float = 0.5
-    """Seconds of samples that are averaged before anything is compared."""
-    at_least: int = 4
-    """Blocks in a row that make a rest."""
-    clear: float = 4.0
-    """Sigmas of a block's mean by which two blocks at rest may differ."""
+    block: float = 0.5  # seconds of samples that are averaged before anything is compared
+    at_least: int = 4  # blocks in a row that make a rest
+    clear: float = 4.0  # sigmas of a block's mean by which two blocks at rest may differ
     smallest_turn: float = 0.004
     """Share of the field's swing that noise of another kind may move it by during a rest."""
     shown: float = 3.0
     """Times what a rest may move by that a turn at the gyro's rate must have moved the field by."""
     most_moved: float = 0.4
     """Share of that turn's way by which the field may seem to move during a rest."""
-    loose_rate: float = 0.01
-    """rad/s by which an engine or a person may rock a robot at rest."""
+    loose_rate: float = 0.01  # rad/s by which an engine or a person may rock a robot at rest
     next_to_nothing: float = 0.05
-    """Share of a turn's own rate at which nobody turns steadily for seconds beforehand."""
+    """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
     turned: float = 5.0
     """Times what a rest may move by that the field must move in all to tell a rest by itself."""
 
@@ -63,7 +59,7 @@ TUNING = BiasAtRestTuning()
 
 @dataclass(frozen=True, eq=False)
 class RestBeside:
-    """What the sensors said while a robot stood right before or after its turn."""
+    """What the sensors measured while a robot stood right before or after its turn."""
 
     seconds: float
     """How long."""
@@ -80,7 +76,7 @@ class RestBeside:
     beside: float
     """Stamp of the turn's sample that is nearest, seconds."""
     turned: FloatArray
-    """Rotation from the body axes of that sample to those at rest, as the gyro tells. Shape (3,
+    """Rotation from the body axes of that sample to those at rest, by the gyro. Shape (3,
     3)."""
 
     def __post_init__(self) -> None:
@@ -155,7 +151,7 @@ def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, fl
 def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> FloatArray | None:
     """Return the mean turn rate while the robot did not turn, rad/s.
 
-    None if it never rested, or if the field could not have told a turn at that rate from a rest.
+    None if it never rested, or if a turn at that rate would not have shown in the field.
 
     Parameters
     ----------
@@ -221,7 +217,7 @@ class _Blocks:
         return bool((np.ptp(self.mean, axis=0) > times * np.median(self.limit, axis=0)).any())
 
     def is_one(self, rows: slice) -> bool:
-        """Return whether nothing moved over all of these; who creeps passes from one to another."""
+        """Return whether nothing moved over all of these; a robot that creeps does."""
         return bool((np.ptp(self.mean[rows], axis=0) <= self.limit[rows].max(axis=0)).all())
 
 

@@ -1,6 +1,6 @@
 """Cleans the two raw streams, and pairs them by stamp.
 
-What is dropped is counted by its reason, so that the user can be told.
+What is dropped is counted by its reason.
 """
 
 from __future__ import annotations
@@ -24,12 +24,10 @@ class StreamTuning:
 
     restart_after: int = 10
     """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
-    max_gap: float = 0.2
-    """Seconds. IMU samples further apart are usually not interpolated between."""
+    max_gap: float = 0.2  # seconds; IMU samples further apart are usually not interpolated between
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
-    remembered: int = 4096
-    """Samples kept of each stream: four seconds of the fastest sensors."""
+    remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest_field: float = 1e-9
     largest_field: float = 1e-3
     """Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
@@ -37,8 +35,7 @@ class StreamTuning:
     smallest_force: float = 1e-6
     largest_force: float = 1e5
     """m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
-    largest_rate: float = 1e4
-    """rad/s. No gyro reads more, degrees published as radians included."""
+    largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
 
 
 STREAMS = StreamTuning()
@@ -126,7 +123,7 @@ def slow_words(gap: float) -> str:
 
 
 def slow_field_words(gap: float) -> str:
-    """Say that no drive is told by field samples so many seconds apart; empty where one is."""
+    """Say that field samples so many seconds apart show no drive; empty where one is."""
     if not gap > STREAMS.longest_gyro_step:
         return ""
     return (
@@ -193,7 +190,7 @@ class Streams:
         """Take a field sample; returns whether a corrected field may be made of it.
 
         A sample with the values of the one before is counted as repeated, and still usable: a
-        robot that stands still in a quantised field is no fault. `is_repeated` tells.
+        robot that stands still in a quantised field is no fault. `is_repeated` shows it.
         """
         reason = _fault(sample.field, STREAMS.smallest_field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
@@ -321,11 +318,11 @@ class VelocitySample(NamedTuple):
 
 
 TravelSample = SpeedSample | PositionSample | VelocitySample
-"""Whatever tells how a vehicle travels."""
+"""Whatever shows how a vehicle travels."""
 
 
 class HeadingSample(NamedTuple):
-    """ENU yaw (rad) that somebody else measures, with its sigma, at a stamp (s)."""
+    """ENU yaw (rad) of another device, with its sigma, at a stamp (s)."""
 
     stamp: float
     yaw: float

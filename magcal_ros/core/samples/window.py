@@ -42,8 +42,8 @@ class Window:
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     turned: FloatArray | None = None
-    """Rotations from the body axes at one moment to those of each sample, by all that the gyro
-    said, where samples between those of the window were left out. Shape (n, 3, 3)."""
+    """Rotations from the body axes at one moment to those of each sample, by all samples of the
+    gyro, where samples between those of the window were left out. Shape (n, 3, 3)."""
     rests: tuple[RestBeside, ...] = ()
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
@@ -68,7 +68,7 @@ class Window:
 
     @property
     def bias_sigma(self) -> float:
-        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where nothing told it.
+        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where it is unknown.
 
         It was taken off where a rest has shown it.
         """
@@ -159,8 +159,7 @@ class StretchTuning:
 
     longest: float = 60.0
     """Seconds of the part that is looked at; the field of a drive does not stay the same."""
-    widest_block: float = math.radians(4.0)
-    """Radians of turn that are averaged."""
+    widest_block: float = math.radians(4.0)  # radians of turn that are averaged
     fewest: int = 120
     most: int = 240
     """Averages."""

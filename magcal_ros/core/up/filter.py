@@ -1,7 +1,7 @@
 """Up, gyro bias and the robot's velocity, estimated together.
 
 The accelerometer of a robot that speeds up, brakes or circles points away from up. The gyro
-propagates up through this, but drifts. What tells them apart: up stays where it is in the world,
+propagates up through this, but drifts. What separates them: up stays where it is in the world,
 the velocity where it is in the body: in a steady circle it is accelerated by turn rate x velocity
 for however long, and what is left is soon over.
 """
@@ -103,16 +103,8 @@ class UpFilter:
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
         """Go on by a block of messages.
 
-        Parameters
-        ----------
-        up : tuple of float
-            Up after the block, propagated by the gyro less its bias.
-        turned : tuple of float
-            Radians that the body turned by, body axes.
-        seconds : float
-            How long the block took.
-        motion : MotionPrior
-            How the robot may move.
+        `up` is up after the block, propagated by the gyro less its bias, `turned` the radians that
+        the body turned by in body axes, and `motion` how the robot may move.
         """
         step = self._transition
         fast = math.exp(-seconds / FILTER.speed_lasts)
@@ -139,15 +131,9 @@ class UpFilter:
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
         """Take the mean of accelerometer less propagated up over a block, and its variance.
 
-        Parameters
-        ----------
-        innovation : ndarray, shape (3,)
-            g.
-        variance : float
-            Of its noise, g².
-        rate : float
-            Of the turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than
-            turning, and an engine shakes sensor and seat in one time.
+        `innovation` (3,) and the `variance` of its noise are in g and g². `rate` is that of the
+        turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than turning, and an
+        engine shakes sensor and seat in one time.
         """
         reads = self._reads
         reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
@@ -167,14 +153,8 @@ class UpFilter:
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Take the mean rate of a block of a robot that does not turn.
 
-        Parameters
-        ----------
-        rate : ndarray, shape (3,)
-            rad/s.
-        variance : float
-            Of its noise, (rad/s)².
-        axis : ndarray, shape (3,), or None
-            Unit vector about which the robot may turn all the same, where there is one.
+        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is the unit vector
+        about which the robot may turn all the same, where there is one.
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         reads = np.zeros((3, 12))

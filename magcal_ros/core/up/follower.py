@@ -72,7 +72,7 @@ def propagated_up(window: Window) -> FloatArray:
         return unit(window.specific_force)
     past = _followed(window, rate)
     if length(past.bias) > CLEAR * FILTER.bias_sigma:
-        # Before it was known, it has led up astray by more than the variance says.
+        # Before it was known, up was wrong by more than its variance.
         rate = rate - past.bias
         past = _followed(window, rate)
     future = _followed(window, rate, backwards=True)
@@ -154,7 +154,7 @@ class Levelling:
 
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
-"""m/s². Outside, in free fall or a fault of the driver, a reading tells no direction."""
+"""m/s². Outside, in free fall or a fault of the driver, a reading has no direction."""
 LARGEST_RATE = 100.0
 """rad/s, three times what any gyro measures."""
 

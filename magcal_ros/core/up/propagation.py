@@ -123,7 +123,7 @@ class GyroPropagation:
     ) -> None:
         """Take force (g) and rate so many seconds after the ones before.
 
-        With `is_given` the force is already less a linear acceleration that somebody measured.
+        With `is_given` the force is already less a linear acceleration that was measured.
         """
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
@@ -176,7 +176,7 @@ class GyroPropagation:
             following.forget_acceleration(self._motion().acceleration)
         x, y, z = means.force
         p, q, r = block.mean(block.up)
-        # A mean: its noise times the velocity would pass for what tells both apart.
+        # A mean: its noise times the velocity would look like a turn.
         share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
@@ -262,7 +262,7 @@ class GyroPropagation:
         if sigma is None or (doubt and not self._gains_by(sigma)):
             return
         if self._is_given and spell.seconds < REST.undecided:
-            # Who gives a wrong acceleration bends the force without stretching it.
+            # A wrong acceleration turns the force without stretching it.
             return
         up: Triple = tuple(following.up.tolist())
         if not spell.shows_up(up, self._rest, self._rest_sigma, noise):

@@ -1,7 +1,7 @@
 """Whether a robot rests or turns, and whether its gyro can be used.
 
 A robot on a slow, even circle looks to gyro and accelerometer like one that stands and whose gyro
-has a bias about up. The raw field tells them apart, calibrated or not: it turns with the robot.
+has a bias about up. The raw field separates them, calibrated or not: it turns with the robot.
 """
 
 from __future__ import annotations
@@ -66,10 +66,7 @@ class FieldStillness:
     def has_turned(self, rate: float) -> bool | None:
         """Whether the robot really turns at a rate; None while the field cannot tell.
 
-        Parameters
-        ----------
-        rate : float
-            rad/s about up that the gyro reads beyond its known bias.
+        `rate` is what the gyro reads about up beyond its known bias, rad/s.
         """
         seconds = self._stamp - self._since
         if not seconds > 2.0 * REST.field_mean:
@@ -119,12 +116,7 @@ class SteadySpell:
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
         """Take the next block; returns whether it goes on as the spell did.
 
-        Parameters
-        ----------
-        block : BlockMeans
-            Means over the block.
-        noise, rate_noise : float
-            Sigma of one message per axis, g and rad/s.
+        `noise` and `rate_noise` are the sigmas of one message per axis, g and rad/s.
         """
         force, rate, count, seconds = block
         if self.count:
@@ -149,14 +141,9 @@ class SteadySpell:
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:
         """Whether the mean force of the spell points up.
 
-        Parameters
-        ----------
-        up : tuple of float
-            Up as propagated, g.
-        rest, rest_sigma : float
-            What the accelerometer reads at rest, over gravity, and how well that is known.
-        noise : float
-            Sigma of one message's force per axis, over gravity.
+        `up` (g) is as propagated, `rest` and `rest_sigma` are what the accelerometer reads at rest
+        and how well that is known, over gravity, and `noise` is the sigma of one message's force
+        per axis.
         """
         size, up_size = length(self.force), length(up)
         if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
@@ -238,7 +225,7 @@ def _mean(vectors: list[Triple]) -> Triple:
 
 
 class GyroCheck:
-    """Compares how the specific force changes with how the gyro says it should.
+    """Compares how the specific force changes with what the gyro predicts.
 
     Where the gyro's turn is not clear of its noise both are averaged over spans that are long
     beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
@@ -261,16 +248,8 @@ class GyroCheck:
     def add(self, force: Triple, turn: Triple, seconds: float, variance: float = 0.0) -> None:
         """Take a block of messages.
 
-        Parameters
-        ----------
-        force : tuple of float
-            Mean over the block, g.
-        turn : tuple of float
-            Rotation vector over it, radians.
-        seconds : float
-            Its length.
-        variance : float
-            Of each part of `turn`, by the gyro's noise, rad².
+        `force` is the mean over the block, g, `turn` the rotation vector over it, radians, and
+        `variance` that of each part of `turn` by the gyro's noise, rad².
         """
         x, y, z = self._force
         self._force = (x + seconds * force[0], y + seconds * force[1], z + seconds * force[2])

@@ -54,16 +54,16 @@ class RestTuning:
     taken for bias while no field is there to decide."""
     doubtful_rate: float = 0.01  # rad/s, the same where there is a field
     lasting: float = 4.0
-    """Seconds of steadiness after which there is no linear acceleration, although the length speaks
-    for one."""
+    """Seconds of steadiness after which there is no linear acceleration, although the length shows
+    one."""
     undecided: float = 1.0
-    """The same where the length says nothing, and seconds of a settled spell from which bias and
+    """The same where the length shows nothing, and seconds of a settled spell from which bias and
     length at rest are learnt."""
     agreeing: float = 0.5
     """The same where moreover the accelerometer points to where up was propagated."""
     agrees: float = 0.01  # radians between the two, and g of a shaken rest's mean force
     shortest: float = 0.1
-    """The same as `lasting` where the length speaks against an acceleration."""
+    """The same as `lasting` where the length excludes an acceleration."""
     loose: float = 0.0025
     loose_rate: float = 0.005
     """g and rad/s. A change of both that is still called steady, beside the noise."""
@@ -112,7 +112,7 @@ class GyroCheckTuning:
     clear_turn: float = 5.0  # sigmas of the gyro's noise from which a turn is compared at once
     memory: float = 20.0  # seconds of which the evidence is kept
     enough: float = 0.01
-    """g. Root of the summed squared changes, as of a nod by 6°, before anything is said."""
+    """g. Root of the summed squared changes, as of a nod by 6°, before anything is decided."""
     clear_noise: float = 10.0
     """How many times the gyro's noise those changes must be besides; an engine's shaking is more
     than what is measured as noise."""

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from recorded_truth import asked_on_the_way, peers, read_drive, windows
 
-from magcal_ros.core.assessment.axes import find_axes
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration import predicted_heading_sigma
+from magcal_ros.core.doctor.refusal import wrong_axes
 from magcal_ros.core.geometry import yaw_from_up_and_field
 from magcal_ros.core.samples import Window
 
@@ -85,5 +85,5 @@ def test_a_bias_that_a_rest_has_excluded_does_not_make_axes_wrong(recording):
     _, (_, asked) = asked_on_the_way(drive, 120.0)
     assert isinstance(asked, Window)
     forgotten = replace(asked, sigma_before=math.inf)
-    found = [find_axes(window, drive.knowledge) for window in (forgotten, asked)]
-    assert [each.right for each in found] == [False, True]
+    found = [wrong_axes(window, drive.knowledge) for window in (forgotten, asked)]
+    assert [each is None for each in found] == [False, True]
