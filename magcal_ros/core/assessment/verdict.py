@@ -85,12 +85,9 @@ TUNING = VerdictTuning()
 class Verdict:
     """The judgement on one estimate."""
 
-    checks: tuple[Check, ...]
-    """Everything that was looked at."""
-    not_shown: tuple[str, ...]
-    """What this turn could not show."""
-    summary: str
-    """One sentence."""
+    checks: tuple[Check, ...]  # everything that was looked at
+    not_shown: tuple[str, ...]  # what this turn could not show
+    summary: str  # one sentence
 
     @property
     def quality(self) -> Grade:

@@ -37,8 +37,7 @@ class AxesTuning:
     attitude_error: float = math.radians(0.5)  # radians that propagated attitudes are off at best
     vaguest_dip: float = math.radians(15.0)
     """Radians of uncertainty beyond which the seen inclination is not used."""
-    least_dip: float = math.radians(10.0)
-    """Radians of inclination from which its sign is used."""
+    least_dip: float = math.radians(10.0)  # radians of inclination from which its sign is used
     most_named: int = 3  # explanations that are written out for one sensor
 
 
@@ -55,12 +54,10 @@ class AxesFound:
     candidates: FloatArray
     """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
     mounting that is known, in the body's. Empty if nothing does. Shape (k, 3, 3)."""
-    right: bool
-    """Whether the axes as given are among them, or not excluded beyond doubt."""
+    right: bool  # whether the axes as given are among them, or not excluded beyond doubt
     pose: FloatArray
     """The mounting that is known. Shape (3, 3)."""
-    dip_known: bool
-    """Whether a reference inclination separates a field from its opposite."""
+    dip_known: bool  # whether a reference inclination separates a field from its opposite
 
     @property
     def meant(self) -> FloatArray | None:

@@ -46,8 +46,7 @@ class UserAnswers:
 class Upright:
     """What was found of gravity's direction."""
 
-    findings: tuple[Finding, ...]
-    """One line."""
+    findings: tuple[Finding, ...]  # one line
     sign_wrong: bool | None = False
     """Whether gravity's sign is what errs; None where that or the IMU's axes do."""
 
@@ -122,12 +121,10 @@ class Blame:
 
     findings: tuple[Finding, ...]
     """One for each sensor whose axes err or may err, or one that all agree."""
-    chosen: int
-    """The explanation that is taken."""
+    chosen: int  # the explanation that is taken
     axes: AxesFound | None
     """Of the magnetometer, if it is the one that errs; None where it is not known."""
-    explained: bool
-    """Whether the explanation explains the movement."""
+    explained: bool  # whether the explanation explains the movement
 
 
 def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:

@@ -56,8 +56,7 @@ class AxesInUse:
     """Rows in the body's, after the mounting that is known. Shape (3, 3)."""
     pose: FloatArray
     """The mounting that is known. Shape (3, 3)."""
-    compass: Calibration
-    """Good enough to be compared with a course."""
+    compass: Calibration  # good enough to be compared with a course
 
 
 def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> AxesInUse | None:

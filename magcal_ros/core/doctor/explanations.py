@@ -69,10 +69,8 @@ class Explanations:
     sigma: FloatArray
     """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
     Shape (k, 23)."""
-    part: Stretch
-    """What was fitted."""
-    found: Alignment
-    """The fit, which does not separate the field from its opposite."""
+    part: Stretch  # what was fitted
+    found: Alignment  # the fit, which does not separate the field from its opposite
 
     @property
     def misfit(self) -> FloatArray:

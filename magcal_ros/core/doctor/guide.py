@@ -73,10 +73,7 @@ class _Block:
 class Guide:
     """Asks for one stage after the other and sees them done.
 
-    Parameters
-    ----------
-    now : float
-        Seconds on a clock that does not jump.
+    `now` is in seconds, on a clock that does not jump.
     """
 
     def __init__(self, now: float) -> None:

@@ -20,17 +20,13 @@ from magcal_ros.core.samples.window import SensorLog
 class Finding:
     """One line of the page."""
 
-    key: str
-    """For programs: what is wrong, or was looked at."""
-    name: str
-    """What was looked at, for people."""
+    key: str  # for programs: what is wrong, or was looked at
+    name: str  # what was looked at, for people
     grade: Grade
     """`EXCELLENT` where nothing is wrong, `GOOD` where the movement did not show it, `WARN` where
     something is worth a look, `REFUSED` where a heading would be wrong."""
-    evidence: str
-    """The numbers."""
-    remedy: str = ""
-    """What to change; empty where nothing is wrong."""
+    evidence: str  # the numbers
+    remedy: str = ""  # what to change; empty where nothing is wrong
 
     @property
     def is_wrong(self) -> bool:

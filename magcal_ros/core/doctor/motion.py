@@ -66,20 +66,15 @@ TUNING = MotionTuning()
 class MotionFound:
     """What was found, and by which explanation."""
 
-    findings: tuple[Finding, ...]
-    """The lines."""
+    findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
     """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
-    explanations: Explanations | None = None
-    """What was weighed."""
-    chosen: int = 0
-    """The explanation that is taken."""
-    factor: float = 1.0
-    """What makes rad/s of the gyro's numbers."""
+    explanations: Explanations | None = None  # what was weighed
+    chosen: int = 0  # the explanation that is taken
+    factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
-    explained: bool = False
-    """Whether the explanation explains the movement."""
+    explained: bool = False  # whether the explanation explains the movement
 
 
 def compare(

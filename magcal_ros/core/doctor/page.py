@@ -32,15 +32,12 @@ PAIRED = ("bursts", "stamps", "repeats")
 class Page:
     """What was found."""
 
-    findings: tuple[Finding, ...]
-    """All lines."""
+    findings: tuple[Finding, ...]  # all lines
     mount_rpy_deg: tuple[int, int, int] | None = None
     """The mounting that alone corrects the magnetometer's axes; None where none does, or where none
     has to."""
-    used: AxesInUse | None = None
-    """What a drive's course can be compared with."""
-    axes: AxesFound | None = None
-    """What the movement shows of the magnetometer's axes."""
+    used: AxesInUse | None = None  # what a drive's course can be compared with
+    axes: AxesFound | None = None  # what the movement shows of the magnetometer's axes
 
     @property
     def misleads(self) -> bool:

@@ -49,8 +49,7 @@ class Rest:
 
     rate: FloatArray
     """What the gyro read, rad/s. Shape (3,)."""
-    is_certain: bool
-    """Whether a turn at that rate would have moved the field, which did not move."""
+    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
 
 
 def longest_rest(log: SensorLog) -> Rest | None:
@@ -121,12 +120,9 @@ FROZEN = FrozenTuning()
 class CleanLog:
     """A log of finite, fresh samples with increasing stamps."""
 
-    log: SensorLog
-    """What is left."""
-    findings: tuple[Finding, ...]
-    """What the streams show by themselves."""
-    restamped: bool
-    """Whether stamps came in bursts and were spread evenly."""
+    log: SensorLog  # what is left
+    findings: tuple[Finding, ...]  # what the streams show by themselves
+    restamped: bool  # whether stamps came in bursts and were spread evenly
 
 
 def prepare(log: SensorLog) -> CleanLog:

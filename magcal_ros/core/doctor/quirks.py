@@ -42,14 +42,10 @@ FIELD_POINTS_UP = (
 class Quirk:
     """A habit of a driver."""
 
-    driver: str
-    """Which drivers have it."""
-    habit: str
-    """What it publishes."""
-    remedy: str
-    """What to change."""
-    line: str = "driver"
-    """Which line of the page names it."""
+    driver: str  # which drivers have it
+    habit: str  # what it publishes
+    remedy: str  # what to change
+    line: str = "driver"  # which line of the page names it
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
     """Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
     err; None where the line that finds the fault names the driver itself."""

@@ -20,12 +20,9 @@ class Tick(NamedTuple):
     stamp: float
     seconds: float
     """Its end, and how long it took."""
-    force: Triple
-    """Mean specific force in the frame, m/s²."""
-    yaw: float
-    """Of the body's x in the frame at its end, radians."""
-    turn_rate: float
-    """Mean about the frame's up, rad/s."""
+    force: Triple  # mean specific force in the frame, m/s²
+    yaw: float  # of the body's x in the frame at its end, radians
+    turn_rate: float  # mean about the frame's up, rad/s
 
     @property
     def level_force(self) -> complex:
@@ -130,21 +127,15 @@ class GyroFrame:
 class Chord(NamedTuple):
     """A straight piece of way."""
 
-    stamp: float
-    """Its end, on the clock of the fixes, seconds."""
+    stamp: float  # its end, on the clock of the fixes, seconds
     east: float
     north: float
     """Its middle, metres."""
-    course: float
-    """ENU, radians, where the vehicle went."""
-    gap: float
-    """Yaw of the compass less course, radians, not unwrapped."""
-    gyro_gap: float
-    """The same of the gyro's yaw, whose zero is anywhere."""
-    sigma: float
-    """Of the course, radians."""
-    metres: float
-    """Its length."""
+    course: float  # ENU, radians, where the vehicle went
+    gap: float  # yaw of the compass less course, radians, not unwrapped
+    gyro_gap: float  # the same of the gyro's yaw, whose zero is anywhere
+    sigma: float  # of the course, radians
+    metres: float  # its length
 
     @property
     def backwards(self) -> Chord:

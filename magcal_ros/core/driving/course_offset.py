@@ -18,42 +18,11 @@ import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.driving_tuning import COURSE
+from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
 Key = tuple[int, int, int]
-
-
-@dataclass
-class _Cell:
-    """Sums over the chords of a place and a course."""
-
-    gap: complex = 0j
-    course: complex = 0j
-    east: float = 0.0
-    north: float = 0.0
-    variance: float = 0.0
-    count: int = 0
-    metres: float = 0.0
-    first: int = 0
-
-    @classmethod
-    def of(cls, chord: Chord, order: int) -> _Cell:
-        """Return the cell of one chord; `order` counts all chords."""
-        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
-        place = chord.east, chord.north
-        return cls(gap, course, *place, chord.sigma**2, 1, chord.metres, order)
-
-    def join(self, other: _Cell) -> None:
-        """Take what another cell holds."""
-        self.first = min(self.first, other.first) if self.count else other.first
-        self.gap += other.gap
-        self.course += other.course
-        self.east += other.east
-        self.north += other.north
-        self.variance += other.variance
-        self.metres += other.metres
-        self.count += other.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +33,11 @@ class CellTable:
     """Mean yaw of the compass less course, radians. Shape (n,)."""
     course: FloatArray
     """Mean course, ENU, radians. Shape (n,)."""
-    place: FloatArray
-    """Mean place, metres. Shape (n, 2)."""
+    place: FloatArray  # mean place, metres, shape (n, 2)
     variance: FloatArray
     """Of a chord's course, radians squared. Shape (n,)."""
-    count: FloatArray
-    """Chords. Shape (n,)."""
-    metres: FloatArray
-    """Way. Shape (n,)."""
+    count: FloatArray  # chords, shape (n,)
+    metres: FloatArray  # way, shape (n,)
     first: FloatArray
     """Number of its first chord. Shape (n,)."""
 
@@ -90,7 +56,7 @@ class CourseCells:
     def __init__(self) -> None:
         self.side = COURSE.cell
         self.chords = 0
-        self._cells: dict[Key, _Cell] = {}
+        self._cells: dict[Key, tuple[ComplexArray, int]] = {}
 
     def __len__(self) -> int:
         return len(self._cells)
@@ -98,36 +64,36 @@ class CourseCells:
     def add(self, chord: Chord) -> None:
         """Take a chord."""
         self.chords += 1
-        key = self._key(chord.east, chord.north, chord.course)
-        self._cells.setdefault(key, _Cell()).join(_Cell.of(chord, self.chords))
+        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
+        place = chord.east, chord.north
+        self._put(np.array([gap, course, *place, chord.sigma**2, 1.0, chord.metres]), self.chords)
         while len(self._cells) > COURSE.most_cells:
-            self._coarsen()
+            self.side *= 2.0
+            before, self._cells = self._cells, {}
+            for sums, first in before.values():
+                self._put(sums, first)
+
+    def _put(self, sums: ComplexArray, first: int) -> None:
+        """Add sums over chords to their cell, with the number of the first chord."""
+        east, north = (float(value) / float(sums[5].real) for value in sums[2:4].real)
+        sector = round(cmath.phase(sums[1]) / math.tau * COURSE.sectors) % COURSE.sectors
+        key = (math.floor(east / self.side), math.floor(north / self.side), sector)
+        others, earlier = self._cells.get(key, (0.0, first))
+        self._cells[key] = (sums + others, min(first, earlier))
 
     def table(self) -> CellTable:
         """Return what is kept."""
-        cells = list(self._cells.values())
-        count = np.array([cell.count for cell in cells], dtype=np.float64)
+        sums = np.array([sums for sums, _ in self._cells.values()]).reshape(-1, 7)
+        count = sums[:, 5].real
         return CellTable(
-            np.array([cmath.phase(cell.gap) for cell in cells]),
-            np.array([cmath.phase(cell.course) for cell in cells]),
-            np.array([(cell.east, cell.north) for cell in cells]).reshape(-1, 2) / count[:, None],
-            np.array([cell.variance for cell in cells]) / count,
+            np.angle(sums[:, 0]),
+            np.angle(sums[:, 1]),
+            sums[:, 2:4].real / count[:, None],
+            sums[:, 4].real / count,
             count,
-            np.array([cell.metres for cell in cells]),
-            np.array([cell.first for cell in cells], dtype=np.float64),
+            sums[:, 6].real,
+            np.array([first for _, first in self._cells.values()], dtype=np.float64),
         )
-
-    def _key(self, east: float, north: float, course: float) -> Key:
-        sector = round(course / math.tau * COURSE.sectors) % COURSE.sectors
-        return (math.floor(east / self.side), math.floor(north / self.side), sector)
-
-    def _coarsen(self) -> None:
-        self.side *= 2.0
-        before, self._cells = self._cells, {}
-        for cell in before.values():
-            course = cmath.phase(cell.course)
-            key = self._key(cell.east / cell.count, cell.north / cell.count, course)
-            self._cells.setdefault(key, _Cell()).join(cell)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,10 +107,8 @@ class CourseOffset:
     """cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,)."""
     covariance: FloatArray
     """Of offset and harmonics. Shape (5, 5)."""
-    metres: float
-    """Straight way driven."""
-    sectors: int
-    """Courses seen, of eight."""
+    metres: float  # straight way driven
+    sectors: int  # courses seen, of eight
 
     def swing(self, order: int) -> tuple[float, float]:
         """Return the amplitude of the first or second harmonic, radians, and its significance.

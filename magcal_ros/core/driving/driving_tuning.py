@@ -88,8 +88,7 @@ class SpeedTuning:
 
     largest: float = 100.0  # m/s, no vehicle this is for is faster
     largest_acceleration: float = 15.0  # m/s², a speed that changes faster is no speed
-    step: float = 0.5
-    """m/s by which it may change besides: noise, and the steps of an encoder."""
+    step: float = 0.5  # m/s by which it may change besides: noise, and the steps of an encoder
     odometry_gap: float = 0.6
     receiver_gap: float = 2.2
     """Seconds between two samples that are interpolated between."""

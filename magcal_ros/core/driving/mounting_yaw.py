@@ -32,20 +32,13 @@ class MountingYaw:
     yaw: float
     sigma: float
     """Radians, counter-clockwise from the vehicle's x to the IMU's x."""
-    scale: float
-    """Force over change of velocity: one, if the speed is in m/s and in time."""
-    delay: float
-    """Seconds by which the speed's stamps are late."""
-    explained: float
-    """Share of the force's changes that the speed explains."""
-    energy: float
-    """m²/s³ of changes of velocity that were seen."""
-    force_energy: float
-    """The same of the force."""
-    seconds: float
-    """Of driving that were fitted."""
-    noise: float
-    """m/s² that the force departs by."""
+    scale: float  # force over change of velocity: one, if the speed is in m/s and in time
+    delay: float  # seconds by which the speed's stamps are late
+    explained: float  # share of the force's changes that the speed explains
+    energy: float  # m²/s³ of changes of velocity that were seen
+    force_energy: float  # the same of the force
+    seconds: float  # of driving that were fitted
+    noise: float  # m/s² that the force departs by
     is_rough: bool = False
     """Whether the speed is a receiver's, whose noise makes the scale less than one."""
 
@@ -85,8 +78,7 @@ class TickTable:
     """Of the IMU in the frame, radians and rad/s. Shape (n,)."""
     speed: FloatArray
     """m/s; NaN where it is not known. Shape (n,)."""
-    is_signed: bool = True
-    """Whether backwards is negative."""
+    is_signed: bool = True  # whether backwards is negative
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.driving.chords import GyroFrame, Tick
 from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
+from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.driving.speedometer import SpeedTrack
 from magcal_ros.core.geometry.vec3 import Triple
 
@@ -28,10 +31,8 @@ class Tried(NamedTuple):
 class SpeedTrial:
     """The newest forces and changes of velocity, and how they scatter."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._tried: deque[Tried] = deque()
-        self.clear()
+    def __init__(self) -> None:
+        self._tried: deque[Tried] = deque(maxlen=OWN.watched)
 
     def __len__(self) -> int:
         return len(self._tried)
@@ -39,23 +40,16 @@ class SpeedTrial:
     def clear(self) -> None:
         """Forget them."""
         self._tried.clear()
-        self._force = self._change = self._both = 0j
-        self._forces = self._changes = self._along = 0.0
 
     def add(self, tried: Tried) -> None:
         """Take the newest, and leave the oldest."""
         self._tried.append(tried)
-        self._sum(tried, 1.0)
-        if len(self._tried) > self._most:
-            self._sum(self._tried.popleft(), -1.0)
 
     def turn_back(self, count: int) -> None:
-        """Turn the newest so many changes round: the vehicle has backed up."""
-        all_of_them = list(self._tried)
-        first = max(0, len(all_of_them) - count)
-        self.clear()
-        for index, tried in enumerate(all_of_them):
-            self.add(tried if index < first else tried._replace(change=-tried.change))
+        """Negate the newest changes, as many as `count`: the vehicle has backed up."""
+        for index in range(max(0, len(self._tried) - count), len(self._tried)):
+            tried = self._tried[index]
+            self._tried[index] = tried._replace(change=-tried.change)
 
     @property
     def last(self) -> Tried:
@@ -64,36 +58,28 @@ class SpeedTrial:
 
     def left(self, turn: complex) -> complex:
         """Return the mean of the force less `turn` times the change; zero before the first."""
-        return (self._force - turn * self._change) / max(1, len(self._tried))
+        return complex(np.mean(self._left(turn))) if self._tried else 0j
 
     @property
     def newest(self) -> Tried:
         """The newest, less the means."""
-        count, (force, change, along) = len(self._tried), self._tried[-1]
-        return Tried(force - self._force / count, change - self._change / count, along)
+        force, change, _ = np.mean(np.array(self._tried), axis=0)
+        last = self._tried[-1]
+        return last._replace(force=last.force - force, change=last.change - change)
 
     @property
     def share_along(self) -> float:
         """Share of the changes that lies along the vehicle: starts and stops."""
-        return self._along / self._changes if self._changes > 0.0 else 0.0
+        _, changes, along = np.sum(np.abs(np.array(self._tried)) ** 2, axis=0)
+        return float(along / changes) if changes > 0.0 else 0.0
 
     def scatter(self, turn: complex) -> float:
         """Return the variance of the force less `turn` times the change, (m/s²)²."""
-        count = len(self._tried)
-        force = self._forces / count - abs(self._force / count) ** 2
-        change = self._changes / count - abs(self._change / count) ** 2
-        both = self._both / count - self._force * self._change.conjugate() / count**2
-        crossed: float = (both * turn.conjugate()).real
-        return max(0.0, force - 2.0 * crossed + abs(turn) ** 2 * change)
+        return float(np.var(self._left(turn)))
 
-    def _sum(self, tried: Tried, sign: float) -> None:
-        force, change, along = tried
-        self._force += sign * force
-        self._change += sign * change
-        self._both += sign * force * change.conjugate()
-        self._forces += sign * abs(force) ** 2
-        self._changes += sign * abs(change) ** 2
-        self._along += sign * along * along
+    def _left(self, turn: complex) -> ComplexArray:
+        force, change, _ = np.array(self._tried).T
+        return np.asarray(force - turn * change)
 
 
 class _Matched(NamedTuple):
@@ -165,8 +151,8 @@ class OwnAcceleration:
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
         self._matched: deque[_Matched] = deque(maxlen=max(OWN.spans.values()) + 1)
-        self._trial = SpeedTrial(OWN.watched)
-        self._trip = SpeedTrial(OWN.watched)
+        self._trial = SpeedTrial()
+        self._trip = SpeedTrial()
         self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
         self._gravity: tuple[float, Triple] | None = None
         self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]

@@ -17,6 +17,7 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     StampGuard,
     VelocitySample,
+    enclosing,
 )
 
 Span = TypeVar("Span", float, FloatArray)
@@ -33,13 +34,11 @@ class SpeedRecord:
 
     kept: FloatArray
     """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
-    wild_share: float
-    """Share of the newest samples to which the speed jumps as no vehicle can."""
+    wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
     delay: float
     gap: float
     """Seconds by which the stamps are late, and that are interpolated over."""
-    is_signed: bool
-    """Whether backwards is negative."""
+    is_signed: bool  # whether backwards is negative
 
     def along(self, stamps: FloatArray, delay: float) -> FloatArray:
         """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
@@ -147,17 +146,16 @@ class SpeedTrack:
         m/s.
         """
         stamp += self.delay
-        later: tuple[float, float] | None = None
-        for sample in reversed(self._recent):
-            if sample[0] <= stamp:
-                if later is None:
-                    return sample[1] if sample[0] == stamp else None
-                span = later[0] - sample[0]
-                if span > self.gap or self._is_jump(sample, later):
-                    return None
-                return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
-            later = sample
-        return None
+        found = enclosing(self._recent, stamp)
+        if found is None:
+            return None
+        sample, later = found
+        if later is None:
+            return sample[1] if sample[0] == stamp else None
+        span = later[0] - sample[0]
+        if span > self.gap or self._is_jump(sample, later):
+            return None
+        return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
 
     def has_passed(self, stamp: float) -> bool:
         """Whether waiting longer can bring no sample before a stamp of the IMU's clock."""

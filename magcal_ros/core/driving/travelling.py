@@ -47,10 +47,8 @@ class _Seen(NamedTuple):
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
 
-    Attributes
-    ----------
-    scatter : float
-        Radians, of course less the gyro's yaw about a steady drift of the gyro; zero until known.
+    `scatter` is that of course less the gyro's yaw, about a steady drift of the gyro, radians; zero
+    until known.
     """
 
     def __init__(self) -> None:

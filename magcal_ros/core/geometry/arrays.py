@@ -51,10 +51,7 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
     """Return the centroid (d,) of points (n, d), and the points about it.
 
-    Raises
-    ------
-    Refusal
-        If a point is not finite, or if there are fewer than `shape` needs.
+    Raises `Refusal` if a point is not finite, or if there are fewer than `shape` needs.
     """
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")

@@ -28,12 +28,10 @@ LARGEST_RADIUS = 1e4
 class Conic:
     """A circle or an ellipse."""
 
-    centre: FloatArray
-    """In the points' unit. Shape (2,)."""
+    centre: FloatArray  # in the points' unit, shape (2,)
     radii: FloatArray
     """Half axes; the first lies at `angle`, the second 90° further. Shape (2,)."""
-    angle: float
-    """Radians from x to the first half axis, in (-pi/2, pi/2]."""
+    angle: float  # radians from x to the first half axis, in (-pi/2, pi/2]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))
@@ -231,10 +229,8 @@ class QuadricFit(str, Enum):
 class Ellipsoid:
     """An ellipsoid."""
 
-    centre: FloatArray
-    """In the points' unit. Shape (3,)."""
-    radii: FloatArray
-    """Half axes. Shape (3,)."""
+    centre: FloatArray  # in the points' unit, shape (3,)
+    radii: FloatArray  # half axes, shape (3,)
     axes: FloatArray
     """A rotation; its columns are the directions of the half axes, in the order of `radii`. Shape
     (3, 3)."""

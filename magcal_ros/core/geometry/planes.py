@@ -29,8 +29,7 @@ class Circle:
     """In the unit of the points. Shape (3,)."""
     basis: FloatArray
     """Rows: two axes in the plane and the normal, unit, right-handed. Shape (3, 3)."""
-    radius: float
-    """In the unit of the points."""
+    radius: float  # in the unit of the points
 
     @property
     def normal(self) -> FloatArray:
@@ -51,17 +50,8 @@ class Circle:
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
     """Fit the plane of least spread and Taubin's circle in it.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-    upwards : ndarray, shape (3,)
-        The side to which the normal shall point.
-
-    Raises
-    ------
-    Refusal
-        If the points are too few, on a line, or one point.
+    The normal points to the side of `upwards` (3,). Raises `Refusal` if the points (n, 3) are too
+    few, on a line, or one point.
     """
     middle = points.mean(axis=0)
     centred = points - middle
@@ -78,15 +68,7 @@ def fit_circle_robustly(points: FloatArray) -> Circle:
 
     A few rounds of Cauchy weights keep outliers from steering it.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-
-    Returns
-    -------
-    Circle
-        Of radius zero where the points are one.
+    The points (n, 3) are in any unit; the radius is zero where they are one.
     """
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
@@ -135,12 +117,10 @@ SMALLEST = 1e-9
 class Plane:
     """A plane through a cloud."""
 
-    normal: FloatArray
-    """Unit, of either sign. Shape (3,)."""
+    normal: FloatArray  # unit, of either sign, shape (3,)
     scatter: FloatArray
     """Mean outer product of the centred points, in the points' unit squared. Shape (3, 3)."""
-    count: int
-    """Number of points."""
+    count: int  # number of points
 
     def __post_init__(self) -> None:
         for name, shape in (("normal", (3,)), ("scatter", (3, 3))):
@@ -163,10 +143,7 @@ class Plane:
         n (l - t)² / (l t): perturbation theory of the eigenvectors. It falls smoothly to zero
         where the cloud becomes round.
 
-        Parameters
-        ----------
-        least_noise : float
-            Floor of the noise's standard deviation, in the points' unit; positive.
+        `least_noise` is the floor of the noise's standard deviation, in the points' unit; positive.
         """
         across = max(self.thickness, least_noise) ** 2
         in_plane = np.eye(3) - np.outer(self.normal, self.normal)
@@ -223,15 +200,7 @@ class PlaneFit(str, Enum):
     def __call__(self, points: FloatArray) -> Plane:
         """Fit a plane.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, 3)
-            The cloud, in any unit.
-
-        Raises
-        ------
-        Refusal
-            If the points are not finite, or are one point or a line.
+        Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
         """
         return _FITS[self](points)
 

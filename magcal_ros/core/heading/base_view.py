@@ -42,8 +42,7 @@ class VehicleYaw:
     offset: float
     sigma: float
     """Radians: heading of the IMU less heading of the vehicle, counter-clockwise positive."""
-    source: str
-    """What showed it: accelerations, course, or both."""
+    source: str  # what showed it: accelerations, course, or both
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset) and 0.0 <= self.sigma < math.inf):
@@ -77,14 +76,12 @@ class Declination:
 class Front:
     """What drives have shown so far."""
 
-    yaw: VehicleYaw | None = None
-    """Of the IMU in the vehicle, where it is known."""
+    yaw: VehicleYaw | None = None  # of the IMU in the vehicle, where it is known
     compass_gap: float = math.nan
     compass_sigma: float = math.nan
     """Radians: by how much the compass is off in the IMU's axes, against course; NaN where that is
     not known."""
-    suspicion: str = ""
-    """Which is misaligned beside the IMU, in words; empty if nothing is."""
+    suspicion: str = ""  # which is misaligned beside the IMU, in words; empty if nothing is
 
 
 def where_is_the_front(
@@ -92,14 +89,8 @@ def where_is_the_front(
 ) -> Front:
     """Compare accelerations with course.
 
-    Parameters
-    ----------
-    mounting : MountingYaw or None
-        Yaw of the IMU from accelerations: the compass has no part in it.
-    course : CourseOffset or None
-        Yaw of the compass, to magnetic north, less course.
-    declination : Declination
-        The one in use.
+    `mounting` is the yaw of the IMU from accelerations: the compass has no part in it. `course` is
+    the yaw of the compass, to magnetic north, less course.
     """
     if course is not None and course.sigma > FRONT.lost:
         course = None
@@ -161,10 +152,7 @@ def _suspicion(gap: float, sigma: float, declination: float) -> str:
 class BaseView:
     """Turns headings of the IMU into headings of its base.
 
-    Parameters
-    ----------
-    imu_in_base : ndarray, shape (3, 3)
-        Pose of the IMU, IMU axes to base axes.
+    `imu_in_base` (3, 3) is the pose of the IMU, IMU axes to base axes.
     """
 
     def __init__(self, imu_in_base: FloatArray) -> None:
@@ -249,14 +237,8 @@ def corrected_pose(
 ) -> CorrectedPose:
     """Return the pose that attitudes of the base are made with.
 
-    Parameters
-    ----------
-    described : ndarray, shape (3, 3), or None
-        By the robot's description, IMU axes to base axes.
-    by_hand : float or None
-        Yaw that was given, radians: it wins.
-    found : VehicleYaw or None
-        Yaw that driving shows.
+    `described` (3, 3) is that of the robot's description, IMU axes to base axes. A yaw that was
+    given `by_hand`, radians, replaces the one that was `found` by driving.
     """
     if described is None:
         return CorrectedPose(None)

@@ -35,12 +35,9 @@ class Disturbance:
     since: float
     until: float
     """Stamps, seconds."""
-    yaw: float
-    """Where the robot looked when it began, radians, ENU to magnetic north."""
-    strength: float
-    """Largest departure of the strength, as a share of the expected one."""
-    dip: float
-    """Largest departure of the inclination, radians."""
+    yaw: float  # where the robot looked when it began, radians, ENU to magnetic north
+    strength: float  # largest departure of the strength, as a share of the expected one
+    dip: float  # largest departure of the inclination, radians
     is_accepted: bool = False
     """Whether it lasted for so long that the new field was taken for the expected one."""
 
@@ -65,12 +62,7 @@ class Expected(NamedTuple):
 class DisturbanceDetector:
     """Compares the corrected field with what the calibration expects.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force.
-    patience : float
-        Seconds after which a deviating field is taken for the expected one.
+    After `patience` seconds a deviating field is taken for the expected one.
 
     Attributes
     ----------

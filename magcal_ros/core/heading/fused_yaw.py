@@ -19,7 +19,7 @@ from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
 from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
 from magcal_ros.core.heading.fusion_tuning import DISTURBANCE, FUSION
 from magcal_ros.core.heading.yaw_filter import GyroLoss, YawFilter
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up import GyroBias, Up
 
 HISTORY = 512
@@ -39,12 +39,7 @@ class _Moment(NamedTuple):
 class FusedYaw:
     """The gyro-aided yaw of one calibration.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force; it has the field to expect.
-    patience : float
-        Seconds after which a deviating field is taken for the expected one.
+    After `patience` seconds a deviating field is taken for that of the calibration.
 
     Attributes
     ----------
@@ -95,18 +90,8 @@ class FusedYaw:
     ) -> None:
         """Go on to the next IMU message.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        up : Up
-            Up after the message.
-        rate : tuple of float
-            Mean turn rate since the one before, less the bias that is known of it, rad/s.
-        known : GyroBias
-            That bias.
-        is_at_rest : bool
-            Whether the robot stands, so that the field of the place stays.
+        `up` belongs to the message. `rate` is the mean since the one before, rad/s, less the bias
+        `known`. At rest the field of the place stays the same.
         """
         seconds = stamp - self._stamp
         if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
@@ -150,16 +135,8 @@ class FusedYaw:
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Let the compass correct the yaw.
 
-        Parameters
-        ----------
-        stamp : float
-            Of the field, seconds.
-        field : tuple of float
-            Corrected field, tesla, body axes.
-        up : Up
-            Of the field's moment.
-        heading : Heading
-            What the compass makes of both.
+        `field` is corrected, tesla, body axes, `up` belongs to its `stamp`, and `heading` is what
+        the compass makes of both.
         """
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
@@ -201,22 +178,9 @@ class FusedYaw:
     ) -> float | None:
         """Let a heading correct the yaw that is not measured by the field, as of two antennas.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        yaw : float
-            ENU yaw to magnetic north of `forward`, radians.
-        variance : float
-            Of it, rad².
-        forward : tuple of float
-            Direction in body axes.
-
-        Returns
-        -------
-        float or None
-            Sigmas by which it misses; beyond the gate it is not taken. None while north is not
-            known at its stamp.
+        `yaw` is that of `forward`, a direction in body axes, ENU to magnetic north, radians, with
+        its `variance`, rad². Returns the sigmas by which it misses; beyond the gate it is not used.
+        None while north is not known at its stamp.
         """
         north = self.north_at(stamp)
         if north is None or stamp <= self._heading_stamp:
@@ -346,19 +310,17 @@ class FusedYaw:
 
     def _at(self, stamp: float) -> _Moment | None:
         """Return north at a stamp; after the newest message the body is taken to turn on."""
-        after = None
-        for moment in reversed(self._path):
-            since = stamp - moment.stamp
-            if since >= 0.0:
-                if after is None:
-                    x, y, z = self._rate
-                    north = propagated(moment.north, (x * since, y * since, z * since))
-                else:
-                    share = since / (after.stamp - moment.stamp)
-                    north = between(moment.north, after.north, share)
-                return moment._replace(north=north)
-            after = moment
-        return None
+        found = enclosing(self._path, stamp)
+        if found is None:
+            return None
+        moment, after = found
+        since = stamp - moment.stamp
+        if after is None:
+            x, y, z = self._rate
+            north = propagated(moment.north, (x * since, y * since, z * since))
+        else:
+            north = between(moment.north, after.north, since / (after.stamp - moment.stamp))
+        return moment._replace(north=north)
 
 
 def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:

@@ -43,10 +43,7 @@ RUNNING = RunningTuning()
 class MotionSense:
     """Follows whether a robot moves.
 
-    Attributes
-    ----------
-    newest : Running
-        What the motors did when it was asked last.
+    `newest` is what the motors did when it was asked last.
     """
 
     def __init__(self) -> None:
@@ -61,16 +58,10 @@ class MotionSense:
     ) -> Running:
         """Return what the motors do at a stamp, seconds; stamps go on or jump.
 
-        Parameters
-        ----------
-        stamp : float
-        rate : tuple of float or None
-            Turn rate less the gyro's bias, rad/s, body axes; None where there is no gyro.
-        is_at_rest : bool
-            Whether the IMU shows that the robot stands, or rolls on evenly.
-        speed, current : float
-            m/s and amperes; NaN where they are unknown. Of the current only what is beyond that at
-            rest counts: the calibration is that of the robot at rest.
+        `rate` is less the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
+        whether the IMU shows that the robot stands, or rolls on evenly. `speed` and `current` are
+        in m/s and amperes, NaN where they are unknown. Of the current only what is beyond that at
+        rest counts: the calibration is that of the robot at rest.
         """
         if stamp == self._stamp:
             return self.newest
@@ -248,23 +239,8 @@ class MotorsNow:
     ) -> tuple[Triple, FloatArray]:
         """Take a corrected sample; returns it less K u and what is left, and the latter's doubt.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field : tuple of float
-            Tesla, body axes.
-        rate : tuple of float or None
-            rad/s, body axes, less the gyro's bias; None without a gyro.
-        running : Running
-            What the motors do.
-
-        Returns
-        -------
-        field : tuple of float
-            Tesla, body axes.
-        doubt : ndarray, shape (3, 3)
-            Covariance of what was taken off it, tesla².
+        `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
+        Returns a field likewise, and the covariance (3, 3) of what was subtracted, tesla².
         """
         if running.moving == 0.0 and (not self._is_felt or rate is None):
             return field, np.zeros((3, 3))

@@ -36,10 +36,8 @@ magnetometer is left."""
 class Share(NamedTuple):
     """How one magnetometer takes part in the heading."""
 
-    weight: float
-    """0 to 1."""
-    why: str = ""
-    """What is wrong with it, in words; empty if nothing is."""
+    weight: float  # 0 to 1
+    why: str = ""  # what is wrong with it, in words; empty if nothing is
 
 
 @dataclass
@@ -106,10 +104,8 @@ class _Member:
 class SeveralCompasses:
     """Joins the moments of several magnetometers.
 
-    Attributes
-    ----------
-    disagreement : float
-        Radians between those that disagree while none of them is known to be wrong; else zero.
+    `disagreement` is the angle between those that disagree while none of them is known to be wrong,
+    radians; else zero.
     """
 
     def __init__(self) -> None:
@@ -141,16 +137,9 @@ class SeveralCompasses:
 
         The first magnetometer that sends sets it, so the heading comes at one sensor's rate.
 
-        Parameters
-        ----------
-        number : int
-            Whose it is.
-        moment : Moment
-            What its message comes to by its own calibration.
-        now : float
-            Stamp of the newest IMU message, seconds: the clocks of drivers may differ.
-        fused : FusedYaw, optional
-            The gyro's yaw, which shows who is wrong where they disagree.
+        `moment` is what a message of magnetometer `number` comes to by its own calibration, and
+        `now` the stamp of the newest IMU message, seconds, as the clocks of drivers may differ. The
+        gyro's yaw, `fused`, shows which one is wrong where they disagree.
         """
         member = self._members.get(number)
         if member is None:

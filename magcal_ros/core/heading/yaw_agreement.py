@@ -15,14 +15,10 @@ SMALLEST_VARIANCE = 1e-10
 class CompassYaw(NamedTuple):
     """The yaw of one magnetometer at a moment."""
 
-    number: int
-    """Which it is."""
-    field: Triple
-    """In the body axes of the moment, tesla."""
-    ahead: float
-    """Its yaw less that of the origin common to all, radians."""
-    variance: float
-    """Of its yaw, rad²."""
+    number: int  # which it is
+    field: Triple  # in the body axes of the moment, tesla
+    ahead: float  # its yaw less that of the origin common to all, radians
+    variance: float  # of its yaw, rad²
 
 
 def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassYaw]:

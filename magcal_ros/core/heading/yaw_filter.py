@@ -184,12 +184,8 @@ class GyroLoss:
     For each pair of sizes on a grid a Kalman filter follows by how much headings are ahead of the
     gyro, and the bias. Their likelihoods and log-normal priors weigh the pairs.
 
-    Attributes
-    ----------
-    share : float
-        Of the usual loss of angle, rad², that this gyro has; one on average.
-    walked : float
-        (rad/s)² a second by which its bias walks.
+    `share` is the part of the usual loss of angle, rad², that this gyro has, one on average, and
+    `walked` are the (rad/s)² a second by which its bias walks.
     """
 
     def __init__(self) -> None:

@@ -46,17 +46,8 @@ def align(
 ) -> Alignment:
     """Fit every candidate and say how much worse than the best it explains the samples.
 
-    Parameters
-    ----------
-    stretch : Stretch
-        Of `stretch_of`.
-    axes : ndarray, shape (k, 3, 3)
-        Candidates; rows are the magnetometer's axes in the body's.
-    tuning : AlignmentTuning, optional
-    gyro : ndarray, shape (k, 3, 3), optional
-        The same of the gyro; the body's by default.
-    with_up : bool
-        Whether gravity takes part.
+    `axes` (k, 3, 3) are the candidates; rows are the magnetometer's axes in the body's. `gyro` (k,
+    3, 3) are the same of the gyro, the body's by default. `with_up` is whether gravity takes part.
     """
     ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
     problem = AlignmentFit(stretch, axes, tuning, ways, with_up)

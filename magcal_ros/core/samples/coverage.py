@@ -48,12 +48,10 @@ class Coverage:
     arc: float
     """Radians seen: the full turn less the largest gap, which is none where it is a few samples'
     spacing."""
-    gap: float
-    """Radians of the largest gap."""
+    gap: float  # radians of the largest gap
     gap_centre: float
     """Radians from the start to the middle of the largest gap, positive to the left."""
-    turned: float
-    """Radians turned in all, positive counter-clockwise."""
+    turned: float  # radians turned in all, positive counter-clockwise
 
     @classmethod
     def nothing(cls) -> Coverage:
@@ -115,21 +113,9 @@ def yaw_progress(
     The field's phase on its circle shows it; the gyro does before the circle can be seen, and
     where the field is too steep to draw one.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    field : ndarray, shape (n, 3)
-        Field in nominal body axes, hard iron still in it, tesla.
-    force : ndarray, shape (n, 3)
-        Specific force in body axes, m/s².
-    rate : ndarray, shape (n, 3), or None
-        rad/s in body axes.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Unwrapped radians, counter-clockwise positive; None while neither sensor shows a turn.
+    `field` (n, 3) is in nominal body axes, hard iron still in it, tesla, `force` (n, 3) in m/s²,
+    and `rate` (n, 3) in rad/s. Returns unwrapped radians (n,), counter-clockwise positive; None
+    while neither sensor shows a turn.
     """
     if len(time) < 5:
         return None
@@ -180,19 +166,9 @@ def thin_to_equal_angles(
     A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
     spread over the time that was spent in it; fewer if that is still too many in all.
 
-    Parameters
-    ----------
-    progress : ndarray, shape (n,)
-        Yaw of each sample, radians.
-    bins : int
-        Number of bins on the circle.
-    most : int, optional
-        Samples to keep in all; at least one stays of each filled bin.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing row numbers.
+    `progress` (n,) is the yaw of each sample, radians, `bins` their number on the circle, and
+    `most` the samples to keep in all; at least one stays of each filled bin. Returns increasing row
+    numbers.
     """
     where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
     counts = np.bincount(where, minlength=bins)

@@ -23,10 +23,8 @@ whose gyro had 4.5 °/s."""
 class GyroAtRest(NamedTuple):
     """A gyro's bias as a rest has shown it."""
 
-    rate: Triple
-    """rad/s, body axes."""
-    sigma: float
-    """Of it, per axis, rad/s, while the robot stood."""
+    rate: Triple  # rad/s, body axes
+    sigma: float  # of it, per axis, rad/s, while the robot stood
 
     @property
     def later_sigma(self) -> float:
@@ -61,20 +59,15 @@ TUNING = BiasAtRestTuning()
 class RestBeside:
     """What the sensors measured while a robot stood right before or after its turn."""
 
-    seconds: float
-    """How long."""
-    field: FloatArray
-    """Mean raw field, tesla. Shape (3,)."""
-    field_sigma: float
-    """Of that mean, per axis."""
+    seconds: float  # how long
+    field: FloatArray  # mean raw field, tesla, shape (3,)
+    field_sigma: float  # of that mean, per axis
     force: FloatArray
     """Mean specific force in body axes, m/s². Shape (3,)."""
     rate: FloatArray
     """What the gyro read, rad/s: its bias; zero without a gyro. Shape (3,)."""
-    rate_sigma: float
-    """Of that mean, per axis; infinite without a gyro."""
-    beside: float
-    """Stamp of the turn's sample that is nearest, seconds."""
+    rate_sigma: float  # of that mean, per axis; infinite without a gyro
+    beside: float  # stamp of the turn's sample that is nearest, seconds
     turned: FloatArray
     """Rotation from the body axes of that sample to those at rest, by the gyro. Shape (3,
     3)."""
@@ -92,14 +85,8 @@ def rests_around(
     It stood if the field did, and turned later, far faster than the gyro then read, if there is
     one.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds, increasing.
-    field : ndarray, shape (n, 3)
-        Raw field in any unit.
-    rate : ndarray, shape (n, 3), or None
-        rad/s; None without a gyro.
+    `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s; None
+    without a gyro.
     """
     blocks = _split(time)
     if len(blocks[0]) <= 2 * TUNING.at_least:
@@ -153,12 +140,7 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
 
     None if it never rested, or if a turn at that rate would not have shown in the field.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds, increasing.
-    field, rate : ndarray, shape (n, 3)
-        Raw field in any unit, and rad/s.
+    `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s.
     """
     blocks = _split(time)
     if len(blocks[0]) <= TUNING.at_least:

@@ -82,15 +82,8 @@ def spread_bursts(time: FloatArray) -> FloatArray | None:
     The sensor is taken to have measured at one rate all along. No sample was measured after its
     stamp, and the newest of a buffer just before it was read.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Stamps of a whole recording, in the order in which they came, seconds.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        None as well if samples are missing, or time was set back.
+    `time` (n,) are the stamps of a whole recording, in the order in which they came, seconds. None
+    as well if samples are missing, or time was set back.
     """
     long = long_gaps(time) if len(time) > BURSTS.fewest else time[:0]
     if not len(long) or len(time) < BURSTS.each * len(long):

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from magcal_ros.core.geometry.vec3 import Triple, between, length
 from magcal_ros.core.samples.stamps import BurstWatch
 
+Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
 """Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
 
@@ -82,12 +84,7 @@ class Pair(NamedTuple):
 class StampGuard:
     """Lets only increasing stamps pass, and follows time when it is set back for good.
 
-    Attributes
-    ----------
-    newest : float
-        Seconds; minus infinity before the first.
-    bursts : BurstWatch
-        Whether those that passed come in bursts.
+    `newest` is in seconds, minus infinity before the first; `bursts` watches those that passed.
     """
 
     def __init__(self) -> None:
@@ -208,12 +205,8 @@ class Streams:
 
     def imu_at(self, stamp: float) -> ImuSample | None:
         """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
-        later = None
-        for sample in reversed(self._imu):
-            if sample.stamp <= stamp:
-                return _interpolate(sample, later, stamp, self.max_gap)
-            later = sample
-        return None
+        found = enclosing(self._imu, stamp)
+        return None if found is None else _interpolate(*found, stamp, self.max_gap)
 
     @property
     def newest_imu(self) -> ImuSample | None:
@@ -228,6 +221,19 @@ class Streams:
     def imu_has_passed(self, stamp: float) -> bool:
         """Whether waiting longer can bring no IMU sample before `stamp`."""
         return bool(self._imu) and self._imu[-1].stamp >= stamp
+
+
+def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
+    """Return the newest sample at or before a stamp, and the one after it.
+
+    Samples begin with their stamps, which increase. None where all are later.
+    """
+    after = None
+    for sample in reversed(samples):
+        if sample[0] <= stamp:  # type: ignore[operator]
+            return sample, after
+        after = sample
+    return None
 
 
 def _fault(vector: Triple, smallest: float, largest: float) -> Drop | None:

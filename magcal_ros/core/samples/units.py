@@ -122,10 +122,8 @@ IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no
 class Heard:
     """What came on one topic in the time that is judged."""
 
-    topic: str
-    """Its name."""
-    messages: int
-    """How many came."""
+    topic: str  # its name
+    messages: int  # how many came
     drops: Counter[Drop] = field(default_factory=Counter)
     """How many of them were not used, by reason."""
 

@@ -115,14 +115,12 @@ def without_spikes(values: FloatArray) -> BoolArray:
 class SensorLog:
     """Both streams in the order in which they came, nothing cleaned."""
 
-    imu_time: FloatArray
-    """Stamps, seconds. Shape (n,)."""
+    imu_time: FloatArray  # stamps, seconds, shape (n,)
     force: FloatArray
     """Specific force as published, meant as m/s². Shape (n, 3)."""
     rate: FloatArray
     """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
-    field_time: FloatArray
-    """Stamps, seconds. Shape (m,)."""
+    field_time: FloatArray  # stamps, seconds, shape (m,)
     field: FloatArray
     """Raw field as published, meant as tesla. Shape (m, 3)."""
     orientation: FloatArray | None = None
@@ -172,8 +170,7 @@ TUNING = StretchTuning()
 class Stretch:
     """Averaged samples with the turns between them."""
 
-    field: FloatArray
-    """Over `size`. Shape (n, 3)."""
+    field: FloatArray  # over `size`, shape (n, 3)
     up: FloatArray
     """Specific force over its own usual size. Shape (n, 3)."""
     turn: FloatArray
@@ -181,12 +178,10 @@ class Stretch:
     coning: FloatArray
     """What must be added for rotation vectors, because turns do not commute: second order. Shape (n
     - 1, 3)."""
-    seconds: FloatArray
-    """Shape (n - 1,)."""
+    seconds: FloatArray  # shape (n - 1,)
     rate: FloatArray
     """The gyro's mean rate, rad/s. Shape (n, 3)."""
-    size: float
-    """Of the field's changing part, tesla."""
+    size: float  # of the field's changing part, tesla
     time: FloatArray
     """Stamps of the IMU to which the samples belong, seconds. Shape (n,)."""
 

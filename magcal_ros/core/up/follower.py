@@ -13,7 +13,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
 from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, LivingAxes
@@ -26,12 +26,7 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
     A body may sway between samples that come slowly as much as from one to the next. If all they
     show is sway too fast for them, as random as white noise, the variance is right.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    rate : ndarray, shape (n, 3)
-        rad/s.
+    `time` (n,) is in seconds, `rate` (n, 3) in rad/s.
     """
     step = np.diff(time)[:, None]
     square = np.zeros_like(rate)
@@ -47,12 +42,7 @@ def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples a second would lose a
     hundredth by the plain rule.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    rate : ndarray, shape (n, 3)
-        rad/s in body axes.
+    `time` (n,) is in seconds, `rate` (n, 3) in rad/s, body axes.
     """
     step = np.diff(time)[:, None]
     turned = 0.5 * step * (rate[1:] + rate[:-1])
@@ -108,15 +98,7 @@ def _followed(window: Window, rate: FloatArray, backwards: bool = False) -> _Fol
 class Levelling:
     """Smooths the direction of the specific force.
 
-    Parameters
-    ----------
-    force : tuple of float
-        First reading of the accelerometer, over gravity; not zero.
-
-    Attributes
-    ----------
-    up : tuple of float
-        Unit vector, body axes.
+    It begins with a force over gravity that is not zero; `up` is a unit vector, body axes.
     """
 
     def __init__(self, force: Triple) -> None:
@@ -238,25 +220,16 @@ class UpFollower:
     def add_field(self, stamp: float, field: Triple) -> None:
         """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds, on the clock of the IMU.
-        field : tuple of float
-            As the magnetometer reads it, in any unit, calibrated or not.
+        The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
+        not.
         """
         self._propagation.field.add(stamp, field)
 
     def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
         """Take the next IMU sample; one that does not follow the last starts anew.
 
-        Parameters
-        ----------
-        sample : ImuSample
-            Specific force and turn rate.
-        linear_acceleration : tuple of float, optional
-            m/s², body axes: what the robot itself accelerates by, where somebody measures it, as
-            from a speed v it is (dv/dt, v w_z, 0). It is taken off the specific force.
+        `linear_acceleration` (m/s², body axes) is that of the robot itself, where it is measured,
+        as from a speed v it is (dv/dt, v w_z, 0). It is subtracted from the specific force.
         """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
@@ -286,32 +259,17 @@ class UpFollower:
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds. Before the newest sample up is interpolated, after it the body is taken to
-            turn on as it does.
-        max_gap : float
-            Seconds between samples that are interpolated between, and after the newest.
+        Before the newest sample up is interpolated, after it the body is taken to turn on as it
+        does. `max_gap` are the seconds between samples that are interpolated between, and after the
+        newest.
         """
-        after = None
-        for moment in reversed(self._ups):
-            since = stamp - moment[0]
-            if since >= 0.0:
-                return self._beside(moment, after, since, max_gap)
-            after = moment
-        return None
-
-    def _beside(
-        self,
-        before: tuple[float, Triple, float],
-        after: tuple[float, Triple, float] | None,
-        since: float,
-        max_gap: float,
-    ) -> Up | None:
-        stamp, up, variance = before
+        found = enclosing(self._ups, stamp)
+        if found is None:
+            return None
+        (begin, up, variance), after = found
+        since = stamp - begin
         if since > 0.0:
-            span = since if after is None else after[0] - stamp
+            span = since if after is None else after[0] - begin
             if span > max_gap:
                 return None
             if after is None:

@@ -17,10 +17,7 @@ from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
 class FieldStillness:
     """Compares the field of the moment with that at the beginning of a spell.
 
-    Attributes
-    ----------
-    mean : tuple of float
-        The field of the moment, averaged over some tenths of a second.
+    `mean` is the field of the moment, averaged over some tenths of a second.
     """
 
     def __init__(self) -> None:

@@ -24,8 +24,7 @@ class FilterTuning:
     bias_walk: float = 1e-4  # rad/s per root second
     largest_bias: float = 0.16
     """rad/s. No estimate of the bias may be longer: 5°/s on each axis, and a little."""
-    angle_walk: float = 3e-4
-    """Radians per root second: what a gyro loses while it does not turn."""
+    angle_walk: float = 3e-4  # radians per root second: what a gyro loses while it does not turn
     turn_error: float = 0.003
     """Share of a turn that scale and axes of the gyro get wrong, per root radian."""
     usual_acceleration: float = 0.1  # g, sigma per axis of a robot under way
@@ -62,8 +61,7 @@ class RestTuning:
     agreeing: float = 0.5
     """The same where moreover the accelerometer points to where up was propagated."""
     agrees: float = 0.01  # radians between the two, and g of a shaken rest's mean force
-    shortest: float = 0.1
-    """The same as `lasting` where the length excludes an acceleration."""
+    shortest: float = 0.1  # the same as `lasting` where the length excludes an acceleration
     loose: float = 0.0025
     loose_rate: float = 0.005
     """g and rad/s. A change of both that is still called steady, beside the noise."""
@@ -121,8 +119,7 @@ class GyroCheckTuning:
     nothing, and a mirrored one gets them right with the wrong sign."""
     dead: int = 100
     """Messages with noise on another axis after which one that never changed is dead."""
-    bend: float = 1e-4
-    """Share of a rate by which noise bends it from message to message."""
+    bend: float = 1e-4  # share of a rate by which noise bends it from message to message
 
 
 FILTER, REST, PROPAGATION, CHECK = (
