@@ -23,12 +23,8 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import Alignment, align
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning
+from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, WIDE
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
-
-WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
-"""Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
-latency."""
 
 
 @dataclass(frozen=True)
@@ -115,34 +111,32 @@ class Explanations:
         return float(np.sum(rate * up))
 
 
-def explain(
-    log: SensorLog, inclination: Belief, fit: AlignmentTuning = WIDE
-) -> Explanations | None:
+def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
     """Weigh the ways in which axes may lie; None where too little moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
     if part is None or most_turned(part) < TUNING.least_turn:
         return None
-    senses = _against_the_field(part, proper, fit)
+    senses = _against_the_field(part, proper)
     for _ in range(TUNING.looks):
         more = float(senses.parameters[senses.best, LAG])
         nearer = stretch_of_log(log, lag + more) if abs(more) > TUNING.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _against_the_field(part, proper, fit)
-    ways = _remaining(part, senses, every, proper, fit)
+        senses = _against_the_field(part, proper)
+    ways = _remaining(part, senses, every, proper)
     gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
-    found = align(part, field, fit, gyro)
+    found = align(part, field, gyro)
     base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
 
-def _against_the_field(stretch: Stretch, proper: FloatArray, fit: AlignmentTuning) -> Alignment:
+def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
     """Fit the field to the gyro alone, as it turns and the other way round, 24 ways each."""
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
-    return align(stretch, np.concatenate([proper, proper]), fit, senses, with_up=False)
+    return align(stretch, np.concatenate([proper, proper]), senses, with_up=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,15 +149,11 @@ class _Way:
 
 
 def _remaining(
-    stretch: Stretch,
-    senses: Alignment,
-    every: FloatArray,
-    proper: FloatArray,
-    fit: AlignmentTuning,
+    stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
 ) -> list[_Way]:
     """Return the ways worth a fit together, and that in which all axes are right."""
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
-    misfit, rms = gravity_misfit(stretch, every, fit)
+    misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
     is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
     lifted = senses.tilt_seen > AXES.lift and is_good
@@ -243,9 +233,7 @@ class GravityTurnsTuning:
 GRAVITY = GravityTurnsTuning()
 
 
-def gravity_misfit(
-    stretch: Stretch, ways: FloatArray, fit: AlignmentTuning = WIDE
-) -> tuple[FloatArray, FloatArray]:
+def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Weigh how each way explains gravity's changes.
 
     Return chi-square (k,) above the best's, and the typical residual, radians (k,).
@@ -254,8 +242,7 @@ def gravity_misfit(
     point about which it turns it is accelerated by what r and the gyro tell. Other accelerations
     change the size of what is felt, which no turn does, and lean it as much.
 
-    Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's; `fit` holds
-    what the gyro may err by.
+    Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
@@ -279,7 +266,7 @@ def gravity_misfit(
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([fit.bias] * 3 + [fit.scale] + [GRAVITY.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [GRAVITY.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))

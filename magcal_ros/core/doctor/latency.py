@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.doctor.explanations import GRAVITY, WIDE, Explanations
+from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.health import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
-from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit
+from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, WIDE, AlignmentFit
 from magcal_ros.core.samples.window import SensorLog, Stretch, StretchTuning, stretch_of_log
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)

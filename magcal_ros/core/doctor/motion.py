@@ -11,7 +11,6 @@ from magcal_ros.core.doctor.axes import AxesFound, most_turned
 from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import (
-    WIDE,
     Explanations,
     explain,
     factor_in_words,
@@ -78,12 +77,9 @@ class MotionFound:
 
 
 def compare(
-    prepared: CleanLog,
-    knowledge: Knowledge,
-    answers: UserAnswers = UserAnswers(),
-    bias_sigma: float = math.inf,
+    prepared: CleanLog, knowledge: Knowledge, answers: UserAnswers = UserAnswers()
 ) -> MotionFound:
-    """Compare accelerometer, gyro and field, where a rest has shown the bias to within a sigma."""
+    """Compare accelerometer, gyro and field."""
     log = prepared.log
     if not log.has_gyro:
         found = looked_at("no_gyro", "gyro", "absent", NO_GYRO)
@@ -95,9 +91,7 @@ def compare(
     rest = longest_rest(body)
     factors = rate_factors(part)
     stands_still = rest is not None and rest.is_certain and not _turns_beside(part, rest)
-    given, factor = (
-        (None, 1.0) if stands_still else _explained(body, factors, knowledge, bias_sigma)
-    )
+    given, factor = (None, 1.0) if stands_still else _explained(body, factors, knowledge)
     if given is None:
         return _nothing_shown(log, rest if stands_still else None, answers)
     body = replace(body, rate=factor * body.rate)
@@ -126,11 +120,11 @@ def compare(
 
 
 def _explained(
-    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge, bias_sigma: float
+    log: SensorLog, factors: tuple[float, ...] | None, knowledge: Knowledge
 ) -> tuple[Explanations | None, float]:
     """Explain the movement with the gyro's unit: a known slip where only that fits well."""
     inclination = knowledge.reference.inclination
-    given = explain(log, inclination, WIDE.after_rest(bias_sigma))
+    given = explain(log, inclination)
     # A gyro that may be right and turned too little shows nothing.
     if not factors or (given is None and 1.0 in factors):
         return given, 1.0
@@ -250,7 +244,6 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     alone = align(
         explanations.part,
         explanations.field[chosen : chosen + 1],
-        WIDE,
         explanations.gyro[chosen : chosen + 1],
         with_up=False,
     )

@@ -62,29 +62,14 @@ class Page:
 
 
 def examine(
-    log: SensorLog,
-    knowledge: Knowledge = Knowledge(),
-    answers: UserAnswers = UserAnswers(),
-    bias_sigma: float = math.inf,
+    log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
 ) -> Page:
-    """Look at everything that a log shows of its sensors.
-
-    Parameters
-    ----------
-    log : SensorLog
-        As published.
-    knowledge : Knowledge, optional
-        Its mounting is taken off first.
-    answers : UserAnswers, optional
-        What the user answered about the motion.
-    bias_sigma : float
-        rad/s per axis of the gyro's bias, where a rest has shown it.
-    """
+    """Look at everything that a log shows of its sensors."""
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
-    found = compare(prepared, knowledge, answers, bias_sigma)
+    found = compare(prepared, knowledge, answers)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
     mount = None
@@ -108,7 +93,7 @@ def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     nothing = np.full((len(window), 3), np.nan)
     rate = nothing if window.angular_rate is None else window.angular_rate
     log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
-    page = examine(log, knowledge, bias_sigma=window.bias_sigma)
+    page = examine(log, knowledge)
     kept = [f for f in page.findings if f.key not in PAIRED]
     return replace(page, findings=tuple(kept))
 

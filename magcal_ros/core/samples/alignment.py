@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import signed_permutations
-from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
+from magcal_ros.core.samples.alignment_fit import PARAMETERS, WIDE, AlignmentFit
 from magcal_ros.core.samples.window import Stretch
 
 
@@ -40,7 +40,6 @@ class Alignment:
 def align(
     stretch: Stretch,
     axes: FloatArray,
-    tuning: AlignmentTuning = TUNING,
     gyro: FloatArray | None = None,
     with_up: bool = True,
 ) -> Alignment:
@@ -50,17 +49,15 @@ def align(
     3, 3) are the same of the gyro, the body's by default. `with_up` is whether gravity takes part.
     """
     ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
-    problem = AlignmentFit(stretch, axes, tuning, ways, with_up)
-    some = problem.descend(problem.start(), tuning.start_noise, tuning.rounds[0])
-    cost, noise = problem.cost(some, tuning.start_noise), tuning.start_noise
+    problem = AlignmentFit(stretch, axes, WIDE, ways, with_up)
+    some = problem.descend(problem.start(), WIDE.start_noise, WIDE.rounds[0])
+    cost, noise = problem.cost(some, WIDE.start_noise), WIDE.start_noise
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
     kept = np.arange(len(axes))
-    for limit, steps in zip(
-        (tuning.hopeless, tuning.lost, tuning.lost), tuning.rounds[1:], strict=True
-    ):
+    for limit, steps in zip((WIDE.hopeless, WIDE.lost, WIDE.lost), WIDE.rounds[1:], strict=True):
         left = misfit[kept] <= limit
         kept, some = kept[left], some[left]
-        problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)
+        problem = AlignmentFit(stretch, axes[kept], WIDE, ways[kept], with_up)
         best = int(np.argmin(cost[left]))
         noise = problem.noise(some, best)
         problem.share = _shares(problem.residuals(some), best)

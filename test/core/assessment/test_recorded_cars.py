@@ -1,7 +1,6 @@
 """Cars in circles against the course of their GPS; skipped where the recordings are not at hand."""
 
 import math
-from dataclasses import replace
 
 import pytest
 from recorded_truth import asked_on_the_way, peers, read_drive, windows
@@ -79,11 +78,9 @@ def test_a_car_that_sways_is_not_refused_for_its_axes(recording):
 
 
 @pytest.mark.nightly
-def test_a_bias_that_a_rest_has_excluded_does_not_make_axes_wrong(recording):
-    """A distorted place looks like other axes and a gyro that is off by three degrees a second."""
+def test_a_distorted_place_does_not_make_axes_wrong(recording):
+    """It looks like other axes and a gyro that is off by three degrees a second."""
     drive = read_drive(recording("car_neu2023_huang"), None)
     _, (_, asked) = asked_on_the_way(drive, 120.0)
     assert isinstance(asked, Window)
-    forgotten = replace(asked, sigma_before=math.inf)
-    found = [wrong_axes(window, drive.knowledge) for window in (forgotten, asked)]
-    assert [each is None for each in found] == [False, True]
+    assert wrong_axes(asked, drive.knowledge) is None
