@@ -224,12 +224,7 @@ DRIVE_ON = "drive on, with bends to both sides, to all headings"
 SITS_STRAIGHT: tuple[Bound, ...] = (
     INSTALLATION,
     Bound(
-        Figure.AXIS_LEAN,
-        45.0,
-        90.0,
-        "up is tilted from the body's z by",
-        Z_NOT_UP,
-        excellent=20.0,
+        Figure.AXIS_LEAN, 45.0, 90.0, "up is tilted from the body's z by", Z_NOT_UP, excellent=20.0
     ),
 )
 """Whether the sensors sit on the robot as expected."""

@@ -12,11 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.bounds import (
-    DRIVE_BOUNDS,
-    HEADING_BOUNDS,
-    bounds_of,
-)
+from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, bounds_of
 from magcal_ros.core.assessment.grading import (
     DEGREES,
     Aspect,
@@ -273,11 +269,7 @@ def _check_gravity(window: Window) -> Check:
 
 
 def _not_shown(
-    estimate: Estimate,
-    figures: Mapping[Figure, float],
-    knowledge: Knowledge,
-    *,
-    has_gyro: bool,
+    estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge, *, has_gyro: bool
 ) -> tuple[str, ...]:
     found = []
     if estimate.installation is None:

@@ -8,12 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import (
-    is_mirrored,
-    likely_slip,
-    rpy_from_rotation,
-    spoken,
-)
+from magcal_ros.core.geometry.rotations import is_mirrored, likely_slip, rpy_from_rotation, spoken
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.samples.alignment import Alignment
 from magcal_ros.core.samples.alignment_fit import FIELD, UP

@@ -13,7 +13,7 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, white_noise
 
 
 @dataclass(frozen=True)
@@ -69,6 +69,8 @@ class HealthTuning:
 
 
 TUNING = HealthTuning()
+SIGMAS = 3.0
+"""Standard deviations that an error must have beside its size to be reported."""
 
 
 def stamps_finding(name: str, time: FloatArray) -> Finding:
@@ -221,16 +223,6 @@ def _step(values: FloatArray) -> float:
     off = np.abs(near - np.rint(near))
     on_grid = len(near) > 0.5 * len(gaps) and float((off < TUNING.lattice).mean()) > 0.97
     return step if on_grid else 0.0
-
-
-def white_noise(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of each column (n, d) about a smooth course.
-
-    Second differences of white noise have six times its variance, and nearly nothing of a slow
-    movement.
-    """
-    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
-    return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / math.sqrt(6.0))
 
 
 def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:

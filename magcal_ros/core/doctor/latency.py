@@ -16,12 +16,17 @@ import numpy as np
 
 from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.health import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
 from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, WIDE, AlignmentFit
-from magcal_ros.core.samples.window import SensorLog, Stretch, StretchTuning, stretch_of_log
+from magcal_ros.core.samples.window import (
+    SensorLog,
+    Stretch,
+    StretchTuning,
+    stretch_of_log,
+    white_noise,
+)
 
 OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
@@ -100,11 +105,7 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
 
 
 def _fitted(
-    fit: AlignmentFit,
-    state: FloatArray,
-    part: Stretch,
-    log: SensorLog,
-    lever: FloatArray | None,
+    fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog, lever: FloatArray | None
 ) -> Latency:
     """Fit the latency with all that looks like it; `lever` (n, 3, 3) is of unit prior."""
     for _ in range(2):

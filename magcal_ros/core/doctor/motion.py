@@ -10,13 +10,8 @@ import numpy as np
 from magcal_ros.core.doctor.axes import AxesFound, most_turned
 from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import (
-    Explanations,
-    explain,
-    factor_in_words,
-    rate_factors,
-)
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
+from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -50,7 +45,6 @@ class MotionTuning:
     borne_out: float = 0.4  # share of the bias by which the rate at rest may be another
     alike: float = 1.2  # times the least residual with which rad/s are preferred to a known slip
     lag: float = 0.015  # seconds between the sensors' stamps
-    sigmas: float = 3.0  # so many standard deviations it must be, too
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
     beyond which it is not shown."""
@@ -181,11 +175,7 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
 
 
 def _gyro_errors(
-    explanations: Explanations,
-    chosen: int,
-    factor: float,
-    rest: Rest | None,
-    restamped: bool,
+    explanations: Explanations, chosen: int, factor: float, rest: Rest | None, restamped: bool
 ) -> list[Finding]:
     state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
     if not np.isfinite(sigma).all():
@@ -217,7 +207,7 @@ def _gyro_errors(
         f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
         f"{factor * (1.0 + scale):.4g} in the driver"
     )
-    too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
+    too_large = abs(scale) > max(TUNING.scale, SIGMAS * off)
     if too_large and not _gravity_agrees(explanations, chosen):
         why = f"gravity and field tell two scales; {FULL_TURN}"
         return [*found, not_shown("rate_scale", "gyro: scale", why)]
@@ -232,7 +222,7 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         "let the driver measure the gyro's bias while the robot stands, or subtract "
         f"({as_published}) from its rates"
     )
-    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, TUNING.sigmas * off)
+    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, SIGMAS * off)
     return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
@@ -249,7 +239,7 @@ def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
     )
     gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
     sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
-    return gap < TUNING.sigmas * max(sigma, float(explanations.sigma[chosen, SCALE]))
+    return gap < SIGMAS * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
 def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
@@ -295,7 +285,7 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
 
 def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(TUNING.lag, TUNING.sigmas * latency.sigma):
+    if latency is None or abs(latency.lag) < max(TUNING.lag, SIGMAS * latency.sigma):
         return 0.0
     return latency.lag
 

@@ -13,7 +13,7 @@ from magcal_ros.core.doctor.axes import AxesFound, parameter_line
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.health import Finding, looked_at, noise_findings, not_shown
+from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, noise_findings, not_shown
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
@@ -119,7 +119,6 @@ class PlaceTuning:
 
     strength: float = 0.2  # relative difference
     inclination: float = math.radians(8.0)  # radians
-    sigmas: float = 3.0  # so many standard deviations it must be, too
     vague: float = 0.1  # relative standard deviation of the strength beyond which it is not shown
     motors: float = 1.5e-6  # tesla by which the field steps when the robot sets off
     turned_too_far: float = 25.0
@@ -143,10 +142,7 @@ OR_LATE = "start and stop several times while you turn: motors and a late field 
 
 
 def reference_findings(
-    explanations: Explanations,
-    k: int,
-    knowledge: Knowledge,
-    up_is_down: bool | None = False,
+    explanations: Explanations, k: int, knowledge: Knowledge, up_is_down: bool | None = False
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
     size = explanations.part.size
@@ -169,11 +165,11 @@ def reference_findings(
     if not believed.strength.is_unknown:
         spread = math.hypot(off, believed.strength.sigma)
         apart = abs(strength - believed.strength.value)
-        if apart > max(TUNING.strength * believed.strength.value, TUNING.sigmas * spread):
+        if apart > max(TUNING.strength * believed.strength.value, SIGMAS * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        limit = max(TUNING.inclination, TUNING.sigmas * spread)
+        limit = max(TUNING.inclination, SIGMAS * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
                 return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]
@@ -251,7 +247,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
             "drivers and battery wires, and each pair of wires twisted"
         )
     return looked_at(
-        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
+        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, SIGMAS * 1.7 * off))
     )
 
 

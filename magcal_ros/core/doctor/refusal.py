@@ -111,10 +111,7 @@ def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) ->
 
 
 def _by_the_page(
-    window: Window,
-    knowledge: Knowledge,
-    lines: tuple[str, ...] = AXES,
-    least: Grade = Grade.WARN,
+    window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
 ) -> str:
     findings = examine_window(window, knowledge).findings
     return "; ".join(f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines)

@@ -2,10 +2,9 @@
 
     r_i = o + a1 cos psi + b1 sin psi + a2 cos 2psi + b2 sin 2psi + g(p_i) + n_i
 
-psi is the course, g what the street at the place p_i adds: cov = s² exp(-|p_i - p_j|/30 m), but
-for a quarter of it that is alike over two metres only.
-Generalised least squares with Student's weights; the sigma is the largest of three, and a share of
-a plain swing.
+psi is the course, g what the street at the place p_i adds: cov = s² exp(-|p_i - p_j|/30 m).
+Generalised least squares with Student's weights; the sigma counts both ways of a street as one
+observation, and has a share of a plain swing.
 """
 
 from __future__ import annotations
@@ -129,7 +128,7 @@ def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     found = _Fit(cells, wrap_angle(cells.gap - start))
     for _ in range(COURSE.rounds):
         found.improve()
-    variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
+    variance = max(found.covariance[0, 0], found.by_first_ways())
     variance += COURSE.swing_share**2 * found.plain_swing()
     covariance = found.covariance.copy()
     covariance[0, 0] = variance
@@ -171,9 +170,7 @@ class _Fit:
         self._prior = np.diag([1e-6, first, first, second, second])
         away = cells.place[:, None] - cells.place[None]
         self._distance = np.hypot(away[..., 0], away[..., 1])
-        small = COURSE.small_share
-        self._alike = (1.0 - small) * np.exp(-self._distance / COURSE.reach)
-        self._alike += small * np.exp(-self._distance / COURSE.small_reach)
+        self._alike = np.exp(-self._distance / COURSE.reach)
         self._noise = (cells.variance + COURSE.noise**2) / cells.count
         self._weight = ones
         self.street = COURSE.street
@@ -184,8 +181,7 @@ class _Fit:
         """One round: values by least squares, then weights and street by what is left."""
         design = self._design
         solved = self._solve(np.column_stack([design, self._gap]), slice(None))
-        self._whitened = solved[:, :5]
-        information = design.T @ self._whitened + self._prior
+        information = design.T @ solved[:, :5] + self._prior
         self.covariance = np.asarray(np.linalg.inv(information))
         self.values = np.asarray(self.covariance @ (design.T @ solved[:, 5]))
         self.left = self._gap - design @ self.values
@@ -224,19 +220,6 @@ class _Fit:
         """
         uncertain = np.trace(self.covariance[1:, 1:])
         return max(0.0, float(np.sum(self.values[1:] ** 2) - uncertain))
-
-    def by_clusters(self) -> float:
-        """Return the offset's variance by the scatter of clusters of 150 m (sandwich)."""
-        spot = np.floor(self._cells.place / (5.0 * COURSE.reach)).astype(np.int64)
-        _, label = np.unique(spot, axis=0, return_inverse=True)
-        count = int(label.max()) + 1
-        if count <= 3:
-            return 0.0
-        scores = self._whitened * self.left[:, None]
-        sums = np.zeros((count, 5))
-        np.add.at(sums, label.ravel(), scores)
-        middle = sums.T @ sums * count / (count - 1) + self._prior
-        return float((self.covariance @ middle @ self.covariance)[0, 0])
 
     def by_first_ways(self) -> float:
         """Return the variance if each street counted only the way it was driven first.

@@ -62,11 +62,7 @@ class CourseTuning:
     """Metres of a cell's side at first; twice as long whenever there are too many."""
     sectors: int = 8  # sectors of course in a cell
     most_cells: int = 400  # cells kept
-    reach: float = 30.0
-    """Metres over which streets disturb the field alike; clusters are five times as long."""
-    small_share: float = 0.25
-    small_reach: float = 2.0
-    """Share of that variance that is alike over so many metres only; .2 to .4 were seen."""
+    reach: float = 30.0  # metres over which streets disturb the field alike
     first_sigma: float = math.radians(3.0)
     second_sigma: float = math.radians(2.0)
     """Radians of the harmonics: hard iron and soft iron that a calibration leaves."""

@@ -6,7 +6,7 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -31,19 +31,6 @@ from magcal_ros.core.up import UpFollower
 from magcal_ros.core.up.stillness import ZERO
 
 
-class _Seen(NamedTuple):
-    """A chord: seconds, and radians that go on beyond a whole turn.
-
-    `heading` is the gyro's yaw, `gap` what it is off course, `lead` what it is off the compass.
-    """
-
-    stamp: float
-    gap: float
-    lead: float
-    heading: float
-    sigma: float
-
-
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
 
@@ -52,17 +39,14 @@ class DriftWatch:
     """
 
     def __init__(self) -> None:
-        self._seen: deque[_Seen] = deque(maxlen=120)
+        self._seen: deque[Chord] = deque(maxlen=120)
         self.scatter = 0.0
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
         """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
-        seen, gap = self._seen, chord.gyro_gap
-        angles = gap, gap - chord.gap, gap + chord.course
-        if seen:
-            angles = _going_on(seen[-1], angles)
-        seen.append(_Seen(chord.stamp, *angles, chord.sigma))
+        seen = self._seen
+        seen.append(chord)
         while chord.stamp - seen[0].stamp > DRIFT.span:
             seen.popleft()
         if len(seen) >= DRIFT.chords:
@@ -72,8 +56,10 @@ class DriftWatch:
 
     def _drifts(self) -> bool:
         """Whether the newest chords are those of a hull that goes where it does not look."""
-        time, gaps, leads, headings, sigmas = np.array(self._seen).T
-        since = time - time.mean()
+        time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
+        # By how much the gyro leads the compass, and its yaw; radians that go on beyond a turn.
+        leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)
+        gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
         # The gyro leads the compass by its bias, and not by what a hull turns.
         margin = DRIFT.bias
@@ -101,15 +87,6 @@ class DriftWatch:
     def restart(self) -> None:
         """Forget the newest chords: the gyro's zero is another one."""
         self._seen.clear()
-
-
-def _going_on(last: _Seen, angles: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return angles as the nearest to those before."""
-    gap, lead, heading = (
-        before + math.remainder(angle - before, math.tau)
-        for before, angle in zip((last.gap, last.lead, last.heading), angles, strict=True)
-    )
-    return gap, lead, heading
 
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]

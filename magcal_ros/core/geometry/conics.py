@@ -199,8 +199,7 @@ def _least_squares(columns: list[FloatArray]) -> list[float]:
     solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(design)), rcond=1e-12)
     if rank < len(columns):
         raise Refusal(
-            Reason.FIELD_ON_A_LINE,
-            "The samples do not determine a curve. Turn further round.",
+            Reason.FIELD_ON_A_LINE, "The samples do not determine a curve. Turn further round."
         )
     return [float(value) for value in solution]
 

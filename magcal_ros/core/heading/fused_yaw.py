@@ -105,8 +105,7 @@ class FusedYaw:
         b = self._filter.bias
         p, q, r = rate
         north = propagated(
-            self._north,
-            ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds),
+            self._north, ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds)
         )
         level = levelled(north, up.direction)
         if level is None:

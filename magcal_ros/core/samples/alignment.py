@@ -38,10 +38,7 @@ class Alignment:
 
 
 def align(
-    stretch: Stretch,
-    axes: FloatArray,
-    gyro: FloatArray | None = None,
-    with_up: bool = True,
+    stretch: Stretch, axes: FloatArray, gyro: FloatArray | None = None, with_up: bool = True
 ) -> Alignment:
     """Fit every candidate and say how much worse than the best it explains the samples.
 

@@ -156,6 +156,29 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
     return np.median(np.concatenate(rests), axis=0) if rests else None
 
 
+def longest_stand(
+    time: FloatArray, field: FloatArray, rate: FloatArray
+) -> tuple[FloatArray, bool] | None:
+    """Return the mean rate (3,) of the longest rest; None if there was none.
+
+    And whether a turn at that rate would have moved the field. Takes the same as `bias_at_rest`.
+    """
+    if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
+        return None
+    fields, rates = _still(field, rate, _split(time))
+    found = _runs(fields.stays & rates.stays)
+    if not found:
+        return None
+    start, end = max(found, key=lambda run: run[1] - run[0])
+    # A robot that stands all the time has not swung its field; its level part is about so large.
+    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
+    inside = rates.mean[start:end]
+    stood = _stood(inside, fields.mean[start:end], radius)
+    shows = _would_show(inside, radius, float(fields.limit[start:end].max()))
+    # A slow turn passes from block to block.
+    return None if shows and not stood else (inside.mean(axis=0), shows)
+
+
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the first row of each block, and how many rows it has."""
     block = ((time - time[0]) / TUNING.block).astype(int)

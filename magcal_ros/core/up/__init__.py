@@ -9,11 +9,4 @@ from magcal_ros.core.up.follower import (
 )
 from magcal_ros.core.up.propagation import GyroBias
 
-__all__ = [
-    "GyroBias",
-    "Up",
-    "UpFollower",
-    "propagated_up",
-    "relative_attitudes",
-    "unseen_angles",
-]
+__all__ = ["GyroBias", "Up", "UpFollower", "propagated_up", "relative_attitudes", "unseen_angles"]

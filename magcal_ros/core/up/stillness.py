@@ -10,6 +10,8 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.geometry.vec3 import Triple, between, cross, distance, dot, length
 from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
 
@@ -201,24 +203,20 @@ class ShakenRest:
         return self._shown()
 
     def _shown(self) -> ShownAtRest | None:
-        means = self._means
-        if len(means) < REST.shaken:
+        if len(self._means) < REST.shaken:
             return None
-        force, rate, field = (_mean([each[k] for each in means]) for k in range(3))
-        bounds = (REST.shaken_force, REST.shaken_rate, REST.shaken_field * length(field))
-        for each in means:
-            gaps = (distance(each[0], force), distance(each[1], rate), distance(each[2], field))
-            if any(gap > bound for gap, bound in zip(gaps, bounds, strict=True)):
-                return None
-        scatter = sum(distance(each[1], rate) ** 2 for each in means) / (3.0 * (len(means) - 1))
+        each = np.array(self._means)
+        mean = each.mean(axis=0)
+        gaps = np.linalg.norm(each - mean, axis=2)
+        field = REST.shaken_field * float(np.linalg.norm(mean[2]))
+        bounds = (REST.shaken_force, REST.shaken_rate, field)
+        if (gaps > bounds).any():
+            return None
+        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (REST.shaken - 1))
         # The next one is of other seconds.
-        means.clear()
-        return ShownAtRest(force, rate, REST.shaken_sigma**2 + scatter / REST.shaken)
-
-
-def _mean(vectors: list[Triple]) -> Triple:
-    x, y, z = (sum(axis) / len(vectors) for axis in zip(*vectors, strict=True))
-    return (float(x), float(y), float(z))
+        self._means.clear()
+        variance = REST.shaken_sigma**2 + scatter / REST.shaken
+        return ShownAtRest(tuple(mean[0].tolist()), tuple(mean[1].tolist()), variance)
 
 
 class GyroCheck:
