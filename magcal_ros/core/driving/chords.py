@@ -8,7 +8,18 @@ from collections import deque
 from typing import NamedTuple
 
 from magcal_ros.core.driving.driving_tuning import CHORDS, SPEED, TICKS
-from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated, unit_triple
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    dot,
+    length,
+    minus,
+    plus,
+    propagated,
+    scaled,
+    unit_triple,
+)
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, PositionSample, VelocitySample
 
 Axes = tuple[Triple, Triple, Triple]
@@ -33,12 +44,8 @@ class Tick(NamedTuple):
 class GyroFrame:
     """Keeps a level frame by the gyro and sums the force in it.
 
-    Attributes
-    ----------
-    axes : tuple of tuples
-        The frame's axes in body axes; the third is up but for seconds' worth of accelerations.
-    restarts : int
-        How often the frame began anew, after a gap or a step back in time.
+    `axes` are the frame's in body axes; the third is up but for seconds' worth of accelerations.
+    `restarts` counts how often the frame began anew, after a gap or a step back in time.
     """
 
     def __init__(self) -> None:
@@ -58,22 +65,13 @@ class GyroFrame:
         if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
-        (a, b, c), (x, y, z) = last.rate, bias
-        turn = (
-            (0.5 * (a + p) - x) * seconds,
-            (0.5 * (b + q) - y) * seconds,
-            (0.5 * (c + r) - z) * seconds,
-        )
+        turn = scaled(minus(between(last.rate, sample.rate, 0.5), bias), seconds)
         first, second, _ = self.axes
         first, second = propagated(first, turn), propagated(second, turn)
         third = cross(first, second)
         self.axes = (first, second, third)
-        force, (sx, sy, sz) = sample.force, self._force
-        self._force = (
-            sx + dot(first, force) * seconds,
-            sy + dot(second, force) * seconds,
-            sz + dot(third, force) * seconds,
-        )
+        force = (dot(first, sample.force), dot(second, sample.force), dot(third, sample.force))
+        self._force = plus(self._force, scaled(force, seconds))
         self._turned += dot(third, turn)
         self._seconds += seconds
         return self._end(stamp) if self._seconds >= TICKS.seconds - 1e-6 else None
@@ -81,9 +79,8 @@ class GyroFrame:
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
         assert self.axes is not None
-        (a, b, c), (p, q, r), (x, y, z) = self.axes
-        u, v, w = vector
-        return (u * a + v * p + w * x, u * b + v * q + w * y, u * c + v * r + w * z)
+        first, second, third = (scaled(a, x) for a, x in zip(self.axes, vector, strict=True))
+        return plus(plus(first, second), third)
 
     def _begin(self, force: Triple) -> None:
         self.restarts += 1
@@ -118,7 +115,7 @@ class GyroFrame:
         share = seconds / self._levelled / size
         # The frame's up is to turn towards the force: about up x force, in body axes.
         lean = self.to_body((-force[1] * share, force[0] * share, 0.0))
-        back = (-lean[0], -lean[1], -lean[2])
+        back = scaled(lean, -1.0)
         assert self.axes is not None
         first, second, _ = (unit_triple(propagated(axis, back)) for axis in self.axes)
         self.axes = (first, second, cross(first, second))
@@ -161,10 +158,7 @@ class _Looked(NamedTuple):
 class Chords:
     """Makes chords of fixes and yaws.
 
-    Attributes
-    ----------
-    delay : float
-        Seconds by which the receiver's stamps are late.
+    `delay` are the seconds by which the receiver's stamps are late.
     """
 
     def __init__(self) -> None:

@@ -44,12 +44,7 @@ class CellTable:
 class CourseCells:
     """A grid of bounded size over places and courses; it is coarsened whenever it is full.
 
-    Attributes
-    ----------
-    side : float
-        Metres of a cell.
-    chords : int
-        That were taken so far.
+    `side` are the metres of a cell, and `chords` counts what was taken so far.
     """
 
     def __init__(self) -> None:

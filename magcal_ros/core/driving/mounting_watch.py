@@ -52,14 +52,8 @@ class Judged(NamedTuple):
 class MountingWatch:
     """Keeps the ticks of some minutes and fits them now and then.
 
-    Attributes
-    ----------
-    found : MountingYaw or None
-        The newest fit of the source in use.
-    faults : dict of SpeedSource to SpeedFault
-        What is wrong with which source.
-    seen : dict of SpeedSource to MountingYaw
-        The newest fit of each source.
+    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` is what
+    is wrong with which source.
     """
 
     def __init__(self, speedometer: Speedometer) -> None:

@@ -14,7 +14,7 @@ from magcal_ros.core.driving.chords import GyroFrame, Tick
 from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.driving.speedometer import SpeedTrack
-from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.geometry.vec3 import Triple, minus
 
 
 class Tried(NamedTuple):
@@ -127,23 +127,13 @@ class OwnAcceleration:
     velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
     of the moment. So neither a late speed nor one that comes once a second does harm.
 
-    Attributes
-    ----------
-    yaw : float
-        Of the IMU in the vehicle, radians; zero until it is known.
-    scale : float
-        Force over change of speed: the latter's noise makes it less than one.
-    noise : float
-        m/s² by which the force departs from what the speed explains.
-    is_used : bool
-        Whether the speed explains the force of the last seconds.
-    is_yaw_usable, is_yaw_known : bool
-        Whether it is known roughly, and well: before the latter, a vehicle is taken to drive
-        forwards.
-    sign : float
-        Minus one while a speed without sign is that of a vehicle that backs up.
-    sign_score : float
-        Sigmas by which the force supports `sign` since the vehicle stood.
+    `yaw` is that of the IMU in the vehicle, radians, zero until it is known. `scale` is the force
+    over the change of speed, whose noise makes it less than one, and `noise` the m/s² by which the
+    force departs from it. `is_used` is whether the speed explains the force of the last seconds.
+    `is_yaw_usable` and `is_yaw_known` are whether the yaw is known roughly, and well: before the
+    latter, a vehicle is taken to drive forwards. `sign` is minus one while a speed without sign is
+    that of a vehicle that backs up, and `sign_score` are the sigmas by which the force supports it
+    since the vehicle stood.
     """
 
     def __init__(self) -> None:
@@ -216,8 +206,7 @@ class OwnAcceleration:
             self._gives = False
             return None
         self._gives = True
-        x, y, z = frame.to_body(gravity)
-        return (force[0] - x, force[1] - y, force[2] - z)
+        return minus(force, frame.to_body(gravity))
 
     def _gravity_at(self, stamp: float) -> Triple | None:
         """Return gravity in the gyro's frame, m/s², while it may be used."""

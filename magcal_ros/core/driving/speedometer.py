@@ -57,14 +57,8 @@ class SpeedRecord:
 class SpeedTrack:
     """What one source has measured lately.
 
-    Attributes
-    ----------
-    delay : float
-        Seconds by which its stamps are late.
-    is_signed : bool
-        Whether backwards is negative.
-    drops : Counter of Drop
-        What was not used.
+    `delay` are the seconds by which its stamps are late, `is_signed` is whether backwards is
+    negative, and `drops` counts what was not used.
     """
 
     def __init__(self, source: SpeedSource) -> None:

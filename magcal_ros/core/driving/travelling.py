@@ -301,13 +301,8 @@ class Travelling:
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
 
-    Attributes
-    ----------
-    up : UpFollower
-    travelling : Travelling
-    own : tuple of float
-        The vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it is
-        not known.
+    `own` is the vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it
+    is not known.
     """
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:

@@ -120,21 +120,9 @@ class ConicFit(str, Enum):
     def __call__(self, points: FloatArray) -> Conic:
         """Fit a curve.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, 2)
-            In any unit.
-
-        Returns
-        -------
-        Conic
-            Of an ellipse along the axes the first half axis lies along x.
-
-        Raises
-        ------
-        Refusal
-            For fewer points than the curve has parameters, a line, one point, a curve that is no
-            ellipse, or numbers that are not finite.
+        Of an ellipse along the axes the first half axis lies along x. Raises `Refusal` for fewer
+        points (n, 2) than the curve has parameters, a line, one point, a curve that is no ellipse,
+        or numbers that are not finite.
         """
         return _FITS[self](points)
 
@@ -252,17 +240,8 @@ class Ellipsoid:
 def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
     """Fit an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-    shape : QuadricFit
-        Q with six free elements, diagonal, or a multiple of one.
-
-    Raises
-    ------
-    Refusal
-        For too few points, a plane, numbers not finite, or a surface that is no ellipsoid.
+    By `shape`, Q has six free elements, is diagonal, or a multiple of one. Raises `Refusal` for too
+    few points (n, 3), a plane, numbers not finite, or a surface that is no ellipsoid.
     """
     least = {QuadricFit.ROTATED: 9, QuadricFit.ALIGNED: 6, QuadricFit.SPHERE: 4}[shape]
     centroid, moved = centred(points, least, "surface")

@@ -54,20 +54,9 @@ class FrameTree:
     def pose(self, frame: str, parent: str) -> FloatArray:
         """Return how one frame sits in another, which need not be above it.
 
-        Parameters
-        ----------
-        frame, parent : str
-            Their names.
-
-        Returns
-        -------
-        ndarray, shape (3, 3)
-            Takes vectors from the axes of `frame` to those of `parent`.
-
-        Raises
-        ------
-        FrameTrouble
-            If one of them is missing, if nothing joins them, or if a joint between them moves.
+        The matrix (3, 3) takes vectors from the axes of `frame` to those of `parent`. Raises
+        `FrameTrouble` if one of them is missing, if nothing joins them, or if a joint between them
+        moves.
         """
         for name in (frame, parent):
             if name not in self.frames:

@@ -64,16 +64,9 @@ class DisturbanceDetector:
 
     After `patience` seconds a deviating field is taken for the expected one.
 
-    Attributes
-    ----------
-    trust : Trust
-        How the newest sample is to be taken.
-    departure : float
-        Its deviation in sigmas.
-    last : Disturbance or None
-        The newest disturbance.
-    amplitude_variance : float
-        Of what places add to the field per axis, over its squared strength, as far as learnt.
+    `departure` is that of the newest sample in sigmas, and `trust` how it is to be taken; `last` is
+    the newest disturbance. `amplitude_variance` is that of what places add to the field per axis,
+    over its squared strength, as far as learnt.
     """
 
     def __init__(self, calibration: Calibration, patience: float) -> None:

@@ -14,7 +14,16 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, cross, dot, length, propagated
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    dot,
+    length,
+    minus,
+    propagated,
+    scaled,
+)
 from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
 from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
 from magcal_ros.core.heading.fusion_tuning import DISTURBANCE, FUSION
@@ -41,12 +50,8 @@ class FusedYaw:
 
     After `patience` seconds a deviating field is taken for that of the calibration.
 
-    Attributes
-    ----------
-    detector : DisturbanceDetector
-        Whether the field of the moment is the calibrated one.
-    last_heading_gap : float
-        Radians by which the last heading of another device (`take_heading`) was ahead.
+    `last_heading_gap` is the angle by which the last heading of another device (`take_heading`) was
+    ahead.
     """
 
     def __init__(self, calibration: Calibration, patience: float) -> None:
@@ -102,11 +107,10 @@ class FusedYaw:
         if self._north is None:
             return
         x, y, z = up.direction
-        b = self._filter.bias
+        bias = self._filter.bias
         p, q, r = rate
-        north = propagated(
-            self._north, ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds)
-        )
+        turn = ((p - bias * x) * seconds, (q - bias * y) * seconds, (r - bias * z) * seconds)
+        north = propagated(self._north, turn)
         level = levelled(north, up.direction)
         if level is None:
             self.restart()
@@ -115,17 +119,13 @@ class FusedYaw:
         self._path.append(_Moment(stamp, level, self._shift))
         lost = (FUSION.angle_walk**2 + FUSION.turn_error**2 * length(rate)) * seconds
         self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
-        self._drift += (b + dot(self._known.rate, up.direction)) * seconds
+        self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         self._lost += lost
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep what is known of the whole bias when the part taken off the rate has changed."""
         variance = known.variance + FUSION.bias_sigma**2
-        change = (
-            known.rate[0] - self._known.rate[0],
-            known.rate[1] - self._known.rate[1],
-            known.rate[2] - self._known.rate[2],
-        )
+        change = minus(known.rate, self._known.rate)
         self._known = known
         self._filter.bias -= dot(change, self._up.direction)
         if variance < self._filter.bias_variance or self._north is None:
@@ -233,9 +233,7 @@ class FusedYaw:
         if then is None:
             return None
         # What was corrected since holds for then as well.
-        x, y, z = self._up.direction
-        angle = self._shift - then.shift
-        return propagated(then.north, (angle * x, angle * y, angle * z))
+        return propagated(then.north, scaled(self._up.direction, self._shift - then.shift))
 
     @property
     def yaw_variance(self) -> float:
@@ -303,8 +301,7 @@ class FusedYaw:
         self._turn(north, turned)
 
     def _turn(self, north: Triple, angle: float) -> None:
-        x, y, z = self._up.direction
-        self._north = propagated(north, (angle * x, angle * y, angle * z))
+        self._north = propagated(north, scaled(self._up.direction, angle))
         self._shift += angle
 
     def _at(self, stamp: float) -> _Moment | None:
@@ -315,8 +312,7 @@ class FusedYaw:
         moment, after = found
         since = stamp - moment.stamp
         if after is None:
-            x, y, z = self._rate
-            north = propagated(moment.north, (x * since, y * since, z * since))
+            north = propagated(moment.north, scaled(self._rate, since))
         else:
             north = between(moment.north, after.north, since / (after.stamp - moment.stamp))
         return moment._replace(north=north)

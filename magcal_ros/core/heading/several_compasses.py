@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
+from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
@@ -221,7 +221,7 @@ class SeveralCompasses:
             return None
         seen, rate = then.field, moment.rate
         if since and rate is not None and math.isfinite(rate[0]):
-            seen = propagated(seen, (rate[0] * since, rate[1] * since, rate[2] * since))
+            seen = propagated(seen, scaled(rate, since))
         level = levelled(seen, up)
         if level is None:
             return None
@@ -231,11 +231,7 @@ class SeveralCompasses:
         further -= own.strength * math.cos(own.inclination)
         higher = own.strength * math.sin(own.inclination)
         higher -= common.strength * math.sin(common.inclination)
-        return (
-            seen[0] + further * level[0] + higher * up[0],
-            seen[1] + further * level[1] + higher * up[1],
-            seen[2] + further * level[2] + higher * up[2],
-        )
+        return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
     def _compass_yaw(self, number: int, seen: Triple, ahead: float, share: float) -> CompassYaw:
         member = self._members[number]

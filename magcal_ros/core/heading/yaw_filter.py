@@ -18,19 +18,10 @@ from magcal_ros.core.heading.fusion_tuning import FUSION
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
-    Attributes
-    ----------
-    bias : float
-        rad/s about up.
-    disturbance : float
-        Radians by which the field of the place turns the compass.
-    yaw_variance : float
-        Of the yaw apart from the calibration's error, rad².
-    share : float
-        Of the calibration's error that is in the yaw.
-    error, error_variance : float
-        Of the calibration's own heading, as far as headings from elsewhere show it, in its
-        sigmas.
+    `bias` is in rad/s about up, and `disturbance` the angle by which the field of the place turns
+    the compass. `yaw_variance` (rad²) is without the calibration's error, of which the `share` is
+    in the yaw. `error` and `error_variance` are those of the calibration's own heading, as far as
+    headings of another device show it, in its sigmas.
     """
 
     def __init__(self) -> None:

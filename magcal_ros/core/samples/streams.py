@@ -133,23 +133,12 @@ def slow_field_words(gap: float) -> str:
 class Streams:
     """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
 
-    Parameters
-    ----------
-    max_gap : float
-        Seconds. IMU samples further apart are not interpolated between, and a field sample that
-        is further from the newest IMU sample has no up vector.
-
-    Attributes
-    ----------
-    imu_drops, field_drops : Counter of Drop
-        How many samples were dropped, by reason.
-    is_repeated : bool
-        Whether the newest field sample has the values of the one before it.
-    lead_at_imu, lead_at_field : float
-        Newest field stamp less newest IMU stamp when the newest IMU sample came, and when the
-        newest field sample came, seconds; infinite while one is missing.
-    largest_field : float
-        Size of the last field that was too large, tesla as published; zero if none was.
+    IMU samples further apart than `max_gap`, seconds, are not interpolated between, and a field
+    sample that is further from the newest IMU sample has no up vector. The drops are counted by
+    reason. `is_repeated` is whether the newest field sample has the values of the one before it.
+    `lead_at_imu` and `lead_at_field` are the newest field stamp less the newest IMU stamp when the
+    newest sample of each came, seconds; infinite while one is missing. `largest_field` is the size
+    of the last field that was too large, tesla as published; zero if none was.
     """
 
     def __init__(self, max_gap: float) -> None:

@@ -11,7 +11,16 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
 from magcal_ros.core.geometry.rotations import chained, exp_rotations
-from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    distance,
+    length,
+    minus,
+    propagated,
+    scaled,
+    unit_triple,
+)
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
@@ -273,8 +282,7 @@ class UpFollower:
             if span > max_gap:
                 return None
             if after is None:
-                x, y, z = self.rate
-                up = propagated(up, (x * since, y * since, z * since))
+                up = propagated(up, scaled(self.rate, since))
             else:
                 up = between(up, after[1], since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
@@ -293,9 +301,5 @@ def has_gyro(sample: ImuSample) -> bool:
 
 def _in_g(force: Triple, acceleration: Triple | None) -> tuple[Triple, bool]:
     """Return the force in g less an acceleration, and whether that was given."""
-    x, y, z = force
-    if acceleration is not None:
-        a, b, c = acceleration
-        x, y, z = x - a, y - b, z - c
-    g = STANDARD_GRAVITY
-    return (x / g, y / g, z / g), acceleration is not None
+    felt = force if acceleration is None else minus(force, acceleration)
+    return scaled(felt, 1.0 / STANDARD_GRAVITY), acceleration is not None

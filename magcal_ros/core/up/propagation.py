@@ -10,11 +10,14 @@ import numpy as np
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import (
     Triple,
+    between,
     distance,
     dot,
     length,
     minus,
+    plus,
     propagated,
+    scaled,
     unit_triple,
 )
 from magcal_ros.core.up.filter import MotionPrior, UpFilter
@@ -48,39 +51,21 @@ class Block:
         """Take a message: force and propagated up (g), rate, turn since the one before."""
         self.count += 1
         self.seconds += seconds
-        x, y, z = self.force
-        self.force = (x + force[0], y + force[1], z + force[2])
-        x, y, z = self.up
-        self.up = (x + up[0], y + up[1], z + up[2])
-        x, y, z = self.rate
-        self.rate = (x + rate[0], y + rate[1], z + rate[2])
-        x, y, z = self.turn
-        self.turn = (x + turn[0], y + turn[1], z + turn[2])
+        self.force, self.up = plus(self.force, force), plus(self.up, up)
+        self.rate, self.turn = plus(self.rate, rate), plus(self.turn, turn)
 
     def mean(self, total: Triple) -> Triple:
         """Return a sum over the number of messages."""
-        return (total[0] / self.count, total[1] / self.count, total[2] / self.count)
+        return scaled(total, 1.0 / self.count)
 
 
 class GyroPropagation:
     """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
 
-    Attributes
-    ----------
-    up : tuple of float
-        Up in g, body axes; its length is what the accelerometer reads at rest.
-    gyro_bias : GyroBias
-        As far as it is known.
-    mean_rate : tuple of float
-        Turn rate since the message before, less the bias, rad/s.
-    variance : float
-        Of up in either direction, rad².
-    is_settled : bool
-        Whether the accelerometer is believed, because the robot stands or rolls on steadily.
-    check : GyroCheck
-        Whether the gyro is to be believed.
-    field : FieldStillness
-        Takes the raw field, where there is one.
+    `up` is in g, body axes; its length is what the accelerometer reads at rest. `mean_rate` is the
+    turn rate since the message before, less the bias, rad/s, and `variance` that of up in either
+    direction, rad². `is_settled` is whether the accelerometer shows up, because the robot stands or
+    rolls on steadily. `field` takes the raw field, where there is one.
     """
 
     def __init__(self) -> None:
@@ -115,8 +100,7 @@ class GyroPropagation:
     @property
     def rate(self) -> Triple:
         """The newest turn rate less the bias, rad/s."""
-        (x, y, z), (p, q, r) = self._rate, self.bias
-        return (x - p, y - q, z - r)
+        return minus(self._rate, self.bias)
 
     def add(
         self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
@@ -131,14 +115,8 @@ class GyroPropagation:
             # Velocity and acceleration are now what is left of them, or the whole again.
             self._is_given = is_given
             self._filter.forget_motion(self._motion(self.is_settled))
-        p, q, r = self.bias
-        mean = (
-            0.5 * (rate[0] + before[0]) - p,
-            0.5 * (rate[1] + before[1]) - q,
-            0.5 * (rate[2] + before[2]) - r,
-        )
-        self.mean_rate = mean
-        turn = (mean[0] * seconds, mean[1] * seconds, mean[2] * seconds)
+        self.mean_rate = minus(between(before, rate, 0.5), self.bias)
+        turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
         self._block.add(force, self.up, rate, turn, seconds)
         if self._block.seconds >= PROPAGATION.block:
@@ -174,14 +152,12 @@ class GyroPropagation:
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
             following.forget_acceleration(self._motion().acceleration)
-        x, y, z = means.force
-        p, q, r = block.mean(block.up)
         # A mean: its noise times the velocity would look like a turn.
         share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
         turning = 0.0 if doubt == 0.0 else self._steady_turn
-        innovation = np.array((x - p, y - q, z - r))
+        innovation = np.array(minus(means.force, block.mean(block.up)))
         following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:
             # Where up is uncertain, its length along the estimate is, to second order, as well.

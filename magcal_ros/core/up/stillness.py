@@ -12,7 +12,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.vec3 import Triple, between, cross, distance, dot, length
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    distance,
+    dot,
+    length,
+    minus,
+    plus,
+    scaled,
+)
 from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
 
 
@@ -93,18 +103,9 @@ class BlockMeans(NamedTuple):
 class SteadySpell:
     """Watches blocks of messages for a spell in which nothing changes.
 
-    Attributes
-    ----------
-    seconds : float
-        How long the spell has lasted; zero when there is none.
-    force : tuple of float
-        Mean accelerometer reading of the spell, g, body axes.
-    rate : tuple of float
-        Mean gyro reading of the spell, rad/s.
-    count : int
-        Messages in it.
-    sway, shake : float
-        Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
+    `seconds` it has lasted; zero when there is none. `force` (g) and `rate` (rad/s) are its means
+    in body axes, `count` its messages, and `sway` and `shake` the variances per axis of the blocks'
+    rates and forces about their means, (rad/s)² and g².
     """
 
     def __init__(self) -> None:
@@ -246,34 +247,24 @@ class GyroCheck:
         `force` is the mean over the block, g, `turn` the rotation vector over it, radians, and
         `variance` that of each part of `turn` by the gyro's noise, rad².
         """
-        x, y, z = self._force
-        self._force = (x + seconds * force[0], y + seconds * force[1], z + seconds * force[2])
-        x, y, z = self._turn
-        self._turn = (x + turn[0], y + turn[1], z + turn[2])
+        self._force = plus(self._force, scaled(force, seconds))
+        self._turn = plus(self._turn, turn)
         self._seconds += seconds
         self._variance += variance
         clear = CHECK.clear_turn**2 * self._variance
         if self._seconds < CHECK.span and dot(self._turn, self._turn) <= clear:
             return
-        lasted = self._seconds
-        x, y, z = self._force
-        mean, before = (x / lasted, y / lasted, z / lasted), self._before
+        mean, before = scaled(self._force, 1.0 / self._seconds), self._before
         self._before = mean, self._turn
         if before is not None:
-            self._compare(*before, mean, lasted)
+            self._compare(*before, mean, self._seconds)
         self._begin()
 
     def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
         """Compare how the mean force changed from span to span with what the gyro makes of it."""
-        turn = self._turn
-        middle = (
-            0.5 * (turn[0] + old_turn[0]),
-            0.5 * (turn[1] + old_turn[1]),
-            0.5 * (turn[2] + old_turn[2]),
-        )
         # A direction fixed in the world turns in the body by u x w dt.
-        expected = cross(old, middle)
-        seen = (new[0] - old[0], new[1] - old[1], new[2] - old[2])
+        expected = cross(old, between(old_turn, self._turn, 0.5))
+        seen = minus(new, old)
         keeps = math.exp(-seconds / CHECK.memory)
         self._together = keeps * self._together + dot(expected, seen)
         self._expected = keeps * self._expected + dot(expected, expected)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from magcal_ros.core.doctor.refusal import wrong_axes
+from magcal_ros.core.doctor.page import wrong_axes
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn

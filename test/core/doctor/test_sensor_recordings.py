@@ -3,8 +3,7 @@
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.doctor.refusal import wrong_axes
+from magcal_ros.core.doctor.page import examine, wrong_axes
 from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
