@@ -29,7 +29,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     axis_share,
     common_figures,
-    sideways_pull,
+    sideways_acceleration,
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
@@ -163,7 +163,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > TUNING.nearly_full:
-            figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
+            figures.setdefault(Figure.SIDEWAYS_ACCELERATION, sideways_acceleration(window))
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
@@ -202,7 +202,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     elif bound.after_full and figures[Figure.ARC] > TUNING.nearly_full:
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
-        hidden = figures.get(Figure.POSSIBLE_PULL, 0.0)
+        hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
         if hidden**2 > TUNING.mostly_acceleration * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
@@ -213,7 +213,7 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             return bound.check(figure, excess=own, note=note)
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
-    if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
+    if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
         bound = replace(bound, good=TUNING.weighed_acceleration_deg)
     if bound.figure is Figure.RADIUS_MISFIT:
         allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)

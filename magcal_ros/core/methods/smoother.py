@@ -148,5 +148,5 @@ def _figures(found: DriveFit, knowledge: Knowledge, log: DriveLog) -> dict[Figur
         figures[Figure.METRES] = found.metres
     strength = knowledge.reference.strength
     if not (strength.is_unknown or strength.is_exact):
-        figures[Figure.LEVEL_PULL] = found.level_pull
+        figures[Figure.LEVEL_DEVIATION] = found.level_pull
     return figures
