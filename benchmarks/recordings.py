@@ -29,8 +29,8 @@ from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
 from magcal_ros.core.errors import MagcalError, Reason, Refusal
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.log import log_of
 
 DEFAULT = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 PEERS = ("minmax2", "minmax3", "sphere", "circle", "ellipsoid")

@@ -2,7 +2,7 @@
 
 Drives through cities with streets that bend the field, as the node would decide on them. Degrees
 of heading on the level, a constant taken off. `--drives N` sets how many of each and
-`--first SEED` the first; `--only NAME` runs one of: fit, long, begin, jump, good, traps.
+`--first SEED` the first; `--only NAME` runs one of: fit, circles, long, begin, jump, good, traps.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from simulated.drive import (
     random_vehicle,
     simulated_drive,
 )
-from simulated.legs import Leg, city, joined, one_street, parking
+from simulated.legs import Leg, circles, city, joined, one_street, parking, standing
 from simulated.travel import travel
 
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
@@ -41,10 +41,10 @@ from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.keeping.worker import answer
-from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.knowledge import Knowledge, knowledge_of
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.fit import fit_nodes
-from magcal_ros.core.smoothing.log import log_of
+from magcal_ros.core.smoother.drives import DriveFit, drive_nodes, fit_drive
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 LEVEL = 51.3e-6 * math.cos(math.radians(66.3))
@@ -114,6 +114,12 @@ def error(correction: Correction, drive: Drive, seconds: float) -> float:
     return math.degrees(math.sqrt(float(np.mean(np.angle(turn / turn.mean()) ** 2))))
 
 
+def fitted(window: Window, known: Knowledge) -> DriveFit:
+    """Fit all twelve numbers to a drive."""
+    log = log_of(window)
+    return fit_drive(log, drive_nodes(log, np.eye(3)), known)
+
+
 def calibration_of(correction: Correction, sigma: float = math.radians(0.84)) -> Calibration:
     """Return what a turn would have left."""
     covariance = np.zeros((12, 12))
@@ -137,15 +143,34 @@ def bench_fit(seeds: range) -> None:
             drive = drive_of(seed, seconds)
             window = Window(drive.time, drive.field, drive.force, drive.rate)
             begun = time.process_time()
-            found = fit_nodes(log_of(window).nodes(np.eye(3)), BOSTON)
+            found = fitted(window, BOSTON)
             took.append(time.process_time() - begun)
-            errors.append(error(found.twelve.correction, drive, 0.0))
-            said.append(math.degrees(found.twelve.heading_sigma))
+            errors.append(error(found.correction, drive, 0.0))
+            said.append(math.degrees(found.heading_sigma))
         squares = (np.array(errors) / np.array(said)) ** 2
         print(
             f"fit to {seconds:3.0f} s, no speed: rms {rms(errors):.2f} median"
             f" {np.median(errors):.2f} worst {max(errors):.1f}, said {rms(said):.2f}, NEES mean"
             f" {squares.mean():.2f} median {np.median(squares):.2f}, CPU {np.median(took):.2f} s"
+        )
+
+
+def bench_circles(seeds: range) -> None:
+    """90 s of circles in one place, nothing known before; the last with a poor gyro and a rest."""
+    for radius, biased in ((4.0, False), (8.0, False), (14.0, False), (8.0, True)):
+        errors, said = [], []
+        for seed in seeds:
+            rest = standing(5.0) if biased else []
+            drive = drive_of(seed, 90.0, joined(rest, circles(90.0, radius=radius)))
+            off = np.random.default_rng(seed).normal(0.0, math.radians(2.0), 3) * biased
+            taken = Window(drive.time, drive.field, drive.force, drive.rate + off)
+            found = fitted(taken, BOSTON)
+            errors.append(error(found.correction, drive, 0.0))
+            said.append(math.degrees(found.heading_sigma))
+        squares = (np.array(errors) / np.array(said)) ** 2
+        print(
+            f"circles of {radius:2.0f} m{', a poor gyro' if biased else ''}: rms {rms(errors):.2f}"
+            f" worst {max(errors):.1f}, said {rms(said):.2f}, NEES {squares.mean():.2f}"
         )
 
 
@@ -160,10 +185,10 @@ def bench_long(seeds: range) -> None:
                 for seed in seeds:
                     motion = swaying(seconds, turns=turns)
                     window = swaying_window(robot, motion, np.random.default_rng(seed))
-                    found = fit_nodes(log_of(window).nodes(np.eye(3)), known)
+                    found = fitted(window, known)
                     drive = replace(drive_of(0, 10.0), vehicle=Vehicle(robot))
-                    errors.append(error(found.twelve.correction, drive, 0.0))
-                    said.append(math.degrees(found.twelve.heading_sigma))
+                    errors.append(error(found.correction, drive, 0.0))
+                    said.append(math.degrees(found.heading_sigma))
                 squares = (np.array(errors) / np.array(said)) ** 2
                 name = f"{'mid' if turns else 'low'}, {'soft iron' if soft.any() else 'none'}"
                 print(
@@ -280,6 +305,7 @@ def rms(values: list[float]) -> float:
 
 BENCHES = {
     "fit": bench_fit,
+    "circles": bench_circles,
     "long": bench_long,
     "begin": bench_begin,
     "jump": bench_jump,

@@ -28,10 +28,10 @@ from magcal_ros.core.geometry import (
 from magcal_ros.core.geometry.conics import ConicFit, QuadricFit, fit_quadric
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples import STREAMS, ImuSample, Pair, Pairer, Streams, Window
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.stamps import spread_bursts
 from magcal_ros.core.session.session import Limits, Session, Stage
-from magcal_ros.core.smoothing.log import log_of
 from magcal_ros.core.up import UpFollower, propagated_up
 from magcal_ros.files.recording import Recording, read_csv_folder
 

@@ -202,7 +202,6 @@ ORDER_OF_ROOMS = (
     "simulation",
     "heading",
     "smoother",
-    "smoothing",
     "methods",
     "multi_turn",
     "calibrate",
@@ -242,15 +241,8 @@ def twice(names):
     return {name for name in names if names.count(name) > 1} - SAME_MEANING
 
 
-REPLACED = {"smoothing"}
-"""The room that `smoother` replaces: until it goes, names of its may stand there, too."""
-
-
 def test_no_name_in_core_has_two_meanings():
-    for replaced in (REPLACED, {"smoother"}):
-        assert (
-            repeated([path for path in CORE_FILES if core_room_of(path) not in replaced]) == set()
-        )
+    assert repeated(CORE_FILES) == set()
 
 
 def repeated(paths):

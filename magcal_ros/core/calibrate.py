@@ -21,7 +21,7 @@ from magcal_ros.core.multi_turn.result import Kept, Several
 from magcal_ros.core.samples.window import Window
 
 if TYPE_CHECKING:
-    from magcal_ros.core.smoothing.log import DriveLog
+    from magcal_ros.core.samples.drive_log import DriveLog
 
 # What only a fit needs is imported by the functions that fit: a node that starts on a saved
 # calibration would wait for it before its first message.

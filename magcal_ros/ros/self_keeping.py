@@ -16,8 +16,8 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
+from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.smoothing.log import DriveLog
 from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
@@ -54,10 +54,7 @@ class SelfKeeping:
         """Take a field sample with the newest IMU sample and what the vehicle does."""
         if imu is None or not math.isfinite(imu.rate[0]):
             return
-        force, own = imu.force, travel.own_acceleration
-        if own is not None:
-            force = (force[0] - own[0], force[1] - own[1], force[2] - own[2])
-        if self._machine.add(sample.stamp, sample.field, force, imu.rate, travel.speed):
+        if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, travel.speed):
             self._look()
 
     def use(self, calibration: Calibration | None) -> None:

@@ -46,7 +46,7 @@ def test_a_good_one_holds(check, tmp_path):
     assert out.startswith("The calibration holds: ")
     lines = out.splitlines()
     assert lines[2].split() == ["before", "after", "unit"]
-    assert sum(line.endswith("holds") for line in lines) == 6
+    assert sum(line.endswith("holds") for line in lines) == 7
     assert "Not shown by this recording:" in out
 
 

@@ -140,9 +140,6 @@ class Figure(str, Enum):
     LOCAL_FIELD = "local_field"
     """By how much the field deviates along a drive, with what motors add unsteadily: tesla per
     axis, standard deviation."""
-    LEVEL_DEVIATION = "level_pull"
-    """Level field of a drive less the one believed, in sigmas of the belief; absent where that is
-    exact or unknown."""
 
     KNOWN_HEADINGS = "known_headings"
     """At how many known headings a robot stood."""

@@ -18,10 +18,9 @@ from magcal_ros.core.calibration.heading_sigma import (
     local_sigma,
 )
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.smoothing.nodes import MICROTESLA
 
 if TYPE_CHECKING:
-    from magcal_ros.core.smoothing.fit import DriveFit
+    from magcal_ros.core.smoother.drives import DriveFit
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,8 @@ class KeepingTuning:
     """Seconds of road before which no likelihood is believed."""
     agree: float = 2.0
     """Sigmas within which two windows agree at the first start."""
+    usual_speed: float = 5.0
+    """m/s of a robot whose speed is not measured."""
     course_proof: float = 20.0
     """Fall of chi-square by which a candidate must explain the swing of compass against course."""
     memory: float = 600.0
@@ -201,37 +202,34 @@ def candidate_of(
     start, end : float
         Clock of the road, seconds.
     """
-    twelve, problem = fitted.twelve, fitted.smoothed.problem
-    strength = float(np.linalg.norm(twelve.field))
-    sigma = twelve.heading_sigma
-    covariance = twelve.covariance
+    sigma = fitted.heading_sigma
+    covariance = fitted.covariance
     if kind is Kind.IRON and before is not None:
         # The matrix is the old one's, and so is its uncertainty.
         covariance = np.zeros_like(covariance)
         covariance[:9, :9] = before.covariance[:9, :9]
-        covariance[9:, 9:] = twelve.covariance[9:, 9:]
+        covariance[9:, 9:] = fitted.covariance[9:, 9:]
     words = (
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
         f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
     )
-    street = problem.street / MICROTESLA
+    street = fitted.local_field
     figures = {
         Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
         Figure.DRIVING_TIME.value: fitted.seconds,
         Figure.STREET.value: street,
         Figure.LOCAL_FIELD.value: street,
     }
-    noise = problem.noise / MICROTESLA
     # The road was driven without the motors' field as it is known.
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()
     calibration = Calibration(
-        twelve.correction,
+        fitted.correction,
         covariance,
-        noise,
+        fitted.noise,
         0.01 if before is None else before.noise_up,
-        strength,
-        math.asin(-float(twelve.field[2]) / strength),
+        fitted.strength,
+        fitted.inclination,
         Evidence(METHOD, "good", "good", words, figures=figures),
         motors,
     )

@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.correction import Correction
 from magcal_ros.core.keeping.candidates import KEEPING, DriveCandidate, KeepingTuning, Kind
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.samples.drive_log import DriveLog
 
 
 class Verb(str, Enum):

@@ -42,7 +42,7 @@ from magcal_ros.core.keeping.jobs import (
     is_same,
 )
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoothing.log import DriveLog, DriveRecorder
+from magcal_ros.core.samples.drive_log import DriveLog, DriveRecorder
 
 TRIAL = "trial"
 

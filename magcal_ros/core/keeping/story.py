@@ -21,6 +21,8 @@ from magcal_ros.core.keeping.jobs import Decision, Mode, Verb
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.keeping.worker import answer
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.monitoring.recheck import up_of
+from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import (
     STREAMS,
     FieldSample,
@@ -29,8 +31,6 @@ from magcal_ros.core.samples.streams import (
     Streams,
     TravelSample,
 )
-from magcal_ros.core.smoothing.log import DriveLog
-from magcal_ros.core.smoothing.tuning import TUNING
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +126,11 @@ class DriveReplay:
             self._first = sample.stamp
         self._last = sample.stamp
         speed = replay.speed
-        x, y, z = imu.force
-        a, b, c = replay.own
-        force = (x - a, y - b, z - c)
         up = replay.up.newest
         due = self._points[-1].stamp + KEEPING.map_every if self._points else -math.inf
         if up is not None and not sample.stamp < due:
             self._points.append(_Point(sample.stamp, sample.field, up, speed))
-        if self._machine.add(sample.stamp, sample.field, force, imu.rate, speed):
+        if self._machine.add(sample.stamp, sample.field, imu.force, imu.rate, speed):
             for decision in self._machine.note(answer(self._machine.job(self._knowledge))):
                 self._decisions.append((sample.stamp - self._first, decision))
                 if decision.verb in (Verb.APPLIED, Verb.ROLLED_BACK, Verb.REFINED):
@@ -188,7 +185,7 @@ def path_along(
     else:
         yaw = yaw_from_up_and_field(up, field)
         steps = np.diff(time, prepend=time[0]).clip(0.0, 2.0 * KEEPING.map_every)
-        steps *= np.where(known, speed, TUNING.usual_speed)
+        steps *= np.where(known, speed, KEEPING.usual_speed)
         place = np.cumsum(steps[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
     is_measured = fixes is not None
     return DrivePath(place - place[0], error, is_measured, bool(known.any()))
@@ -199,6 +196,6 @@ def path_of_log(log: DriveLog, calibration: Calibration) -> DrivePath | None:
     every = KEEPING.map_rows
     if len(log) < 2 * every:
         return None
-    up = log.level.up[::every]
+    up = up_of(log.window)[::every]
     time, field, speed = (values[::every] for values in (log.time, log.field, log.speed))
     return path_along(calibration, time, field, up, speed)

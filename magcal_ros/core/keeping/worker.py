@@ -9,6 +9,7 @@ import numpy as np
 
 from magcal_ros.core.errors import Refusal
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.rotations import rotation_about
 from magcal_ros.core.keeping.candidates import (
     KEEPING,
     DriveCandidate,
@@ -18,21 +19,22 @@ from magcal_ros.core.keeping.candidates import (
 )
 from magcal_ros.core.keeping.jobs import Contest, DriveJob, Findings, Proof, Step
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.smoothing.change import find_change
-from magcal_ros.core.smoothing.drive_model import turned_into
-from magcal_ros.core.smoothing.fit import (
+from magcal_ros.core.smoother.drives import (
     LikelihoodRatio,
     corrected,
+    drive_nodes,
+    fit_drive,
     fit_iron,
-    fit_nodes,
     likelihood_ratio_of,
 )
-from magcal_ros.core.smoothing.nodes import Nodes
+from magcal_ros.core.smoother.iron_added import find_change
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.start import held_by_gyro
 
 
 def answer(job: DriveJob) -> Findings:
     """Do a job."""
-    nodes = job.log.nodes(job.knowledge.mounting.to_body)
+    nodes = drive_nodes(job.log, job.knowledge.mounting.to_body)
     clock = float(job.log.time[-1])
     found: list[DriveCandidate | None] = []
     since_change = _since_change(nodes, job, clock)
@@ -56,10 +58,7 @@ def _since_change(nodes: Nodes, job: DriveJob, clock: float) -> DriveCandidate |
     if job.in_force is None:
         return None
     first = max(clock - KEEPING.look_back, job.not_before)
-    rows = np.flatnonzero(nodes.time >= first)
-    if not len(rows):
-        return None
-    change = find_change(nodes.take(rows), job.in_force, job.knowledge)
+    change = find_change(nodes.between(first), job.in_force, job.knowledge)
     if change is None or change.gain < KEEPING.notice_proof:
         return None
     return candidate_of(change.fit, Kind.IRON, job.in_force, change.since, clock)
@@ -69,8 +68,7 @@ def _iron_since(nodes: Nodes, job: DriveJob, start: float, clock: float) -> Driv
     if clock - start < KEEPING.shortest_since:
         return None
     start = max(start, clock - KEEPING.longest_since)
-    rows = np.flatnonzero(nodes.time >= start)
-    return _iron(nodes.take(rows), job, start, clock) if len(rows) else None
+    return _iron(nodes.between(start), job, start, clock)
 
 
 def _newest(nodes: Nodes, clock: float, seconds: float, not_before: float) -> Nodes | None:
@@ -78,13 +76,12 @@ def _newest(nodes: Nodes, clock: float, seconds: float, not_before: float) -> No
     start = clock - seconds
     if start < max(not_before, float(nodes.time[0]) - 5.0):
         return None
-    rows = np.flatnonzero(nodes.time >= start)
-    return nodes.take(rows) if len(rows) else None
+    return nodes.between(start)
 
 
 def _all_twelve(nodes: Nodes, job: DriveJob, start: float, end: float) -> DriveCandidate | None:
     try:
-        fitted = fit_nodes(nodes, job.knowledge)
+        fitted = fit_drive(job.log, nodes, job.knowledge)
     except Refusal:
         return None
     return candidate_of(fitted, Kind.ALL, job.in_force, start, end)
@@ -107,11 +104,10 @@ def prove(
     Of a new one that is fitted anew now and then each stretch is predicted by the fit before it
     (prequential; Dawid, 1984), so that all road since the first fit counts.
     """
-    rows = np.flatnonzero(nodes.time > contest.new[0].since)
-    if len(rows) < 4:
+    road = nodes.between(contest.new[0].since)
+    if len(road) < 4:
         return Proof()
-    road = nodes.take(rows)
-    seconds = float(road.time[-1] - road.time[0])
+    seconds = float(np.ptp(road.time))
     before = _read(road, (Step(-math.inf, contest.old),), knowledge)
     after = _read(road, contest.new, knowledge)
     ratios = turn_ratios(before, after, tuning)
@@ -123,18 +119,10 @@ def prove(
         squares += tuning.pseudo_turns * tuning.turn_spread**2
         spread = math.sqrt(squares / (turns - 1 + tuning.pseudo_turns))
         score = gain / (spread / math.sqrt(turns))
-    ratio, halves = LikelihoodRatio(), (0.0, 0.0)
+    ratio = LikelihoodRatio()
     if seconds >= tuning.shortest_proof:
         ratio = likelihood_ratio_of(before, after, knowledge)
-        if ratio.gain > min(tuning.iron_proof, tuning.likelihood_proof):
-            middle = len(road) // 2
-            parts = np.arange(middle), np.arange(middle, len(road))
-            first, second = (
-                likelihood_ratio_of(before.take(part), after.take(part), knowledge).gain
-                for part in parts
-            )
-            halves = first, second
-    likelihood = ratio.gain, halves, ratio.elsewhere, ratio.against
+    likelihood = ratio.gain, ratio.halves, ratio.elsewhere, ratio.against
     return Proof(seconds, turns, score, gain, *likelihood)
 
 
@@ -152,24 +140,27 @@ def turn_ratios(old: Nodes, new: Nodes, tuning: KeepingTuning = KEEPING) -> Floa
 
     Both are the same corrected nodes. Turned back by the gyro a field should stand still.
     """
-    back = np.swapaxes(old.axes @ turned_into(old.heading), 1, 2)
-    fields = [np.einsum("nij,nj->ni", back, each.field)[:, :2] for each in (old, new)]
+    _, level, yaw = held_by_gyro(old)
+    back = level @ rotation_about(np.array([0.0, 0.0, 1.0]), -yaw)
+    fields = [np.einsum("nji,nj->ni", back, each.field)[:, :2] for each in (old, new)]
     found = []
-    for first, last in _turns(old, tuning):
+    for first, last in _turns(old, yaw, tuning):
         wander = [_wander(field[first : last + 1]) for field in fields]
         found.append(math.log(max(wander[0], 1e-6) / max(wander[1], 1e-6)))
     return np.array(found)
 
 
-def _turns(nodes: Nodes, tuning: KeepingTuning) -> list[tuple[int, int]]:
+def _turns(nodes: Nodes, yaw: FloatArray, tuning: KeepingTuning) -> list[tuple[int, int]]:
     """Return first and last node of each turn; they do not overlap."""
-    way, heading, found, first = np.cumsum(nodes.metres), nodes.heading, [], 0
+    speed = tuning.usual_speed if nodes.speed is None else np.nan_to_num(np.abs(nodes.speed[:-1]))
+    way = np.append(0.0, np.cumsum(nodes.seconds * speed))
+    found, first = [], 0
     for k in range(1, len(nodes)):
-        if not nodes.is_tied[k]:
+        if not nodes.is_tied[k - 1]:
             first = k
         while way[k] - way[first] > tuning.turn_within:
             first += 1
-        span = heading[first : k + 1]
+        span = yaw[first : k + 1]
         if k - first >= 2 and np.ptp(span) > tuning.turn:
             found.append((first, k))
             first = k

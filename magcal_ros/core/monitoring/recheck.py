@@ -34,10 +34,10 @@ from magcal_ros.core.monitoring.recheck_chance import (
     sectors,
 )
 from magcal_ros.core.samples.coverage import Coverage
+from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.fit import fit_iron
-from magcal_ros.core.smoothing.log import DriveLog
+from magcal_ros.core.smoother.drives import drive_nodes, fit_iron
 from magcal_ros.core.up import propagated_up
 
 STATES = {
@@ -316,13 +316,13 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
     )
     known = Knowledge(reference)
     correction = calibration.correction
-    found = fit_iron(drive.nodes(known.mounting.to_body), correction, known)
+    found = fit_iron(drive_nodes(drive, known.mounting.to_body), correction, known)
     if found is None:
         return None
     # On the level across body z; an iron along it is a matter of slopes.
     matrix = correction.matrix[:2]
-    added = matrix @ (found.twelve.correction.hard_iron - correction.hard_iron)
-    covariance = matrix @ found.twelve.covariance[9:, 9:] @ matrix.T
+    added = matrix @ (found.correction.hard_iron - correction.hard_iron)
+    covariance = matrix @ found.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
     share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level

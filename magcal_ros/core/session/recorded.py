@@ -25,6 +25,7 @@ from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.motors_now import MotionSense
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import TurnFate
+from magcal_ros.core.samples.drive_log import DriveLog, DriveRecorder
 from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
@@ -39,7 +40,6 @@ from magcal_ros.core.samples.streams import (
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.session import Limits, Progress, Session
-from magcal_ros.core.smoothing.log import DriveLog, DriveRecorder
 from magcal_ros.core.up import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
@@ -159,10 +159,8 @@ class Gathering:
                 self._session = Session(Limits(), self.mounting, 0.0, longer=LONGER)
             self._session.add(pair, 0.0)
             if math.isfinite(pair.imu.rate[0]):
-                (x, y, z), (a, b, c) = pair.imu.force, self._replay.own
-                force = (x - a, y - b, z - c)
-                speed = self._replay.speed
-                self._drive.add(pair.field.stamp, pair.field.field, force, pair.imu.rate, speed)
+                samples = pair.field.field, pair.imu.force, pair.imu.rate
+                self._drive.add(pair.field.stamp, *samples, self._replay.speed)
 
     def _choose(self) -> None:
         """Keep the part with most of a turn, of the parts between which time was set back."""

@@ -125,6 +125,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
         + course.moving[:, None] * shared[AT["motors_moving"]]
         + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
         + course.span[:, None] * shared[AT["drift"]]
+        + course.added[:, None] * shared[AT["added"]]
     )
     count = len(nodes)
     here = np.zeros((count, 3, LOCAL))
@@ -156,6 +157,7 @@ def magnetic(course: Course, state: State, places: Places) -> Linear:
     ) + np.einsum("nij,nj->ni", by_street, np.cross(nodes.rate, street))
     by[:, :, AT["motors_moving"]] = course.moving[:, None, None] * np.eye(3)
     by[:, :, AT["motors_rate"]] = nodes.rate[:, 2, None, None] * np.eye(3)
+    by[:, :, AT["added"]] = course.added[:, None, None] * np.eye(3)
     by[:, :, AT["drift"]] = course.span[:, None, None] * np.eye(3)
     return Linear(nodes.field - predicted, here, None, by)
 
@@ -257,6 +259,14 @@ def _heading_less(
     x, y = np.sum(east * forward, axis=1), np.sum(north * forward, axis=1)
     turned = x[:, None] * np.cross(north, forward) - y[:, None] * np.cross(east, forward)
     return wrap_angle(heading - np.arctan2(y, x)), turned / (x**2 + y**2)[:, None]
+
+
+def speed(measured: FloatArray, state: State) -> Linear:
+    """Return what wheels say of the velocity ahead, (n,) in m/s."""
+    here = np.zeros((len(measured), 1, LOCAL))
+    here[:, 0, VELOCITY.start] = 1.0
+    ahead = state.local[:, VELOCITY.start]
+    return Linear(np.where(np.isfinite(measured), measured - ahead, 0.0)[:, None], here)
 
 
 def gyro(course: Course, state: State) -> Linear:

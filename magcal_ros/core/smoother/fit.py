@@ -157,7 +157,7 @@ def moved_by(model: Model, solution: Solution) -> float:
     """Return the largest step of the answer, in its own sigmas."""
     answer = np.flatnonzero(model.free < AT["axes"].stop)
     sigma = np.sqrt(np.diag(solution.covariance)[answer])
-    return float((np.abs(solution.shared[answer]) / sigma).max())
+    return float((np.abs(solution.shared[answer]) / sigma).max(initial=0.0))
 
 
 def stepped(model: Model, point: Point, solution: Solution, share: float) -> Point:

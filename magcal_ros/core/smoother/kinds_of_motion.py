@@ -10,7 +10,10 @@ import numpy as np
 
 from magcal_ros.core.calibration.heading_sigma import rms_sigma
 from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
@@ -40,6 +43,8 @@ ROUGHLY, HOPELESS = Tolerances(rounds=20), 400.0
 it is left out then."""
 WHILE_DRIVING = Spacing(1.5, math.radians(15.0), math.radians(0.5), 600)
 """Of a drive, in which there is more of everything than in one turn, longer means are enough."""
+ROLLS = 0.2
+"""m/s of the speed of the wheels from which a robot certainly drives."""
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
 NEARLY = 0.95
@@ -69,6 +74,18 @@ class Smoothed:
         return self.fits[self.mode]
 
 
+def nodes_of_log(log: DriveLog, to_body: FloatArray, spacing: Spacing) -> Nodes:
+    """Average a drive as it is remembered; parameters as of `nodes_of`."""
+    return nodes_of(
+        log.window,
+        to_body,
+        spacing,
+        log.speed if np.isfinite(log.speed).any() else None,
+        may_rest=log.has_rests,
+        longest_step=STREAMS.longest_gyro_step,
+    )
+
+
 class _Trials:
     """The fits of a window by kind of motion, the best of each as `fits`.
 
@@ -79,17 +96,24 @@ class _Trials:
     """
 
     def __init__(
-        self, window: Window, knowledge: Knowledge, told: Callable[[float], object] | None = None
+        self,
+        window: Window | DriveLog,
+        knowledge: Knowledge,
+        told: Callable[[float], object] | None = None,
     ) -> None:
-        self._window, self._knowledge = window, knowledge
+        self._samples, self._knowledge = window, knowledge
         self._told, self._begun = told, 0
         self._begin(Spacing())
 
     def _begin(self, spacing: Spacing) -> None:
-        window, knowledge = self._window, self._knowledge
-        self.nodes = nodes_of(window, knowledge.mounting.to_body, spacing)
-        priors = priors_of(knowledge, window.bias_sigma)
-        priors = with_dead_axes(priors, living_axes(window.angular_rate))
+        samples, knowledge = self._samples, self._knowledge
+        to_body = knowledge.mounting.to_body
+        if isinstance(samples, DriveLog):
+            self.nodes, lives = nodes_of_log(samples, to_body, spacing), living_axes(samples.rate)
+        else:
+            self.nodes = nodes_of(samples, to_body, spacing)
+            lives = living_axes(samples.angular_rate)
+        priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
         self._state, self._priors = start(self.nodes, priors)
         self.fits: dict[str, Fit] = {}
 
@@ -100,9 +124,17 @@ class _Trials:
 
     def on_the_spot(self) -> Fit | None:
         """Fit a turn on the spot roughly, and return it if it explains the samples."""
+        if self._rolls:
+            return None
         self.add(ON_THE_SPOT, tolerances=ROUGHLY)
         spot = self.fits.get(ON_THE_SPOT)
         return spot if spot is not None and gyro_is_usual(spot) else None
+
+    @property
+    def _rolls(self) -> bool:
+        """Whether wheels say that the robot drives."""
+        speed = self.nodes.speed
+        return speed is not None and bool(np.nanmedian(np.abs(speed)) > ROLLS)
 
     def add(
         self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()
@@ -126,9 +158,11 @@ class _Trials:
     def drives(self) -> None:
         """Fit all kinds of motion anew, where the robot did certainly not turn on the spot."""
         self._begin(WHILE_DRIVING)
+        self._without_false_rests()
         fits = self.fits
-        for name in KINDS:
-            self.add(name, tolerances=ROUGHLY)
+        for name in (ON_WHEELS,) if self._rolls else KINDS:
+            if name not in fits:
+                self.add(name, tolerances=ROUGHLY)
         least = min((each.evidence for each in fits.values()), default=0.0)
         for name, rough in tuple(fits.items()):
             if rough.evidence > least + HOPELESS:
@@ -140,6 +174,18 @@ class _Trials:
             best = min(fits.values(), key=lambda each: each.evidence)
             if best.evidence < other.evidence < best.evidence + HOPELESS:
                 self.add(name, best)
+
+    def _without_false_rests(self) -> None:
+        """Let nothing rest if that is more likely: smooth road may look like a rest."""
+        self.add(ON_WHEELS, tolerances=ROUGHLY)
+        if not self.nodes.quiet.any():
+            return
+        resting, rested = self.nodes, self.fits.pop(ON_WHEELS, None)
+        self.nodes = replace(resting, quiet=np.zeros(len(resting), dtype=np.bool_))
+        self.add(ON_WHEELS, tolerances=ROUGHLY)
+        moved = self.fits.get(ON_WHEELS)
+        if rested is not None and (moved is None or rested.evidence < moved.evidence):
+            self.nodes, self.fits[ON_WHEELS] = resting, rested
 
     def drives_roughly(self) -> None:
         """Fit the most usual kind of drive alone, and not to the end."""
@@ -154,7 +200,7 @@ class _Trials:
 
 
 def smooth(
-    window: Window,
+    window: Window | DriveLog,
     knowledge: Knowledge,
     too_slow: Refusal | None = None,
     told: Callable[[float], object] | None = None,
@@ -163,7 +209,7 @@ def smooth(
 
     Parameters
     ----------
-    window : Window
+    window : Window or DriveLog
         With a gyro.
     knowledge : Knowledge
     too_slow : Refusal, optional

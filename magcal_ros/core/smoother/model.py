@@ -64,6 +64,7 @@ class Model:
         """Return the model of one kind of motion."""
         scale = priors.scale.copy()
         scale[AT["lever_arm"]] *= kind.lever_arm / UNKNOWNS["lever_arm"].sigma[0]
+        scale[AT["soft_iron"]] *= kind.soft_iron
         if not kind.has_wheels:
             scale[AT["mounting_yaw"]] = 0.0
         axes = level_axes(np.median(start.attitude[:, :, 2], axis=0))
@@ -201,6 +202,9 @@ def weigh(model: Model, point: Point) -> dict[str, Weighted]:
     }
     if nodes.tied_to is not None:
         return found | _of_a_turn_without_gyro(model, point)
+    if nodes.speed is not None:
+        known = np.where(np.isfinite(nodes.speed), 1.0, math.inf)
+        found["speed"] = measured("speed", factors.speed(nodes.speed, state), known)
     force, gyro = factors.force(course, state), factors.gyro(course, state)
     return found | {
         "force": measured("force", force.part(LEVEL_AXES), per_link),
@@ -352,8 +356,10 @@ def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> 
     )
     for which, level in levels:
         cost += float(np.sum((state.local[0, which] / level) ** 2 + 2.0 * np.log(level)))
-    creep = state.local[point.course.still, VELOCITY] / model.priors.lengths.creep
-    cost += float(np.sum(creep**2))
+    # A rest is a measurement of the velocity.
+    creep = model.priors.lengths.creep
+    rests = state.local[point.course.still, VELOCITY] / creep
+    cost += float(np.sum(rests**2)) + 2.0 * rests.size * math.log(creep)
     centres = state.centres / sizes["street"]
     cost += float(np.sum(places.information * (centres @ centres.T)))
     cost += 3.0 * (places.log_determinant + 2.0 * len(places) * math.log(sizes["street"]))

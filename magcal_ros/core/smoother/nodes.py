@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -12,8 +12,14 @@ from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import SWAY
 from magcal_ros.core.samples.window import Window, white_noise
+from magcal_ros.core.smoother.rests import rests
 from magcal_ros.core.smoother.unknowns import MICROTESLA
 from magcal_ros.core.up import unseen_angles
+
+LINKS = ("seconds", "turned", "angle", "force", "along", "swing", "samples", "unseen")
+"""What the nodes hold of the links between them."""
+UNTIED, APART = 10.0, 1000.0
+"""Variance of the turn, radians², and seconds between nodes where the gyro was not heard."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +51,7 @@ class Nodes:
     count: FloatArray
     """Samples in each mean. Shape (n,)."""
     quiet: BoolArray
-    """Whether force and rate shake as little as they do at rest. Shape (n,)."""
+    """Whether the field stays, and force and rate shake as little as at rest. Shape (n,)."""
     seconds: FloatArray
     """Between the middles of neighbours. Shape (n - 1,)."""
     turned: FloatArray
@@ -69,12 +75,34 @@ class Nodes:
     """White noise of a field sample per axis, microtesla."""
     mean_force: FloatArray
     """Mean specific force of the same samples as the field, m/s². Shape (n, 3)."""
+    speed: FloatArray | None = None
+    """Mean speed ahead, m/s; NaN where none was measured. Shape (n,)."""
+    added_from: float = math.inf
+    """Seconds after which iron that was added is there."""
     tied_to: FloatArray | None = None
     """Without a gyro: axes as columns, the last one along the axis of the turn. The rates are then
     those that the field shows, and serve to average. Shape (3, 3)."""
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def between(self, start: float, end: float = math.inf) -> Nodes:
+        """Return the nodes after one moment, up to another, seconds; at least two."""
+        first, last = np.searchsorted(self.time, [start, end], side="right")
+        links = slice(first, max(last - 1, first))
+        changes = {}
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if each.name in LINKS:
+                changes[each.name] = value[links]
+            elif isinstance(value, np.ndarray) and each.name != "tied_to":
+                changes[each.name] = value[first:last]
+        return replace(self, **changes)
+
+    @property
+    def is_tied(self) -> BoolArray:
+        """Whether the gyro was heard all the way between neighbours, shape (n - 1,)."""
+        return np.asarray(self.unseen.max(axis=1) < UNTIED)
 
     def in_axes(self, rotation: FloatArray) -> Nodes:
         """Return nodes that turn as these do, in body axes that a rotation (3, 3) leads to.
@@ -99,7 +127,15 @@ class Nodes:
         return np.asarray(self.angle / self.seconds[:, None])
 
 
-def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) -> Nodes:
+def nodes_of(
+    window: Window,
+    to_body: FloatArray,
+    spacing: Spacing = Spacing(),
+    speed: FloatArray | None = None,
+    *,
+    may_rest: bool = True,
+    longest_step: float = math.inf,
+) -> Nodes:
     """Average a window that has a gyro.
 
     Parameters
@@ -108,28 +144,35 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
     to_body : ndarray, shape (3, 3)
         From sensor axes to nominal body axes (`Mounting.to_body`).
     spacing : Spacing
+    speed : ndarray, shape (n,), optional
+        m/s ahead at the samples; NaN where none was measured.
+    may_rest : bool
+        Whether the robot may rest in it.
+    longest_step : float
+        Seconds between samples beyond which the gyro is not followed.
     """
     rate, time = window.angular_rate, window.time
     assert rate is not None
     field = window.field @ to_body.T * MICROTESLA
     steps, unseen = _turned(time, rate)
     attitude = chained(exp_rotations(-steps)[None])[0]
-    first = _first_rows(time, steps, unseen, spacing)
+    lost = np.diff(time) > longest_step
+    first = _first_rows(time, steps, unseen, spacing, lost)
     last = np.append(first[1:], len(time))
     middle = (first + last - 1) // 2
     count = (last - first).astype(float)
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
     mean_rate = _means(rate, first, count)
-    shaking = _spread(window.specific_force, first, count)
-    rocking = _spread(rate, first, count)
     links = _Links.of(window, attitude, middle, steps, unseen)
+    spreads = (_spread(each, first, count) for each in (field, window.specific_force, rate))
+    mean_field = _means(field, first, count)
     nodes = Nodes(
         time[middle],
-        _means(field, first, count),
+        mean_field,
         _means(from_middle, first, count),
         mean_rate,
         count,
-        _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002),
+        may_rest & rests(mean_field, count, *spreads),
         np.diff(time[middle]),
         attitude[middle[1:]] @ np.swapaxes(attitude[middle[:-1]], 1, 2),
         links.angle,
@@ -140,13 +183,27 @@ def nodes_of(window: Window, to_body: FloatArray, spacing: Spacing = Spacing()) 
         links.unseen,
         float(np.median(white_noise(field))),
         _means(window.specific_force, first, count),
+        None if speed is None else _means(speed, first, count),
     )
-    for rest in window.rests:
-        beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
-        end = middle[0] if rest.beside <= time[len(time) // 2] else middle[-1]
-        to_rest = rest.turned @ attitude[beside] @ attitude[end].T
-        nodes = _with_rest(nodes, rest, to_rest, to_body)
-    return nodes
+    nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
+    return _with_rests(nodes, window, attitude, middle, to_body)
+
+
+def _untied(nodes: Nodes, lost: BoolArray) -> Nodes:
+    """Return the nodes without the links (n - 1,) along which the gyro was lost."""
+    if not lost.any():
+        return nodes
+    rows, empty = lost[:, None], np.zeros(3)
+    return replace(
+        nodes,
+        seconds=np.where(lost, APART, nodes.seconds),
+        turned=np.where(rows[:, None], np.eye(3), nodes.turned),
+        angle=np.where(rows, empty, nodes.angle),
+        along=np.where(rows[:, None], np.eye(3), nodes.along),
+        swing=np.where(rows, empty, nodes.swing),
+        samples=np.where(lost, 0.0, nodes.samples),
+        unseen=np.where(rows, UNTIED, nodes.unseen),
+    )
 
 
 def _turned(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -191,7 +248,7 @@ def _band_limited(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, Float
 
 
 def _first_rows(
-    time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing
+    time: FloatArray, steps: FloatArray, unseen: FloatArray, spacing: Spacing, lost: BoolArray
 ) -> IntArray:
     """Return the first row of each node."""
     turned = np.linalg.norm(steps, axis=1) / spacing.most_turn
@@ -199,6 +256,7 @@ def _first_rows(
     worth = np.maximum.reduce([np.diff(time) / spacing.longest, turned, missed])
     clock = np.concatenate([[0.0], np.cumsum(worth)])
     clock /= max(1.0, (time[-1] - time[0]) / spacing.longest / spacing.most)
+    clock += np.concatenate([[0.0], np.cumsum(lost)])
     first = np.flatnonzero(np.diff(np.floor(clock + 1e-9), prepend=-1.0))
     # What is left over at the end is no node of its own, which would look quiet.
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
@@ -214,10 +272,6 @@ def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArra
     mean = _means(values, first, count)
     square = _means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first, count)
     return np.asarray(np.sqrt(square).max(axis=1))
-
-
-def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
-    return np.asarray(spread < 1.6 * np.quantile(spread, 0.1) + least)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,6 +312,19 @@ class _Links:
             mean(attitude[rows] @ back, attitude[rows + 1] @ back),
             np.add.reduceat(unseen[rows], begin, axis=0),
         )
+
+
+def _with_rests(
+    nodes: Nodes, window: Window, attitude: FloatArray, middle: IntArray, to_body: FloatArray
+) -> Nodes:
+    """Add the rests beside a window, to which the gyro's attitudes (n, 3, 3) lead."""
+    time = window.time
+    for rest in window.rests:
+        beside = int(np.searchsorted(time, rest.beside).clip(0, len(time) - 1))
+        end = middle[0] if rest.beside <= time[len(time) // 2] else middle[-1]
+        to_rest = rest.turned @ attitude[beside] @ attitude[end].T
+        nodes = _with_rest(nodes, rest, to_rest, to_body)
+    return nodes
 
 
 def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: FloatArray) -> Nodes:
@@ -303,5 +370,7 @@ def _with_rest(nodes: Nodes, rest: RestBeside, to_rest: FloatArray, to_body: Flo
         put(nodes.unseen, np.zeros((2, 3)), lag),
         nodes.noise,
         put(nodes.mean_force, np.tile(rest.force, (2, 1)), at),
+        None if nodes.speed is None else put(nodes.speed, np.zeros(2), at),
+        nodes.added_from,
         nodes.tied_to,
     )

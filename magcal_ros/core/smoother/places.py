@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import STREET, VELOCITY
 
@@ -20,6 +20,8 @@ MOST = 32
 """Centres at most."""
 CLOSEST = 5.0
 """Metres between centres at least."""
+AGAIN = 3.0
+"""A place is passed again where the way between is so many times as long as the straight line."""
 SMALL = 0.03
 """Share of the disturbance's variance that is of small extent, as of a manhole cover."""
 
@@ -63,7 +65,13 @@ class Places:
             Metres over which the disturbance is alike.
         """
         way = reckoned(course, state)
-        chosen, apart = _spread_out(way, CLOSEST)
+        again = np.flatnonzero(_passed_again(way, length))
+        if not len(again):
+            return cls.none(len(way), length)
+        rows, apart = _spread_out(way[again], CLOSEST)
+        chosen = again[rows]
+        if len(again) < len(way):
+            apart = length
         if len(chosen) < 2:
             return cls.none(len(way), length)
         centres = way[chosen]
@@ -74,7 +82,7 @@ class Places:
         explained = (1.0 - SMALL) * np.sum(weights * to_nodes, axis=1)
         rest = np.sqrt(np.clip(1.0 - explained, SMALL, 1.0))
         determinant = float(np.linalg.slogdet(among)[1])
-        return cls(weights, np.array(chosen), rest, information, determinant, min(apart, length))
+        return cls(weights, chosen, rest, information, determinant, min(apart, length))
 
     def disturbance(self, state: State) -> FloatArray:
         """Return the local disturbance at the nodes, µT, world axes, shape (n, 3)."""
@@ -95,6 +103,16 @@ def reckoned(course: Course, state: State) -> FloatArray:
     velocity = np.einsum("nji,nj->ni", state.attitude, in_body)[:, :2]
     steps = 0.5 * (velocity[1:] + velocity[:-1]) * course.nodes.seconds[:, None]
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def _passed_again(way: FloatArray, length: float) -> BoolArray:
+    """Return which nodes lie beside a part of the way that is far from them along it."""
+    steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
+    metres = np.concatenate([[0.0], np.cumsum(steps)])
+    along = np.abs(metres[:, None] - metres)
+    apart = _distances(way, way)
+    again = (along > AGAIN * apart) & (along > CLOSEST) & (apart < length)
+    return np.asarray(again.any(axis=1))
 
 
 def _distances(one: FloatArray, other: FloatArray) -> FloatArray:

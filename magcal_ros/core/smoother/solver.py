@@ -42,12 +42,17 @@ class Weighted:
         return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
 
     @property
-    def cost(self) -> float:
-        """Minus twice the logarithm of the likelihood, but for a constant."""
-        counted = np.isfinite(self.variance)
+    def costs(self) -> FloatArray:
+        """Minus twice the logarithm of each likelihood, but for a constant, shape (k,)."""
+        variance = np.where(np.isfinite(self.variance), self.variance, 1.0)
         width = self.linear.residual.shape[1]
-        spread = (self.freedom + width) * np.log1p(self.chi2[counted] / self.freedom)
-        return float(np.sum(spread + width * np.log(self.variance[counted])))
+        spread = (self.freedom + width) * np.log1p(self.chi2 / self.freedom)
+        return np.asarray(spread + width * np.log(variance))
+
+    @property
+    def cost(self) -> float:
+        """Their sum."""
+        return float(np.sum(self.costs))
 
 
 @dataclass(frozen=True, eq=False)

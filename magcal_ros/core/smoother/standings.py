@@ -303,4 +303,4 @@ def course_of(field_: FloatArray) -> Course:
     nodes = _nodes(field_)
     n = len(nodes)
     zeros, still = np.zeros(n), np.ones(n, dtype=bool)
-    return Course(nodes, np.eye(3), zeros, ~still, still, zeros)
+    return Course(nodes, np.eye(3), zeros, ~still, still, zeros, zeros)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_robustly, plane_normal
 from magcal_ros.core.geometry.rotations import (
@@ -39,23 +39,23 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     field, one h of hard iron, and the motors' k while the robot moves (u) and l per turn rate (w),
     which is linear. Installation and soft iron begin at zero.
     """
-    path = chained(nodes.turned[None])[0]
-    up = _up(nodes, path)
-    spin = np.sum(nodes.rate * up, axis=1)
-    yaw = np.concatenate([[0.0], np.cumsum(0.5 * (spin[1:] + spin[:-1]) * nodes.seconds)])
-    level = level_axes(up)
+    up, level, yaw = held_by_gyro(nodes)
+    piece = np.concatenate([[0], np.cumsum(~nodes.is_tied)])
+    longest = piece == np.bincount(piece).argmax()
     best: tuple[float, float, FloatArray, FloatArray] | None = None
     axes, along = level_axes(np.median(up, axis=0)), np.median(up, axis=0)
     for bias in biases:
         course = Course.of(nodes, axes, bias * along, priors.lengths)
         motors = np.stack([course.moving, nodes.rate[:, 2]], axis=1)
         turned = level @ rotation_about(Z, -(yaw - bias * (nodes.time - nodes.time[0])))
-        found, misfit = _linear(nodes, turned, motors, -float(priors.mean[EARTH][1]))
+        found, misfit = _linear(nodes, turned, motors, -float(priors.mean[EARTH][1]), longest)
         score = misfit * (1.0 + 2.0 * abs(bias))
         if best is None or score < best[0]:
             best = score, bias, turned, found
     assert best is not None
     _, bias, turned, found = best
+    for each in np.unique(piece[~longest]):
+        turned[piece == each] = _led_on(turned, nodes.field, found, piece == each)
     north = rotation_about(Z, np.array([math.atan2(found[0], found[1])]))[0]
     shared = priors.mean.copy()
     shared[AT["iron"]] = found[3:6]
@@ -67,6 +67,27 @@ def start(nodes: Nodes, priors: Priors, biases: tuple[float, ...] = BIASES) -> t
     shared[EARTH] = about.mean[EARTH]
     assert shared.shape == (SHARED,)
     return State(turned @ north.T, np.zeros((len(nodes), LOCAL)), shared), about
+
+
+def held_by_gyro(nodes: Nodes) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return up in body axes (n, 3), level axes (n, 3, 3), and the yaw (n,) by the gyro alone."""
+    up = _up(nodes, chained(nodes.turned[None])[0])
+    spin = np.sum(nodes.rate * up, axis=1)
+    steps = np.where(nodes.is_tied, 0.5 * (spin[1:] + spin[:-1]) * nodes.seconds, 0.0)
+    return up, level_axes(up), np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _led_on(
+    turned: FloatArray, field: FloatArray, found: FloatArray, rows: BoolArray
+) -> FloatArray:
+    """Return the axes of nodes to which no gyro leads, turned about up to where the field points.
+
+    `found` begins with the Earth's field in the other nodes' axes and the hard iron.
+    """
+    seen = np.einsum("nji,nj->ni", turned[rows], field[rows] - found[3:6])
+    apart = np.arctan2(seen[:, 1], seen[:, 0]) - math.atan2(found[1], found[0])
+    mean = float(np.angle(np.exp(1j * apart).mean()))
+    return np.asarray(turned[rows] @ rotation_about(Z, np.array([mean]))[0])
 
 
 def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
@@ -84,24 +105,27 @@ def _up(nodes: Nodes, path: FloatArray) -> FloatArray:
 
 
 def _linear(
-    nodes: Nodes, turned: FloatArray, motors: FloatArray, upward: float
+    nodes: Nodes, turned: FloatArray, motors: FloatArray, upward: float, counted: BoolArray
 ) -> tuple[FloatArray, float]:
-    """Return c, h, k and l by iterated weighted least squares, and the median misfit, µT."""
+    """Return c, h, k and l by iterated weighted least squares, and the median misfit, µT.
+
+    Only some nodes are `counted`, shape (n,).
+    """
     count = len(nodes)
     eye = np.broadcast_to(np.eye(3), (count, 3, 3))
     by_motors = [each[:, None, None] * eye for each in motors.T]
     rows = np.concatenate([turned, eye, *by_motors], axis=2)
     known = np.vstack([np.eye(12)[2] / 3.0, np.diag([0.0] * 6 + [1.0 / MOTORS] * 6)[6:]])
     expected = np.append(upward / 3.0, np.zeros(6))
-    weight = np.ones(count)
+    weight = counted.astype(float)
     for _ in range(12):
         scale = np.repeat(np.sqrt(weight), 3)
         left = np.vstack([rows.reshape(-1, 12) * scale[:, None], known])
         right = np.append(nodes.field.ravel() * scale, expected)
         found = np.linalg.lstsq(left, right, rcond=None)[0]
         misfit = np.linalg.norm(nodes.field - rows @ found, axis=1)
-        middle = float(np.median(misfit))
-        weight = 1.0 / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
+        middle = float(np.median(misfit[counted]))
+        weight = counted / (1.0 + (misfit / (1.5 * middle + 1e-9)) ** 2)
     return found, middle
 
 

@@ -77,6 +77,8 @@ class Course:
     (n,)."""
     still: BoolArray
     """Whether the robot rests there. Shape (n,)."""
+    added: FloatArray
+    """One where iron that was added is there, else zero. Shape (n,)."""
     span: FloatArray
     """Time over the window's length, its middle at zero. Shape (n,)."""
 
@@ -91,4 +93,5 @@ class Course:
         span = (nodes.time - nodes.time.mean()) / max(np.ptp(nodes.time), 1e-9)
         edge = ~still & (np.append(still[1:], False) | np.insert(still[:-1], 0, False))
         moving = np.where(edge, 0.5, (~still).astype(float))
-        return cls(nodes, axes, moving, edge, still, span)
+        added = (nodes.time > nodes.added_from).astype(float)
+        return cls(nodes, axes, moving, edge, still, added, span)

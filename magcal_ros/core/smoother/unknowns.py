@@ -110,6 +110,9 @@ UNKNOWNS: dict[str, Unknown] = {
     "drift": Unknown(
         (0.15,) * 3, 0.7, 30.0, "µT", "drift of hard iron over the window", ".2 to 1 µT"
     ),
+    "added": Unknown(
+        (30.0,) * 3, 0.0, 1.0, "µT", "hard iron that is there from one moment on", "a load"
+    ),
     "force_moving": Unknown(
         (0.01,) * 3,
         1.2,
@@ -179,6 +182,7 @@ SIZES: dict[str, Size] = {
         "cars .1 to .3, on the spot 0",
         most=3.0,
     ),
+    "speed": Size(0.1, 1.0, 4.0, "m/s", "error of the speed of the wheels", "slip: .02 to .3"),
     "slip": Size(0.01, 2.0, 4.0, "m/s²", "the same sideways", "wheels .01 to .05", most=3.0),
 }
 
@@ -212,6 +216,8 @@ class KindOfMotion(NamedTuple):
     motors: float = 2.0
     """Spread of the logarithm of the motors' field. A vehicle's is small where a compass sits; what
     differs between its rest and its way is the place."""
+    soft_iron: float = 1.0
+    """Factor of the usual soft iron: a vehicle's body is of steel."""
 
     @property
     def velocity(self) -> FloatArray:
@@ -230,8 +236,8 @@ DRIVES = (ON_WHEELS, ANY_WAY)
 KINDS: dict[str, KindOfMotion] = {
     ON_THE_SPOT: KindOfMotion(0.02, 1.0, 0.08, 0.01),
     SMALL_CIRCLE: KindOfMotion(0.8, 1.0, 0.15, 0.01),
-    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7),
-    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7),
+    ON_WHEELS: KindOfMotion(6.0, 0.05, 1.0, 0.3, 0.7, 5.0),
+    ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
 USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
@@ -344,7 +350,7 @@ def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
         scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
         spread["gyro_bias"] = 0.0
     # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
-    for name in ("height", "axis", "upright", "gradient", "turned", "place"):
+    for name in ("height", "axis", "upright", "gradient", "turned", "place", "added"):
         scale[AT[name]] = 0.0
     mean[EARTH], earth = _earth(knowledge)
     most = {name: each.most for name, each in UNKNOWNS.items()}

@@ -13,9 +13,10 @@ from magcal_ros.core.keeping.candidates import Kind
 from magcal_ros.core.keeping.jobs import Contest, Step
 from magcal_ros.core.keeping.worker import prove
 from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.core.smoothing.log import log_of
+from magcal_ros.core.smoother.drives import drive_nodes
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 ROBOT = Robot(strength=51.3e-6, inclination=math.radians(66.3), noise_field=0.3e-6)
@@ -31,7 +32,7 @@ def driven(**options):
     way = travel(city(rng, 120.0), rng, rate=10.0)
     drive = simulated_drive(way, rng, Vehicle(ROBOT), **options)
     window = Window(drive.time, drive.field, drive.force, drive.rate)
-    return log_of(window).nodes(np.eye(3))
+    return drive_nodes(log_of(window), np.eye(3))
 
 
 def proved(road, *steps, old=OLD):

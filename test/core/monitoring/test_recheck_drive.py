@@ -10,8 +10,8 @@ from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.monitoring.recheck import check, iron_added
 from magcal_ros.core.samples import Window
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.simulation import measure, turn
-from magcal_ros.core.smoothing.log import log_of
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ from simulated.travel import travel
 from magcal_ros.core.geometry.attitude import yaw_from_up_and_field
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.drive_log import log_of
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.log import log_of
 
 BOSTON = knowledge_of(51.3, inclination_deg=66.3)
 
@@ -25,16 +25,9 @@ def driven(seed, seconds=300.0, legs=None, vehicle=None, **options):
 
 
 def log_from(drive, *, speed=False):
-    """What is remembered of it; with a speed its own acceleration is taken off."""
-    truth, force = drive.truth, drive.force
-    if speed:
-        spin = np.gradient(truth.yaw, truth.period)
-        own = np.column_stack(
-            [np.gradient(truth.speed, truth.period), truth.speed * spin, np.zeros(len(spin))]
-        )
-        force = force - own @ drive.vehicle.imu_pose
-    window = Window(drive.time, drive.field, force, drive.rate)
-    return log_of(window, truth.speed if speed else None)
+    """What is remembered of it."""
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    return log_of(window, drive.truth.speed if speed else None)
 
 
 def heading_error(correction, robot):

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import cached_property
 from operator import add
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +14,30 @@ from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoothing.nodes import MICROTESLA, Means, Nodes, Track, nodes_of
-from magcal_ros.core.smoothing.tuning import TUNING
 
-if TYPE_CHECKING:
-    from magcal_ros.core.smoothing.level import Level
+
+@dataclass(frozen=True)
+class RecorderTuning:
+    """How a drive is averaged, and when a robot rests on the way."""
+
+    row: float = 0.1
+    """Seconds of samples that make one row."""
+    chunk: int = 10
+    """Rows after which it is asked whether the robot rests."""
+    rests: int = 60
+    rest_chunks: int = 60
+    """What is remembered of the gyro: rests, and chunks of each that its mean is over."""
+    rest_field: float = 0.6e-6
+    rest_rate: float = math.radians(0.5)
+    rest_force: float = 0.15
+    rest_noise: float = 0.5
+    rest_speed: float = 0.1
+    """A robot rests while five seconds of rows change by less than this from half to half: tesla
+    and rad/s, so many times their spread included; the force may spread by m/s², and the speed,
+    where it is known, is m/s at most."""
+
+
+TUNING = RecorderTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,23 +49,19 @@ class DriveLog:
     field: FloatArray
     """Raw field, tesla. Shape (m, 3)."""
     force: FloatArray
-    """Specific force, m/s², body axes; the vehicle's own acceleration taken off where it is known.
-    Shape (m, 3)."""
+    """Specific force, m/s², body axes. Shape (m, 3)."""
     rate: FloatArray
     """rad/s, body axes. Shape (m, 3)."""
     speed: FloatArray
-    """m/s; NaN where nobody measures it. Shape (m,)."""
+    """m/s ahead; NaN where it was not measured. Shape (m,)."""
     bias_sigma: float = math.inf
     """rad/s per axis by which `rate` may still be biased, where a rest has shown the gyro's bias
     and it was taken off; infinite where none has."""
+    has_rests: bool = True
+    """Whether the robot may rest in it; a recorder cuts rests out."""
 
     def __len__(self) -> int:
         return len(self.time)
-
-    @property
-    def seconds(self) -> float:
-        """How long it is."""
-        return float(self.time[-1] - self.time[0]) if len(self) else 0.0
 
     @property
     def window(self) -> Window:
@@ -62,29 +75,6 @@ class DriveLog:
         columns = ("time", "field", "force", "rate", "speed")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
-    @cached_property
-    def level(self) -> Level:
-        """Up at each row, and what goes with it."""
-        # What only remembers a drive, as a running node does, needs none of this.
-        from magcal_ros.core.smoothing.level import level_of
-
-        return level_of(self.time, self.force, self.rate, self.bias_sigma)
-
-    @cached_property
-    def driven(self) -> FloatArray | None:
-        """Speed at each row, m/s: zero for who stays, None where nothing tells it."""
-        known = np.isfinite(self.speed)
-        if known.mean() > 0.5:
-            return np.interp(self.time, self.time[known], self.speed[known])
-        return np.zeros(len(self)) if self.level.stays else None
-
-    def nodes(self, to_body: FloatArray) -> Nodes:
-        """Return the nodes of all of it; `to_body` as for `nodes_of`."""
-        level = self.level
-        rows = (self.time, self.field, level.up, self.rate, self.driven)
-        track = Track(*rows, level.doubt, level.wander)
-        return nodes_of(track, to_body)
-
 
 def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
     """Average a window that has a gyro.
@@ -97,13 +87,19 @@ def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
     """
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
-    means = Means(np.flatnonzero(np.diff(block, prepend=-1)), len(window))
+    first = np.flatnonzero(np.diff(block, prepend=-1))
+    count = np.diff(np.append(first, len(window)))
+
+    def means(values: FloatArray) -> FloatArray:
+        sums = np.add.reduceat(values, first, axis=0)
+        return np.asarray(sums / (count if values.ndim == 1 else count[:, None]))
+
     return DriveLog(
-        means.of(window.time),
-        means.of(window.field),
-        means.of(window.specific_force),
-        means.of(window.angular_rate),
-        np.full(len(means.first), np.nan) if speed is None else means.of(speed),
+        means(window.time),
+        means(window.field),
+        means(window.specific_force),
+        means(window.angular_rate),
+        np.full(len(first), np.nan) if speed is None else means(speed),
         window.bias_sigma,
     )
 
@@ -111,8 +107,8 @@ def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
 COLUMNS = 11
 FIELD, FORCE, RATE, SPEED = slice(1, 4), slice(4, 7), slice(7, 10), 10
 
-CHUNKS_TO_TELL = 5
-"""Chunks that tell whether the robot stands."""
+CHUNKS_OF_REST = 5
+"""Chunks over which a rest is looked for."""
 
 
 @dataclass
@@ -144,15 +140,15 @@ class DriveRecorder:
     """Averages samples into rows, and keeps those of movement.
 
     Its clock runs while the robot moves: a pause is cut out, however long it is. Where time jumps,
-    or nothing is heard for longer than it takes to tell a rest, a piece of the drive ends, and the
-    next follows it on the clock. A piece too short to tell a rest is dropped.
+    or nothing is heard for longer than it takes to see a rest, a piece of the drive ends, and the
+    next follows it on the clock. A piece too short for that is dropped.
 
     Parameters
     ----------
     seconds : float
         Of movement that is kept.
     gyro : GyroAtRest, optional
-        What a rest beforehand has shown; a rest on the way tells more.
+        What a rest beforehand has shown; a rest on the way shows more.
 
     Attributes
     ----------
@@ -165,11 +161,11 @@ class DriveRecorder:
         seconds: float = 600.0,
         gyro: GyroAtRest | None = None,
     ) -> None:
-        self._longest_silence = CHUNKS_TO_TELL * TUNING.chunk * TUNING.row
+        self._longest_silence = CHUNKS_OF_REST * TUNING.chunk * TUNING.row
         self._chunks: deque[FloatArray] = deque(
             maxlen=int(seconds / (TUNING.row * TUNING.chunk)) + 1
         )
-        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_TO_TELL)
+        self._recent: deque[FloatArray] = deque(maxlen=CHUNKS_OF_REST)
         self._rested: deque[_Rest] = deque(maxlen=TUNING.rests)
         self.begin_anew()
         self._gyro = gyro
@@ -221,8 +217,7 @@ class DriveRecorder:
         stamp : float
             Seconds.
         field, force, rate : tuple of float
-            Raw field (tesla); specific force (m/s²) less the vehicle's own acceleration where that
-            is known; rad/s.
+            Raw field (tesla); specific force (m/s²); rad/s.
         speed : float
             m/s; NaN where nobody measures it.
 
@@ -246,7 +241,7 @@ class DriveRecorder:
         return grown
 
     def _end_piece(self) -> None:
-        if not self._is_told:
+        if not self._is_long_enough:
             for _ in self._recent:
                 self._chunks.pop()
         self._rows.clear()
@@ -255,9 +250,9 @@ class DriveRecorder:
         self._rests = False
 
     @property
-    def _is_told(self) -> bool:
-        """Whether the piece under way is long enough to tell a rest."""
-        return len(self._recent) == CHUNKS_TO_TELL
+    def _is_long_enough(self) -> bool:
+        """Whether the piece under way is long enough to show a rest."""
+        return len(self._recent) == CHUNKS_OF_REST
 
     def log(self) -> DriveLog:
         """Return everything that is kept, by the drive's own clock.
@@ -270,7 +265,7 @@ class DriveRecorder:
         if gyro is not None:
             rate = rate - (self._bias_at(time) if self._rested else gyro.rate)
         sigma = math.inf if gyro is None else gyro.later_sigma
-        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma)
+        return DriveLog(time, rows[:, FIELD], rows[:, FORCE], rate, rows[:, SPEED], sigma, False)
 
     def _bias_at(self, time: FloatArray) -> FloatArray:
         """Return what rests say of the gyro's bias at moments (n,) of the drive's clock, (n, 3)."""
@@ -313,7 +308,7 @@ class DriveRecorder:
 
     def _stands(self) -> bool:
         """Whether nothing has changed over the last seconds: neither field, turn rate nor force."""
-        if not self._is_told:
+        if not self._is_long_enough:
             return False
         rows = np.concatenate(list(self._recent))
         speed = np.abs(rows[-TUNING.chunk :, SPEED])
@@ -322,7 +317,7 @@ class DriveRecorder:
         half = len(rows) // 2
         gap = np.abs(rows[:half].mean(axis=0) - rows[half:].mean(axis=0))
         spread = rows.std(axis=0)
-        field = MICROTESLA * (gap[FIELD] + TUNING.rest_noise * spread[FIELD])
+        field = gap[FIELD] + TUNING.rest_noise * spread[FIELD]
         return bool(
             (field < TUNING.rest_field).all()
             and (gap[RATE] + TUNING.rest_noise * spread[RATE] < TUNING.rest_rate).all()

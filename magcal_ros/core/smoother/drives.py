@@ -1,0 +1,353 @@
+"""Drives as they are remembered: a calibration, its hard iron anew, two calibrations compared.
+
+All are fits of a drive on wheels by the same model. Where a calibration is held, the field is
+corrected by it, and of the twelve numbers only those that are sought are free.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.errors import Reason, Refusal
+from magcal_ros.core.geometry.arrays import FloatArray, IntArray
+from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.drive_log import DriveLog
+from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
+from magcal_ros.core.smoother.kinds_of_motion import (
+    NO_SOLUTION,
+    WHILE_DRIVING,
+    is_upright,
+    nodes_of_log,
+)
+from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.posterior import posterior
+from magcal_ros.core.smoother.start import start
+from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.unknowns import (
+    AT,
+    EARTH,
+    KINDS,
+    MICROTESLA,
+    ON_WHEELS,
+    SHARED,
+    UNKNOWNS,
+    Priors,
+    priors_of,
+)
+from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
+
+SECTORS = 12
+FEWEST = 16
+"""Nodes of the shortest drive that is fitted."""
+BELIEVED = 0.25
+"""Of a difference of evidence or cost, as for kinds of motion."""
+FIXED = 0.01
+"""Spread of the logarithm of a size that is known."""
+TOLERANCES = Tolerances(rounds=60, step=0.2, evidence=2.0)
+HELD = (
+    "installation",
+    "axes",
+    "soft_iron",
+    "shielding",
+    "motors_moving",
+    "motors_rate",
+    "drift",
+    "force_moving",
+    "force_offset",
+)
+"""The unknowns that a calibration holds: it leads to axes in which the accelerometer shows up."""
+MIRRORED = (
+    "along the drive the field does not turn as the gyro does; check that the axes of both sensors"
+    " belong together"
+)
+KEPT_TILT, KEPT_SOFT_IRON = math.radians(0.5), 0.002
+"""Sigmas by which installation and soft iron may have changed where hard iron is sought anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFit:
+    """What a drive shows."""
+
+    fit: Fit
+    correction: Correction
+    """Of the raw field."""
+    covariance: FloatArray
+    """Of its twelve numbers. Shape (12, 12)."""
+    strength: float
+    inclination: float
+    """Of the Earth's field: tesla, radians."""
+
+    @property
+    def heading_sigma(self) -> float:
+        """Standard deviation of the heading on the level by the calibration, radians."""
+        level, down = math.cos(self.inclination), math.sin(self.inclination)
+        earth = self.strength * np.array([0.0, level, -down])
+        return rms_sigma(heading_jacobian(self.correction, earth, 0.0), self.covariance)
+
+    @property
+    def sectors(self) -> int:
+        """How many of twelve sectors of 30° were driven with the iron that is sought."""
+        return len(np.unique(_sector(self.fit.state)[self._counted]))
+
+    @property
+    def seconds(self) -> float:
+        """How long the drive took with the hard iron that is sought."""
+        return float(np.ptp(self.fit.model.nodes.time[self._counted]))
+
+    @property
+    def local_field(self) -> float:
+        """Size of the local disturbance, tesla per axis."""
+        sizes = self.fit.point.sizes
+        return math.hypot(sizes["street"], sizes["motors_noise"]) / MICROTESLA
+
+    @property
+    def noise(self) -> float:
+        """Noise of a node's field, tesla per axis."""
+        return self.fit.point.sizes["field"] / MICROTESLA
+
+    @property
+    def _counted(self) -> IntArray:
+        nodes = self.fit.model.nodes
+        is_added = math.isfinite(nodes.added_from)
+        return np.flatnonzero(nodes.time > (nodes.added_from if is_added else -math.inf))
+
+
+def _sector(state: State) -> IntArray:
+    yaw = np.arctan2(state.attitude[:, 0, 1], state.attitude[:, 0, 0])
+    return (np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(np.int64) % SECTORS
+
+
+def drive_nodes(log: DriveLog, to_body: FloatArray) -> Nodes:
+    """Return the nodes of a drive; `to_body` as for `nodes_of`."""
+    return nodes_of_log(log, to_body, WHILE_DRIVING)
+
+
+def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
+    """Find all twelve numbers from a drive on wheels.
+
+    Parameters
+    ----------
+    log : DriveLog
+        What the nodes are part of.
+    nodes : Nodes
+    knowledge : Knowledge
+
+    Raises
+    ------
+    Refusal
+        `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
+    """
+    check_length(nodes)
+    priors = with_dead_axes(priors_of(knowledge, log.bias_sigma), living_axes(log.rate))
+    state, about = start(nodes, priors)
+    try:
+        found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
+    except np.linalg.LinAlgError as fault:
+        raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION) from fault
+    if not is_upright(found):
+        raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
+    mean = posterior(found, knowledge.mounting.matrix)
+    return DriveFit(found, mean.correction, mean.covariance, mean.strength, mean.inclination)
+
+
+def check_length(nodes: Nodes) -> None:
+    """Refuse a drive that is too short, or of which the gyro is not heard.
+
+    Raises
+    ------
+    Refusal
+    """
+    if len(nodes) < FEWEST:
+        raise Refusal(
+            Reason.TOO_FEW_SAMPLES,
+            f"only {len(nodes) * WHILE_DRIVING.longest:.0f} s of movement; at least"
+            f" {FEWEST * WHILE_DRIVING.longest:.0f} s are needed: drive on",
+        )
+    if np.mean(nodes.is_tied) < 0.5:
+        raise Refusal(
+            Reason.AXES_DISAGREE,
+            "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
+            " stamp each sample when it is measured, not when a buffer is read",
+        )
+
+
+def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> Nodes:
+    """Return the nodes with their field corrected by a calibration.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        In nominal body axes.
+    correction : Correction
+    to_sensor : ndarray, shape (3, 3)
+        `Mounting.matrix`.
+    """
+    raw = nodes.field @ to_sensor.T / MICROTESLA
+    return replace(nodes, field=MICROTESLA * correction.apply(raw))
+
+
+def held_priors(knowledge: Knowledge, iron: FloatArray, *, may_change: bool = False) -> Priors:
+    """Return the priors for a field that is corrected already.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+    iron : ndarray, shape (3,)
+        Sigma of the hard iron that is left, µT.
+    may_change : bool
+        Whether installation and soft iron may have changed a little.
+    """
+    priors = priors_of(knowledge)
+    scale = priors.scale.copy()
+    for name in HELD:
+        scale[AT[name]] = 0.0
+    scale[AT["iron"]] = iron
+    if may_change:
+        scale[AT["installation"]], scale[AT["soft_iron"]] = KEPT_TILT, KEPT_SOFT_IRON
+    spread = {**priors.spread, "installation": 0.0, "soft_iron": 0.0}
+    return replace(priors, scale=scale, spread=spread)
+
+
+def held_fit(inside: Nodes, priors: Priors) -> Fit | None:
+    """Fit corrected nodes; None where that fails."""
+    try:
+        state, about = start(inside, priors)
+        shared = priors.mean.copy()
+        shared[AT["gyro_bias"]] = state.shared[AT["gyro_bias"]]
+        shared[EARTH] = about.mean[EARTH]
+        begun = replace(state, shared=shared)
+        return fit(inside, priors, begun, KINDS[ON_WHEELS], TOLERANCES)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> DriveFit | None:
+    """Find what was added to the hard iron since a calibration was made.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    correction : Correction
+        The calibration; its matrix is kept but for the little that the priors allow.
+    knowledge : Knowledge
+
+    Returns
+    -------
+    DriveFit or None
+        Of the raw field. None where too little was driven.
+    """
+    if len(nodes) < FEWEST or np.mean(nodes.is_tied) < 0.5:
+        return None
+    inside = corrected(nodes, correction, knowledge.mounting.matrix)
+    free = np.array(UNKNOWNS["added"].sigma)
+    found = held_fit(inside, held_priors(knowledge, free, may_change=True))
+    return None if found is None else added_to(correction, found, AT["iron"])
+
+
+def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
+    """Return the calibration of the raw field, from a fit to a field corrected before."""
+    moved = replace(found, point=replace(found.point, state=_with_iron(found.state, iron)))
+    swapped = np.arange(SHARED)
+    swapped[AT["iron"]], swapped[iron] = swapped[iron].copy(), swapped[AT["iron"]].copy()
+    moved = replace(moved, covariance=found.covariance[np.ix_(swapped, swapped)])
+    change = posterior(moved, np.eye(3))
+    # A = A1 A0 and h = h0 + A0^-1 h1: how the twelve numbers follow those of the change.
+    by_change = np.zeros((12, 12))
+    by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
+    by_change[9:, 9:] = np.linalg.inv(correction.matrix)
+    return DriveFit(
+        found,
+        change.correction.after(correction),
+        by_change @ change.covariance @ by_change.T,
+        change.strength,
+        change.inclination,
+    )
+
+
+def _with_iron(state: State, iron: slice) -> State:
+    shared = state.shared.copy()
+    shared[AT["iron"]] = state.shared[iron]
+    return replace(state, shared=shared)
+
+
+@dataclass(frozen=True, eq=False)
+class LikelihoodRatio:
+    """The log likelihood ratio of nodes between a new calibration and an old one."""
+
+    by_node: FloatArray = field(default_factory=lambda: np.zeros(0))
+    """Fall of minus the log likelihood, as far as it is believed. Shape (n,)."""
+    sector: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    """Of twelve headings, by the new one. Shape (n,)."""
+
+    @property
+    def gain(self) -> float:
+        """All of it."""
+        return float(self.by_node.sum())
+
+    @property
+    def halves(self) -> tuple[float, float]:
+        """What the first and the second half of the nodes add to it."""
+        middle = len(self.by_node) // 2
+        return float(self.by_node[:middle].sum()), float(self.by_node[middle:].sum())
+
+    @property
+    def by_sector(self) -> FloatArray:
+        """What each of twelve headings adds to it, shape (12,)."""
+        return np.bincount(self.sector, self.by_node, SECTORS).astype(np.float64)
+
+    @property
+    def elsewhere(self) -> float:
+        """What is left without the quarter of headings that speaks most for the new one."""
+        quarters = sum(np.roll(self.by_sector, -shift) for shift in range(SECTORS // 4))
+        return float(self.gain - np.max(quarters))
+
+    @property
+    def against(self) -> float:
+        """What the headings that speak for the old one add up to, as a positive number."""
+        return float(-np.sum(np.minimum(self.by_sector, 0.0)))
+
+
+def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> LikelihoodRatio:
+    """Return the log likelihood ratio of nodes between a new calibration and an old one.
+
+    Parameters
+    ----------
+    old, new : Nodes
+        Corrected by the one and by the other, which both are held.
+    knowledge : Knowledge
+
+    Returns
+    -------
+    LikelihoodRatio
+        Nothing where one of them cannot be followed.
+    """
+    priors = held_priors(knowledge, np.zeros(3))
+    fits = [held_fit(each, priors) for each in (old, new)]
+    known = [each for each in fits if each is not None]
+    if len(known) < len(fits):
+        return LikelihoodRatio()
+    # Costs compare at the same sizes of noise only.
+    likelier = min(known, key=lambda each: each.evidence)
+    sizes = {
+        name: priors.sizes[name]._replace(usual=size, spread=FIXED)
+        for name, size in likelier.point.sizes.items()
+    }
+    before, after = (held_fit(each, replace(priors, sizes=sizes)) for each in (old, new))
+    if before is None or after is None:
+        return LikelihoodRatio()
+    by_node = BELIEVED * (_costs(before) - _costs(after))
+    return LikelihoodRatio(by_node, _sector(after.state))
+
+
+def _costs(found: Fit) -> FloatArray:
+    """Return minus twice the log likelihood of each node, and of the link that leads to it."""
+    count = len(found.model.nodes)
+    total = np.zeros(count)
+    for part in found.weighted.values():
+        total[count - len(part.chi2) :] += part.costs
+    return total

@@ -1,0 +1,49 @@
+"""Where a robot rests: nodes as quiet as any, in which the field stays what it was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+
+STILL_FIELD = 0.3
+"""µT by which the mean field of a robot at rest may change from node to node beside noise."""
+
+
+def rests(
+    mean_field: FloatArray,
+    count: FloatArray,
+    field: FloatArray,
+    shaking: FloatArray,
+    rocking: FloatArray,
+) -> BoolArray:
+    """Return in which nodes the robot may rest, by field, force and rate, shape (n,).
+
+    Parameters
+    ----------
+    mean_field : ndarray, shape (n, 3)
+        Of each node, µT.
+    count : ndarray, shape (n,)
+        Samples in each node.
+    field, shaking, rocking : ndarray, shape (n,)
+        Standard deviations of field (µT), force (m/s²) and rate (rad/s) in each node.
+    """
+    quiet = _as_at_rest(shaking, 0.01) & _as_at_rest(rocking, 0.002)
+    return quiet & _field_stays(mean_field, field, count)
+
+
+def _as_at_rest(spread: FloatArray, least: float) -> BoolArray:
+    """Return where nothing shakes more than it does in the most quiet nodes, a tenth or ten."""
+    return np.asarray(spread < 1.6 * _most_quiet(spread) + least)
+
+
+def _most_quiet(spread: FloatArray) -> float:
+    return float(np.quantile(spread, min(0.1, 10.0 / len(spread))))
+
+
+def _field_stays(mean: FloatArray, spread: FloatArray, count: FloatArray) -> BoolArray:
+    """Return where the field is that of the node before or after, but for the noise at rest."""
+    noise = _most_quiet(spread) / np.sqrt(count)
+    limit = STILL_FIELD + 3.0 * np.hypot(noise[1:], noise[:-1])
+    stays = np.abs(np.diff(mean, axis=0)).max(axis=1) < limit
+    return np.asarray(np.append(stays, False) | np.insert(stays, 0, False))

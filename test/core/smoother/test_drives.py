@@ -1,0 +1,196 @@
+"""A drive shows the calibration, and how sure it is."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from long_windows import (
+    PAPER_SOFT_IRON,
+    swaying,
+    swaying_robot,
+    swaying_window,
+)
+from simulated.legs import city
+from streets import BOSTON, driven, heading_error, log_from
+
+from magcal_ros.core.errors import Refusal
+from magcal_ros.core.knowledge import knowledge_of
+from magcal_ros.core.samples.drive_log import log_of
+from magcal_ros.core.samples.window import Window
+from magcal_ros.core.smoother.drives import (
+    corrected,
+    drive_nodes,
+    fit_drive,
+    fit_iron,
+    likelihood_ratio_of,
+)
+
+NOBODY = np.eye(3)
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return driven(4, 300.0)
+
+
+@pytest.fixture(scope="module")
+def nodes(drive):
+    return drive_nodes(log_from(drive), NOBODY)
+
+
+@pytest.fixture(scope="module")
+def fitted(drive):
+    return fit_to(drive)
+
+
+def fit_to(drive, **options):
+    """What the smoother finds in a drive."""
+    return fit_of(log_from(drive, **options), BOSTON)
+
+
+def fit_of(log, knowledge):
+    return fit_drive(log, drive_nodes(log, NOBODY), knowledge)
+
+
+def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
+    error = heading_error(fitted.correction, drive.vehicle.robot)
+    said = math.degrees(fitted.heading_sigma)
+    assert error < 3.0
+    assert said < 3.0
+    assert error < 2.5 * said
+    assert fitted.fit.converged
+    assert fitted.sectors >= 6
+
+
+def test_a_start_eighty_degrees_off_is_found_all_the_same(drive):
+    vehicle = dataclasses.replace(
+        drive.vehicle,
+        robot=dataclasses.replace(drive.vehicle.robot, hard_iron=np.array([90e-6, -60e-6, 40e-6])),
+    )
+    other = driven(5, 240.0, vehicle=vehicle)
+    found = fit_to(other)
+    assert heading_error(found.correction, vehicle.robot) < 4.0
+
+
+def test_a_gyro_that_turns_the_other_way_is_refused(drive):
+    log = log_from(drive)
+    with pytest.raises(Refusal, match="axes of both sensors"):
+        fit_of(dataclasses.replace(log, rate=-log.rate), BOSTON)
+
+
+def test_a_short_drive_is_refused(drive):
+    log = log_from(drive)
+    with pytest.raises(Refusal, match="drive on"):
+        fit_of(log.between(log.time[0], log.time[0] + 8.0), BOSTON)
+
+
+def test_the_speed_of_the_wheels_is_the_velocity_ahead(drive):
+    speed = drive.truth.speed
+    found = fit_to(drive, speed=True).fit
+    by_time = np.interp(found.model.nodes.time, drive.time, speed)
+    ahead = found.state.local[:, 3]
+    assert np.median(np.abs(ahead - by_time)) < 0.3
+
+
+def test_pieces_between_which_the_gyro_was_lost_make_one_calibration(drive):
+    """Ten seconds are missing, in which the vehicle may have turned anyhow."""
+    log = log_from(drive)
+    middle = log.time[0] + 150.0
+    rows = (log.time < middle) | (log.time > middle + 10.0)
+    columns = ("time", "field", "force", "rate", "speed")
+    holed = dataclasses.replace(log, **{name: getattr(log, name)[rows] for name in columns})
+    nodes = drive_nodes(holed, NOBODY)
+    assert np.count_nonzero(~nodes.is_tied) == 1
+    found = fit_of(holed, BOSTON)
+    error = heading_error(found.correction, drive.vehicle.robot)
+    assert error < 2.5 * math.degrees(found.heading_sigma)
+
+
+def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
+    robot = drive.vehicle.robot
+    changed = drive.vehicle.with_iron(np.array([8e-6, -6e-6, 0.0]))
+    other = driven(9, 90.0, vehicle=changed)
+    found = fit_iron(drive_nodes(log_from(other), NOBODY), robot.true_correction, BOSTON)
+    before = heading_error(robot.true_correction, changed.robot)
+    after = heading_error(found.correction, changed.robot)
+    assert before > 10.0
+    assert after < min(6.0, 3.0 * math.degrees(found.heading_sigma))
+
+
+def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, nodes):
+    true = drive.vehicle.robot.true_correction
+    wrong = drive.vehicle.with_iron(np.array([5e-6, 0.0, 0.0])).robot.true_correction
+    old, new = (corrected(nodes, each, NOBODY) for each in (wrong, true))
+    assert likelihood_ratio_of(old, new, BOSTON).gain > 12.0
+
+
+def test_a_drive_whose_stamps_come_in_bursts_is_refused_by_name(drive):
+    """A buffer that is read once a second: what was turned between, nobody knows."""
+    window = Window(drive.time, drive.field, drive.force, drive.rate)
+    read = np.floor(window.time)
+    bursts = dataclasses.replace(window, time=read + 0.05 * (window.time - read))
+    log = log_of(bursts)
+    with pytest.raises(Refusal, match="in bursts"):
+        fit_of(log, BOSTON)
+    assert fit_iron(drive_nodes(log, NOBODY), drive.vehicle.robot.true_correction, BOSTON) is None
+
+
+LONG = knowledge_of(47.3, inclination_deg=60.5)
+
+
+def weak_motion(seconds, turns, soft_iron, seed):
+    """Error and sigma of the heading, degrees, of a robot that sways where it is."""
+    robot = swaying_robot(soft_iron)
+    window = swaying_window(robot, swaying(seconds, turns=turns), np.random.default_rng(seed))
+    found = fit_of(log_of(window), LONG)
+    error = heading_error(found.correction, robot)
+    return error, math.degrees(found.heading_sigma)
+
+
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
+def test_two_minutes_of_weak_motion(turns, soft_iron):
+    """A robot that sways on the spot is not taken to drive."""
+    error, said = weak_motion(120.0, turns, soft_iron, 1)
+    assert error < 0.6
+    assert error < 2.5 * said
+    assert said < 0.6
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("turns", [False, True])
+@pytest.mark.parametrize("soft_iron", [np.zeros((3, 3)), PAPER_SOFT_IRON])
+@pytest.mark.parametrize("seconds", [120.0, 600.0])
+def test_weak_motion_over_many_windows(seconds, turns, soft_iron):
+    errors, said = np.array([weak_motion(seconds, turns, soft_iron, k) for k in range(20)]).T
+    assert math.sqrt(np.mean(errors**2)) < 0.45
+    assert np.mean((errors / said) ** 2) < 2.0
+
+
+def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
+    """Nothing pulls here either, but the street is in what is left of the field."""
+    drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
+    found = fit_to(drive)
+    error = heading_error(found.correction, drive.vehicle.robot)
+    said = math.degrees(found.heading_sigma)
+    assert error < 2.5 * said
+    assert said > 1.0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("seconds", [120.0, 300.0])
+@pytest.mark.parametrize("speed", [False, True])
+def test_sigma_is_right_over_many_drives(seconds, speed):
+    errors, said = [], []
+    for seed in range(100):
+        drive = driven(seed, seconds)
+        found = fit_to(drive, speed=speed)
+        errors.append(heading_error(found.correction, drive.vehicle.robot))
+        said.append(math.degrees(found.heading_sigma))
+    wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, said))
+    assert wrong < (3.0 if seconds > 200.0 else 4.5)
+    assert 1.0 / 1.5 < wrong / predicted < 1.5
+    assert 0.3 < np.mean((np.array(errors) / said) ** 2) < 2.0
