@@ -15,7 +15,7 @@ import numpy as np
 import shared_cases  # noqa: F401
 from axes_cases import MOTIONS, good_case, wrong_case
 
-from magcal_ros.core.assessment.axes import find_axes
+from magcal_ros.core.doctor.page import examine_window, wrong_axes
 from magcal_ros.core.geometry.rotations import signed_permutations
 
 
@@ -51,16 +51,16 @@ def main() -> None:
     wrong = 0
     for number in range(arguments.good):
         window, knowledge = good_case(np.random.default_rng([arguments.seed, 7, number]))
-        found = find_axes(window, knowledge)
-        if found is not None and not found.right:
+        found = wrong_axes(window, knowledge)
+        if found is not None:
             wrong += 1
-            print(f"case {number}: {found.words}")
+            print(f"case {number}: {found}")
     print(f"good turns called wrong: {wrong} of {arguments.good}")
 
 
 def count(row: Row, axes: np.ndarray, rng: np.random.Generator, motion: str) -> None:
     window, knowledge = wrong_case(axes, rng, motion)
-    found = find_axes(window, knowledge)
+    found = examine_window(window, knowledge).axes
     row.runs += 1
     if found is None:
         return

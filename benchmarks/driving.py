@@ -245,7 +245,7 @@ def directions(drive: Drive) -> tuple[int, int]:
             if ends and sample.stamp >= ends[0]:
                 true = np.interp(ends.pop(0) - 0.3, drive.time, drive.truth.speed)
                 counted += 1
-                wrong += travelling.direction * true < 0.0
+                wrong += travelling.own.sign * true < 0.0
         elif isinstance(sample, SpeedSample):
             travelling.add_speed(sample)
     return counted, wrong

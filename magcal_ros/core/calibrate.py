@@ -115,7 +115,7 @@ def calibrate(
     Outcome
         Never raises for bad data: a refusal is a verdict.
     """
-    from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_reading
+    from magcal_ros.core.doctor.page import blamed_on_axes, wrong_reading
 
     wrong = wrong_reading(window, knowledge)
     if wrong is not None:
@@ -132,7 +132,7 @@ def calibrate(
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Judge an estimate unless the samples say that axes or stamps are wrong."""
-    from magcal_ros.core.doctor.refusal import wrong_axes, wrong_stamps
+    from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
     wrong = wrong_axes(window, knowledge)
     if wrong is not None:
@@ -152,7 +152,7 @@ def judged(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
 
 def calibrate_drive(log: DriveLog, knowledge: Knowledge) -> Outcome:
     """Fit the log of a drive and judge the result; its samples are the rows of the log."""
-    from magcal_ros.core.doctor.refusal import wrong_reading
+    from magcal_ros.core.doctor.page import wrong_reading
     from magcal_ros.core.methods.smoother import fit_log
 
     if not len(log):

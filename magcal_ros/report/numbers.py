@@ -38,8 +38,8 @@ FIGURES: dict[Figure, Unit] = {
     b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
 } | {
     Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
-    Figure.STEADY_PULL: Unit("steady linear acceleration taken off", DEGREES, "°"),
-    Figure.POSSIBLE_PULL: Unit(
+    Figure.STEADY_ACCELERATION: Unit("steady linear acceleration taken off", DEGREES, "°"),
+    Figure.POSSIBLE_ACCELERATION: Unit(
         "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
     ),
     Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),

@@ -14,6 +14,7 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.vec3 import dot
 from magcal_ros.core.heading.base_view import BaseView
+from magcal_ros.core.heading.fusion_tuning import FUSION
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample
@@ -174,9 +175,9 @@ class Antenna:
         heading = sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z)
         missed = None if yaw is None else yaw.take_heading(*heading)
         if yaw is not None and missed is not None:
-            is_beyond = missed > yaw.tuning.told_gate
+            is_beyond = missed > FUSION.heading_gate
             self._missed = self._missed + 1 if is_beyond else 0
-            self._gap = yaw.last_told_gap
+            self._gap = yaw.last_heading_gap
 
     def _fit(self, settings: Settings, log: HeadingLog) -> None:
         self._is_fitting = True

@@ -18,7 +18,13 @@ from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
 from magcal_ros.core.earth_field.position import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.heading.base_view import Declination, Front, VehicleYaw, where_is_the_front
+from magcal_ros.core.heading.base_view import (
+    FRONT,
+    Declination,
+    Front,
+    VehicleYaw,
+    where_is_the_front,
+)
 from magcal_ros.core.heading.compass import Moment
 from magcal_ros.core.keeping.candidates import CourseSwing
 from magcal_ros.core.knowledge import ReferenceField
@@ -164,11 +170,9 @@ class Travel:
         known = reference.declination
         sigma = reference.declination_sigma
         declination = Declination() if known is None else Declination(known, sigma)
-        self.front = where_is_the_front(
-            travelling.known_mounting, travelling.course, declination, travelling.tuning.front
-        )
+        self.front = where_is_the_front(travelling.known_mounting, travelling.course, declination)
         found, kept = self.front.yaw, self.kept
-        if found is None or found.sigma > travelling.tuning.front.useful:
+        if found is None or found.sigma > FRONT.useful:
             return None
         if kept is not None and found.sigma > BETTER * kept.sigma and _agree(found, kept):
             return None
@@ -217,7 +221,7 @@ class Travel:
         course = travelling.course
         return {
             "speed_from": self.speed_from,
-            "own_acceleration_taken_off": travelling.takes_off,
+            "own_acceleration_taken_off": travelling.own.is_used,
             "metres": round(travelling.metres, -1),
             "drifts": travelling.drift.is_drifting,
             "course_gap_deg": _degrees(self.front.compass_gap),

@@ -35,14 +35,14 @@ def test_a_rest_beside_the_circle_shows_the_pull():
     error, sigma, outcome = judged(evenly, 3.0)
     assert error < 0.8 * DEGREE
     assert error < 3.0 * sigma
-    assert outcome.estimate.figures[Figure.STEADY_PULL] == pytest.approx(
+    assert outcome.estimate.figures[Figure.STEADY_ACCELERATION] == pytest.approx(
         2.5 * (1.05 * math.tau / 20.0) ** 2 / 9.81, rel=0.2
     )
-    assert outcome.estimate.figures[Figure.POSSIBLE_PULL] < 0.3 * sigma
+    assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] < 0.3 * sigma
 
 
 def test_without_a_rest_sigma_holds_it_and_says_why():
     error, sigma, outcome = judged(lambda time: 1.0 + 0.0 * time, 0.0, radius=1.5)
     assert error > 1.0 * DEGREE
     assert error < 3.0 * sigma
-    assert outcome.estimate.figures[Figure.POSSIBLE_PULL] > 0.7 * sigma
+    assert outcome.estimate.figures[Figure.POSSIBLE_ACCELERATION] > 0.7 * sigma

@@ -112,7 +112,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         " turn elsewhere",
     ),
     Bound(
-        Figure.STRENGTH_PULL,
+        Figure.STRENGTH_DEVIATION,
         3.0,
         5.0,
         "field strength deviates from the reference by",
@@ -121,7 +121,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         unit="σ",
     ),
     Bound(
-        Figure.INCLINATION_PULL,
+        Figure.INCLINATION_DEVIATION,
         3.0,
         5.0,
         "inclination deviates from the reference by",
@@ -169,7 +169,7 @@ TURN_BOUNDS: tuple[Bound, ...] = (
         at_least=True,
     ),
     Bound(
-        Figure.SIDEWAYS_PULL,
+        Figure.SIDEWAYS_ACCELERATION,
         1.5,
         45.0,
         "acceleration is tilted from the gyro's axis over the turn by",

@@ -57,27 +57,20 @@ SITS_OTHERWISE = (
 class Bound:
     """The bounds of the grades for one figure; only its absolute value counts."""
 
-    figure: Figure
-    """What is graded."""
+    figure: Figure  # what is graded
     good: float
     warn: float
     """Worst values of these grades, in the unit people see; beyond `warn` it is refused."""
-    words: str
-    """What the figure is."""
-    remedy: str
-    """What to do if it is not good enough."""
+    words: str  # what the figure is
+    remedy: str  # what to do if it is not good enough
     excellent: float | None = None
     """Worst value of this grade; None where nothing is better than good."""
-    unit: str = "°"
-    """Unit people see: "°", "%", "σ", "" ..."""
-    aspect: Aspect = Aspect.QUALITY
-    """Quality or confidence."""
-    at_least: bool = False
-    """Whether more is better; usually less is."""
+    unit: str = "°"  # unit people see: "°", "%", "σ", ""
+    aspect: Aspect = Aspect.QUALITY  # quality or confidence
+    at_least: bool = False  # whether more is better; usually less is
     after_full: str = ""
     """What to do instead where the full circle was seen already; empty where that is the same."""
-    when_refused: str = ""
-    """What to do instead beyond `warn`; empty where that is the same."""
+    when_refused: str = ""  # what to do instead beyond `warn`; empty where that is the same
 
     @property
     def scale(self) -> float:
@@ -94,16 +87,8 @@ class Bound:
     ) -> Check:
         """Grade one value of the figure.
 
-        Parameters
-        ----------
-        figure : float
-            SI units; what is shown.
-        excess : float, optional
-            The part of it that counts, where some of it is no fault; by default all of it.
-        note : str
-            Said of the value.
-        before : float, optional
-            The figure of the raw field, SI units.
+        `figure` is in SI units, and `excess` the part of it that counts, where some of it is no
+        fault. `note` is added to the value; `before` is the figure of the raw field, SI units.
         """
         value = abs(figure * self.scale)
         grade = self._grade(value if excess is None else abs(excess * self.scale))
@@ -145,19 +130,14 @@ def shown_beside(value: float, limit: float) -> str:
 class Check:
     """One figure, graded and put into words."""
 
-    figure: Figure | Reason
-    """What was looked at; of a refusal its reason."""
-    aspect: Aspect
-    """Which grade it belongs to."""
-    grade: Grade
-    """How good it is."""
-    words: str
-    """The same in words, with what to do if it is not good enough."""
+    figure: Figure | Reason  # what was looked at; of a refusal its reason
+    aspect: Aspect  # which grade it belongs to
+    grade: Grade  # how good it is
+    words: str  # the same in words, with what to do if it is not good enough
     value: float | None = None
     before: float | None = None
     """The figure in the unit people see, and what it was in the raw field."""
-    bound: Bound | None = None
-    """What it was graded by."""
+    bound: Bound | None = None  # what it was graded by
 
     @property
     def name(self) -> str:
@@ -185,11 +165,9 @@ class DoubtTuning:
     """When a hard iron along the axis makes the reference doubtful."""
 
     noticeable: float = 0.4
-    """Strengths of the field; a smaller one is what robots have, whatever the other sign says."""
-    several: float = 3.0
-    """Times that it must be larger than with the other sign of the inclination."""
-    field: float = 1.0
-    """Strengths of the field from which it is doubtful in any case."""
+    """Strengths of the field; a smaller one is what robots have, whatever the other sign gives."""
+    several: float = 3.0  # times that it must be larger than with the other sign of the inclination
+    field: float = 1.0  # strengths of the field from which it is doubtful in any case
     shown: float = 10.0
     """Sigmas by which the wobble of the turn must contradict the other sign to exclude it."""
 

@@ -12,11 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.bounds import (
-    DRIVE_BOUNDS,
-    HEADING_BOUNDS,
-    bounds_of,
-)
+from magcal_ros.core.assessment.bounds import DRIVE_BOUNDS, HEADING_BOUNDS, bounds_of
 from magcal_ros.core.assessment.grading import (
     DEGREES,
     Aspect,
@@ -33,7 +29,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import (
     axis_share,
     common_figures,
-    sideways_pull,
+    sideways_acceleration,
     usual_lean,
 )
 from magcal_ros.core.errors import Refusal
@@ -53,11 +49,11 @@ class VerdictTuning:
     """Radians of heading sigma from which a calibration is called rough. In a car full of steel it
     may be the best possible, and the first words of the summary should say so."""
     nearly_full: float = math.radians(300.0)
-    """Radians of arc from which a steady sideways acceleration can be told from a slope."""
-    mostly_pull: float = 0.5
+    """Radians of arc from which a steady sideways acceleration can be separated from a slope."""
+    mostly_acceleration: float = 0.5
     """Share of the heading's variance from which an acceleration that nothing shows is the main
     cause."""
-    weighed_pull_deg: float = 5.0
+    weighed_acceleration_deg: float = 5.0
     """Degrees of sideways acceleration that are no warning where the fit has weighed what it may
     be, and the heading's sigma includes what it could not determine."""
     one_axis: float = 0.7
@@ -70,14 +66,12 @@ class VerdictTuning:
     not shown is mentioned."""
     earths_field_ut: tuple[float, float] = (20.0, 70.0)
     """Outside of these a strength is no Earth's: a warning that names the likely unit."""
-    guessed: float = 1.5
-    """Times by which a strength may be out of them that only the turn tells."""
+    guessed: float = 1.5  # times by which a strength may be out of them that only the turn tells
     beyond_iron_ut: tuple[float, float] = (2.0, 200.0)
     """Outside of these it is none that iron on the robot could make of it either: refused."""
     gravity_misfits: tuple[float, float] = (0.03, 0.15)
     """How far the accelerometer's length may be off gravity: excellent, good; beyond it warns."""
-    reasons: int = 2
-    """How many reasons a summary names."""
+    reasons: int = 2  # how many reasons a summary names
 
 
 TUNING = VerdictTuning()
@@ -87,12 +81,9 @@ TUNING = VerdictTuning()
 class Verdict:
     """The judgement on one estimate."""
 
-    checks: tuple[Check, ...]
-    """Everything that was looked at."""
-    not_shown: tuple[str, ...]
-    """What this turn could not show."""
-    summary: str
-    """One sentence."""
+    checks: tuple[Check, ...]  # everything that was looked at
+    not_shown: tuple[str, ...]  # what this turn could not show
+    summary: str  # one sentence
 
     @property
     def quality(self) -> Grade:
@@ -172,7 +163,7 @@ def judge(estimate: Estimate, knowledge: Knowledge, window: Window | None = None
         if axis_share(window) < TUNING.one_axis:
             figures[Figure.AXIS_LEAN] = usual_lean(window)
         elif estimate.arc > TUNING.nearly_full:
-            figures.setdefault(Figure.SIDEWAYS_PULL, sideways_pull(window))
+            figures.setdefault(Figure.SIDEWAYS_ACCELERATION, sideways_acceleration(window))
     bounds = DRIVE_BOUNDS if Figure.HEADINGS_DRIVEN in figures else bounds_of(estimate)
     bounds = HEADING_BOUNDS if Figure.KNOWN_HEADINGS in figures else bounds
     checks = [_check(b, figures, knowledge) for b in bounds if b.figure in figures]
@@ -211,8 +202,8 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
     elif bound.after_full and figures[Figure.ARC] > TUNING.nearly_full:
         bound = replace(bound, remedy=bound.after_full)
     if bound.figure is Figure.HEADING_SIGMA:
-        pull = figures.get(Figure.POSSIBLE_PULL, 0.0)
-        if pull**2 > TUNING.mostly_pull * figure**2:
+        hidden = figures.get(Figure.POSSIBLE_ACCELERATION, 0.0)
+        if hidden**2 > TUNING.mostly_acceleration * figure**2:
             bound = replace(bound, remedy=STAND_BESIDE if _by_gyro(figures) else ON_THE_SPOT)
         if Figure.LOCAL_SIGMA in figures:
             # No calibration takes away what the field along the way adds.
@@ -222,8 +213,8 @@ def _check(bound: Bound, figures: Mapping[Figure, float], knowledge: Knowledge) 
             return bound.check(figure, excess=own, note=note)
         if not knowledge.reference.is_complete:
             bound = replace(bound, remedy=f"{bound.remedy}, and give the reference field")
-    if bound.figure is Figure.SIDEWAYS_PULL and _by_gyro(figures):
-        bound = replace(bound, good=TUNING.weighed_pull_deg)
+    if bound.figure is Figure.SIDEWAYS_ACCELERATION and _by_gyro(figures):
+        bound = replace(bound, good=TUNING.weighed_acceleration_deg)
     if bound.figure is Figure.RADIUS_MISFIT:
         allowed = TUNING.allowed_sigmas * level_field_sigma(knowledge)
         note = f", known to {shown(100.0 * allowed)}%" if allowed else ""
@@ -278,11 +269,7 @@ def _check_gravity(window: Window) -> Check:
 
 
 def _not_shown(
-    estimate: Estimate,
-    figures: Mapping[Figure, float],
-    knowledge: Knowledge,
-    *,
-    has_gyro: bool,
+    estimate: Estimate, figures: Mapping[Figure, float], knowledge: Knowledge, *, has_gyro: bool
 ) -> tuple[str, ...]:
     found = []
     if estimate.installation is None:

@@ -29,12 +29,13 @@ from magcal_ros.core.calibration.heading_sigma import (
     local_sigma,
     predicted_heading_sigma,
     rms_apart,
-    sideways_pull,
+    sideways_acceleration,
 )
 
 __all__ = [
     "AT_REST", "PARAMETERS", "Calibration", "Correction", "Estimate", "Evidence", "Figure",
     "GyroSwing", "Installation", "MotorField", "MotorInput", "Running", "along", "arc_sigma",
     "calibration_sigma", "common_figures", "heading_jacobian", "headings_apart", "local_sigma",
-    "predicted_heading_sigma", "rms_apart", "sideways_pull", "yaw_jacobian",
+    "predicted_heading_sigma", "rms_apart", "sideways_acceleration",
+    "yaw_jacobian",
 ]  # fmt: skip

@@ -39,10 +39,10 @@ class Figure(str, Enum):
     """Longer over shorter axis of the ellipse in the turn's plane, after the known gains."""
     ELLIPSE_EXCESS = "ellipse_excess"
     """The same less one, where it was not taken for soft iron."""
-    STRENGTH_PULL = "strength_pull"
+    STRENGTH_DEVIATION = "strength_pull"
     """Strength found minus believed, in sigmas of the belief; absent where that is exact or
     unknown."""
-    INCLINATION_PULL = "inclination_pull"
+    INCLINATION_DEVIATION = "inclination_pull"
     """The same for the inclination."""
     WOBBLE = "wobble"
     """RMS lean of the turn's axis, radians per axis; zero for a rigid axis."""
@@ -66,12 +66,12 @@ class Figure(str, Enum):
 
     GYRO_CARRIED = "gyro_carried"
     """One where the gyro's turning explains the samples, else zero; absent without a gyro."""
-    STEADY_PULL = "steady_pull"
-    """Lean of the accelerometer's up that was found to turn with the robot and was taken off,
+    STEADY_ACCELERATION = "steady_pull"
+    """Lean of the accelerometer's up that was found to turn with the robot and was subtracted,
     radians; zero without one; absent without a gyro."""
-    POSSIBLE_PULL = "possible_pull"
-    """What a pull that nothing shows may do to the heading, radians, one sigma; zero where samples
-    or a rest beside the turn tell; absent without a gyro."""
+    POSSIBLE_ACCELERATION = "possible_pull"
+    """What a linear acceleration that nothing shows may do to the heading, radians, one sigma; zero
+    where samples or a rest beside the turn exclude it; absent without a gyro."""
     MOTOR_FIELD = "motor_field"
     """Field that is there while the robot turns and not while it rests beside its turn, or that
     switched on the way, tesla; zero where chance explains it, absent where nothing tells."""
@@ -80,7 +80,7 @@ class Figure(str, Enum):
     LATENCY = "latency"
     """By how much the field comes later than the gyro, seconds, taken off; absent where the turn
     does not show any."""
-    SIDEWAYS_PULL = "sideways_pull"
+    SIDEWAYS_ACCELERATION = "sideways_pull"
     """Radians between the gyro's mean axis and the mean specific force of a full turn."""
     GYRO_COMPASS_SWING = "gyro_compass_rms"
     """RMS of a turn's lasting swing of the compass against the gyro by sectors of the turn:

@@ -166,7 +166,7 @@ def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
     return math.sqrt(max(float(variance.mean()), 0.0))
 
 
-def sideways_pull(window: Window) -> float:
+def sideways_acceleration(window: Window) -> float:
     """Return the angle between the gyro's mean axis and the mean specific force, radians.
 
     Over a full turn about any axis the true up averages to that axis. What is left is a steady

@@ -2,35 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import LIFT, AxesFound, dip_is_known
-from magcal_ros.core.assessment.axes import TUNING as AXES
+from magcal_ros.core.doctor.axes import LIFT, AxesFound, dip_is_known
+from magcal_ros.core.doctor.axes import TUNING as AXES
+from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.rotations import DIRECTIONS, is_mirrored, rank_of, spoken, swapped
 from magcal_ros.core.knowledge import Knowledge
+from magcal_ros.core.samples.units import LEAST_UPRIGHT
 from magcal_ros.core.samples.window import SensorLog
-
-
-@dataclass(frozen=True)
-class UprightTuning:
-    """When gravity is called upright or upside down."""
-
-    least_upright: float = 0.5
-    """Share of gravity on z from which z points up."""
-    clear: float = 12.0
-    """Chi-square between an explanation and another that decides."""
-    least_turn: float = math.radians(30.0)
-    """Turn whose sense is believed."""
-
-
-UPRIGHT = UprightTuning()
-
 
 SIGN = (
     "gravity has the wrong sign: REP-145 wants +9.81 on z at rest, so negate linear_acceleration "
@@ -41,7 +26,7 @@ UPSIDE_DOWN = (
     "in the driver, by 180° about x if they are x forward, y right, z down (NED), or mount it "
     "upright"
 )
-TELLS_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
+WHICH_GRAVITY = "To tell which, turn left and see whether angular_velocity.z is positive"
 
 
 @dataclass(frozen=True)
@@ -61,8 +46,7 @@ class UserAnswers:
 class Upright:
     """What was found of gravity's direction."""
 
-    findings: tuple[Finding, ...]
-    """One line."""
+    findings: tuple[Finding, ...]  # one line
     sign_wrong: bool | None = False
     """Whether gravity's sign is what errs; None where that or the IMU's axes do."""
 
@@ -75,13 +59,13 @@ def upright(
     usual = usual / max(float(np.linalg.norm(usual)), 1e-9)
     name = "accelerometer: up"
     evidence = f"up is ({usual[0]:.2f}, {usual[1]:.2f}, {usual[2]:.2f})"
-    if usual[2] > UPRIGHT.least_upright:
+    if usual[2] > LEAST_UPRIGHT:
         return Upright((looked_at("gravity_sign", name, evidence),))
-    if usual[2] > -UPRIGHT.least_upright:
+    if usual[2] > -LEAST_UPRIGHT:
         return Upright((wrong("imu_axes", name, evidence, sideways(usual)),))
     flipped = _is_flipped(given, other, answers)
     if flipped is None:
-        either = f"either {SIGN}; or {UPSIDE_DOWN}. {TELLS_GRAVITY}"
+        either = f"either {SIGN}; or {UPSIDE_DOWN}. {WHICH_GRAVITY}"
         return Upright((wrong("gravity_sign", name, evidence, either),), None)
     if flipped:
         return Upright((wrong("gravity_sign", name, evidence, SIGN),), True)
@@ -105,11 +89,11 @@ def _is_flipped(
     if given is None or other is None:
         return None
     best = given.best
-    if answers.turned_left is not None and abs(given.turned(best)) > UPRIGHT.least_turn:
+    if answers.turned_left is not None and abs(given.turned(best)) > WEIGHED.least_turn:
         # About an up that points down a turn to the left looks like one to the right.
         return (given.turned(best) > 0.0) is not answers.turned_left
     as_given, turned_round = given.field_right, other.field_right
-    if abs(as_given - turned_round) < UPRIGHT.clear:
+    if abs(as_given - turned_round) < WEIGHED.doubtful:
         return None
     return turned_round < as_given
 
@@ -125,25 +109,10 @@ BOTH = (
     "it. Linear acceleration and iron nearby look like that, too: stand still, turn on the spot "
     f"away from iron, and {LIFT}"
 )
-TOLD_OTHERWISE = (
+TURNED_RIGHT = (
     "all sensors saw a turn to the right where one to the left was asked for: look again, turning "
     "left. If it was to the left, all of them have z pointing down"
 )
-
-
-@dataclass(frozen=True)
-class BlameTuning:
-    """When sensors are called wrong."""
-
-    remains: float = 20.0
-    """Chi-square up to which an explanation remains."""
-    wrong: float = 40.0
-    """Chi-square from which the axes as given are called wrong."""
-    most_named: int = 3
-    """Explanations that are written out for one sensor."""
-
-
-TUNING = BlameTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,12 +121,10 @@ class Blame:
 
     findings: tuple[Finding, ...]
     """One for each sensor whose axes err or may err, or one that all agree."""
-    chosen: int
-    """The explanation that is taken."""
+    chosen: int  # the explanation that is taken
     axes: AxesFound | None
-    """Of the magnetometer; None where it is not known."""
-    explained: bool
-    """Whether the explanation explains the movement."""
+    """Of the magnetometer, if it is the one that errs; None where it is not known."""
+    explained: bool  # whether the explanation explains the movement
 
 
 def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers) -> Blame:
@@ -167,11 +134,11 @@ def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers
         finding = looked_at("nothing_fits", "axes", "gyro and field disagree", NOTHING_FITS)
         return Blame((finding,), best, None, False)
     misfit = explanations.misfit
-    remains = misfit < TUNING.remains
+    remains = misfit < AXES.remains
     given = explanations.plain
     # What was asked for and what all sensors saw may differ because a person erred.
     contrary = _contrary(explanations, answers)
-    if misfit[given] < TUNING.wrong:
+    if misfit[given] < AXES.wrong:
         return _all_agree(explanations, given, remains, knowledge, contrary)
     kept = remains & ~contrary
     remains = kept if kept.any() else remains
@@ -185,18 +152,18 @@ def blame(explanations: Explanations, knowledge: Knowledge, answers: UserAnswers
 
 
 def _contrary(explanations: Explanations, answers: UserAnswers) -> BoolArray:
-    """Return which explanations say that the robot turned the other way than it was told to."""
+    """Return which explanations say that the robot turned the other way than was asked for."""
     count = len(explanations.misfit)
     if answers.turned_left is None:
         return np.zeros(count, dtype=np.bool_)
     turned = np.array([explanations.turned(k) for k in range(count)])
     return np.asarray(
-        (np.abs(turned) > UPRIGHT.least_turn) & ((turned > 0.0) != answers.turned_left)
+        (np.abs(turned) > WEIGHED.least_turn) & ((turned > 0.0) != answers.turned_left)
     )
 
 
 def _erring(explanations: Explanations, k: int) -> tuple[str, ...]:
-    """Return the sensors that an explanation says are wrong."""
+    """Return the sensors that are wrong by an explanation."""
     gyro, field = explanations.gyro[k], explanations.field[k]
     gyro_right, field_right = (np.array_equal(axes, STANDARD) for axes in (gyro, field))
     if gyro_right and field_right:
@@ -237,7 +204,7 @@ def _all_agree(
     if contrary[given]:
         others = [_erring(explanations, int(k)) for k in np.flatnonzero(remains & ~contrary)]
         alone = {sensors[0]: None for sensors in others if len(sensors) == 1}
-        said = TOLD_OTHERWISE + "".join(f", or the {sensor} alone errs" for sensor in alone)
+        said = TURNED_RIGHT + "".join(f", or the {sensor} alone errs" for sensor in alone)
         found.append(looked_at("imu_axes", "axes: up", "a turn to the right", said))
     return Blame(tuple(found), given, axes, True)
 
@@ -274,7 +241,7 @@ def _accused(
         if sensor == "magnetometer":
             candidates = _distinct(explanations.field[ways])
             axes = AxesFound(candidates, False, knowledge.mounting.pose, dip_is_known(knowledge))
-            said[sensor] = axes.said
+            said[sensor] = axes.words
         else:
             words = _gyro_words if sensor == "gyro" else _force_words
             said[sensor] = words(_distinct(explanations.gyro[ways]))
@@ -283,7 +250,7 @@ def _accused(
         evidence = f"{names} contradicts the other sensors"
         asked = f"which of them errs this movement does not show: {LIFT}. "
         asked += f"Either {'; or '.join(said.values())}"
-        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], None, True)
+        return Blame((wrong("axes", "axes", evidence, asked),), fewest[0], axes, True)
     evidence = f"contradicted by the other sensors: {names}"
     line = wrong(f"{KEYS[names]}_axes", f"{names}: axes", evidence, said[names])
     return Blame((line,), fewest[0], axes, True)
@@ -301,14 +268,14 @@ def _distinct(axes: FloatArray) -> FloatArray:
 
 
 def _gyro_words(candidates: FloatArray) -> str:
-    said = "; or ".join(gyro_slip(axes) for axes in candidates[: TUNING.most_named])
-    left = len(candidates) - TUNING.most_named
+    said = "; or ".join(gyro_slip(axes) for axes in candidates[: AXES.most_named])
+    left = len(candidates) - AXES.most_named
     more = f"; or {left} more. To tell which, {LIFT}" if left > 0 else ""
     return f"the gyro's axes are not the accelerometer's: {said}{more}; correct it in the driver"
 
 
 def _force_words(candidates: FloatArray) -> str:
-    said = "; or ".join(spoken(axes.T) for axes in candidates[: TUNING.most_named])
+    said = "; or ".join(spoken(axes.T) for axes in candidates[: AXES.most_named])
     return (
         "gyro and magnetometer agree and the accelerometer does not: in their axes the "
         f"accelerometer's are {said}; correct them in the driver"

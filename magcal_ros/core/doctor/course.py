@@ -1,4 +1,4 @@
-"""Which of four yaws the magnetometer has, by the course: what no turn on the spot can tell."""
+"""Which of four yaws the magnetometer has, by the course: no turn on the spot can show it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import mount_of, parameter_line
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import PARAMETERS, Correction
+from magcal_ros.core.doctor.axes import mount_of, parameter_line
 from magcal_ros.core.doctor.explanations import Explanations
 from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -25,8 +25,7 @@ LONGER = "drive farther, to several sides, straight and at more than walking pac
 class AxesYawTuning:
     """When a course decides on the yaw of axes."""
 
-    vague: float = math.radians(12.0)
-    """Radians of sigma beyond which it does not."""
+    vague: float = math.radians(12.0)  # radians of sigma beyond which it does not
     near: float = math.radians(35.0)
     """Radians that may be left beside a multiple of 90°, for a declination that is not known."""
     iron: float = 0.3
@@ -57,21 +56,13 @@ class AxesInUse:
     """Rows in the body's, after the mounting that is known. Shape (3, 3)."""
     pose: FloatArray
     """The mounting that is known. Shape (3, 3)."""
-    compass: Calibration
-    """Good enough to be compared with a course."""
+    compass: Calibration  # good enough to be compared with a course
 
 
 def axes_in_use(explanations: Explanations, k: int, knowledge: Knowledge) -> AxesInUse | None:
     """Return the compass that an explanation makes; None where the movement shows none.
 
-    Parameters
-    ----------
-    explanations : Explanations
-        Of a gyro in rad/s.
-    k : int
-        Which one.
-    knowledge : Knowledge
-        Its mounting was taken off.
+    The gyro of the explanations is in rad/s, and the mounting that is known was taken off.
     """
     axes, state, sigma = (
         values[k] for values in (explanations.field, explanations.parameters, explanations.sigma)
@@ -102,12 +93,7 @@ def course_findings(
 ) -> tuple[list[Finding], tuple[int, int, int] | None]:
     """Return the lines, and the mounting that corrects the yaw where it is wrong.
 
-    Parameters
-    ----------
-    used : AxesInUse
-        With which the course was compared.
-    seen : CourseSeen
-        What came of it.
+    The course was compared with the compass that `used` makes; `seen` is the result.
     """
     lines = []
     knows_imu = seen.imu_sigma < TUNING.vague

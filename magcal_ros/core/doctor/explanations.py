@@ -16,41 +16,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import TUNING as AXES
-from magcal_ros.core.assessment.axes import inclination_misfit, most_turned
+from magcal_ros.core.doctor.axes import TUNING as AXES
+from magcal_ros.core.doctor.axes import inclination_misfit, most_turned
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import Alignment, align
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, AlignmentTuning
+from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, WIDE
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
-
-WIDE = AlignmentTuning(bias=math.radians(6.0), scale=0.2, lag=0.3)
 
 
 @dataclass(frozen=True)
 class ExplanationTuning:
     """What is believed of sensors that may be faulty, and when an explanation is dropped."""
 
-    fit: AlignmentTuning = WIDE
-    """Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second
-    of latency."""
-    pruned: float = 80.0
-    """Chi-square beyond which a way is not fitted."""
-    most: int = 32
-    """Ways that are fitted."""
+    pruned: float = 80.0  # chi-square beyond which a way is not fitted
+    most: int = 32  # ways that are fitted
     doubtful: float = 12.0
     """Chi-square at most that field or gravity count for where soft iron or linear acceleration
     could explain it."""
     good_fit: float = 0.06
     """Residual over the changing field up to which small differences of the fit are believed."""
-    settled: float = 0.02
-    """Seconds of latency that need no further look."""
-    looks: int = 4
-    """At the latency."""
-    least_turn: float = math.radians(40.0)
-    """Radians between the first and some later attitude."""
+    settled: float = 0.02  # seconds of latency that need no further look
+    looks: int = 4  # at the latency
+    least_turn: float = math.radians(40.0)  # radians between the first and some later attitude
 
 
 TUNING = ExplanationTuning()
@@ -67,18 +57,16 @@ class Explanations:
     """Chi-square in independent samples, above that of the best without an inclination. Shape
     (k,)."""
     base: FloatArray
-    """The same without the inclination, which alone tells the field from its opposite. Shape (k /
-    2,)."""
+    """The same without the inclination, which alone separates the field from its opposite. Shape (k
+    / 2,)."""
     rms: FloatArray
     """Typical residual of the field over the size of its changing part. Shape (k,)."""
     parameters: FloatArray
     sigma: FloatArray
     """What was fitted, as in `AlignmentFit`, with the whole latency, and its standard deviations.
     Shape (k, 23)."""
-    part: Stretch
-    """What was fitted."""
-    found: Alignment
-    """The fit, which does not know the field from its opposite."""
+    part: Stretch  # what was fitted
+    found: Alignment  # the fit, which does not separate the field from its opposite
 
     @property
     def misfit(self) -> FloatArray:
@@ -115,7 +103,7 @@ class Explanations:
         return int(np.argmin(self.misfit))
 
     def turned(self, k: int) -> float:
-        """Return the angle that a way says was turned about the accelerometer's up, radians."""
+        """Return the angle turned about the accelerometer's up, by one way, radians."""
         stretch = self.part
         up = stretch.up[:-1] / np.linalg.norm(stretch.up[:-1], axis=1, keepdims=True)
         rate = (1.0 + self.parameters[k, SCALE]) * stretch.turn @ self.gyro[k]
@@ -123,34 +111,32 @@ class Explanations:
         return float(np.sum(rate * up))
 
 
-def explain(
-    log: SensorLog, inclination: Belief, tuning: ExplanationTuning = TUNING
-) -> Explanations | None:
+def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
     """Weigh the ways in which axes may lie; None where too little moves."""
     every = signed_permutations()
     proper = every[:24]
     part, lag = stretch_of_log(log), 0.0
-    if part is None or most_turned(part) < tuning.least_turn:
+    if part is None or most_turned(part) < TUNING.least_turn:
         return None
-    senses = _against_the_field(part, proper, tuning.fit)
-    for _ in range(tuning.looks):
+    senses = _against_the_field(part, proper)
+    for _ in range(TUNING.looks):
         more = float(senses.parameters[senses.best, LAG])
-        nearer = stretch_of_log(log, lag + more) if abs(more) > tuning.settled else None
+        nearer = stretch_of_log(log, lag + more) if abs(more) > TUNING.settled else None
         if nearer is None:
             break
         part, lag = nearer, lag + more
-        senses = _against_the_field(part, proper, tuning.fit)
-    ways = _remaining(part, senses, every, proper, tuning)
+        senses = _against_the_field(part, proper)
+    ways = _remaining(part, senses, every, proper)
     gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
-    found = align(part, field, tuning.fit, gyro)
+    found = align(part, field, gyro)
     base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
 
-def _against_the_field(stretch: Stretch, proper: FloatArray, tuning: AlignmentTuning) -> Alignment:
+def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
     """Fit the field to the gyro alone, as it turns and the other way round, 24 ways each."""
     senses = np.repeat(np.array([np.eye(3), -np.eye(3)]), len(proper), axis=0)
-    return align(stretch, np.concatenate([proper, proper]), tuning, senses, with_up=False)
+    return align(stretch, np.concatenate([proper, proper]), senses, with_up=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,19 +149,15 @@ class _Way:
 
 
 def _remaining(
-    stretch: Stretch,
-    senses: Alignment,
-    every: FloatArray,
-    proper: FloatArray,
-    tuning: ExplanationTuning,
+    stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
 ) -> list[_Way]:
     """Return the ways worth a fit together, and that in which all axes are right."""
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
-    gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0, tuning)
-    fits = bool(senses.rms[senses.best] < tuning.good_fit)
-    lifted = senses.tilt_seen > AXES.lift and fits
-    against_field = _decisive(senses.misfit, senses.rms, lifted, tuning)
+    gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
+    is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
+    lifted = senses.tilt_seen > AXES.lift and is_good
+    against_field = _decisive(senses.misfit, senses.rms, lifted)
     ways = []
     for g, axes in enumerate(every):
         mirrored = int(is_mirrored(axes))
@@ -183,22 +165,22 @@ def _remaining(
             cost = float(against_field[24 * mirrored + k] + gravity[g])
             ways.append(_Way(g, relative @ (-axes if mirrored else axes), cost))
     ways.sort(key=lambda way: way.cost)
-    kept = [way for way in ways[: tuning.most] if way.cost - ways[0].cost < tuning.pruned]
+    fits = [way for way in ways if way.cost - ways[0].cost < TUNING.pruned]
+    # A turn on the level leaves most axes of a gyro open: those as given are always among them.
+    kept = fits[: TUNING.most] + [way for way in fits[TUNING.most :] if way.gyro == 0]
     right = next(w for w in ways if w.gyro == 0 and np.array_equal(w.field, np.eye(3)))
     return kept if any(way is right for way in kept) else [*kept, right]
 
 
-def _decisive(
-    misfit: FloatArray, rms: FloatArray, lifted: bool, tuning: ExplanationTuning
-) -> FloatArray:
+def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:
     """Return misfits (k,) against field or gravity as far as they can decide.
 
     In one turn about one axis a soft iron that is stronger than believed looks like other axes, and
-    so does linear acceleration where gravity does not see what the gyro tells of a lift: then only
+    so does linear acceleration where gravity does not show the lift that the gyro reads: then only
     those are excluded that fit plainly worse.
     """
     plainly = rms > AXES.times * rms[np.argmin(misfit)]
-    capped = np.minimum(misfit, tuning.doubtful)
+    capped = np.minimum(misfit, TUNING.doubtful)
     return np.asarray(np.where(plainly | lifted, misfit, capped))
 
 
@@ -241,16 +223,11 @@ class GravityTurnsTuning:
 
     span: float = 0.6
     """Seconds over which turns are compared: shorter ones drown in noise, longer ones in bias."""
-    bias: float = math.radians(6.0)
-    scale: float = 0.2
-    """Standard deviations of what the gyro may err by, rad/s and relative."""
     lever: float = 1.0
     """Metres, standard deviation of how far the sensor is from the point about which it turns: a
     hand swings it around an elbow, a vehicle turns about its rear axle."""
-    floor: float = math.radians(0.5)
-    """Radians of noise that is believed at least."""
-    rounds: int = 3
-    """Of robust weights."""
+    floor: float = math.radians(0.5)  # radians of noise that is believed at least
+    rounds: int = 3  # of robust weights
 
 
 GRAVITY = GravityTurnsTuning()
@@ -265,12 +242,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     point about which it turns it is accelerated by what r and the gyro tell. Other accelerations
     change the size of what is felt, which no turn does, and lean it as much.
 
-    Parameters
-    ----------
-    stretch : Stretch
-        The movement.
-    ways : ndarray, shape (k, 3, 3)
-        Rows are the gyro's axes in the accelerometer's.
+    Rows of each of the `ways` (k, 3, 3) are the gyro's axes in the accelerometer's.
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
@@ -294,7 +266,7 @@ def gravity_misfit(stretch: Stretch, ways: FloatArray) -> tuple[FloatArray, Floa
     drifted = np.broadcast_to(drift, (count, n, 3, 3))
     design = np.concatenate([drifted, moved[..., None], swung], axis=3)
     target = seen - moved
-    sizes = np.array([GRAVITY.bias] * 3 + [GRAVITY.scale] + [GRAVITY.lever] * 3)
+    sizes = np.array([WIDE.bias] * 3 + [WIDE.scale] + [GRAVITY.lever] * 3)
     prior = np.diag(sizes**-2.0)
     repeated = max(float(np.mean(last - first)), 1.0)
     sigma, left = math.radians(5.0), np.zeros((count, n))
@@ -336,12 +308,9 @@ KNOWN: tuple[tuple[float, str], ...] = (
 class RateUnitTuning:
     """When the gyro is taken to count in another unit."""
 
-    plain: float = 5.0
-    """Times too large or too small from which no scale error can be meant."""
-    span: float = 0.5
-    """Seconds over which field and gyro are compared."""
-    moved: float = 0.15
-    """Share of its size by which the field must move in that time to take part."""
+    plain: float = 5.0  # times too large or too small from which no scale error can be meant
+    span: float = 0.5  # seconds over which field and gyro are compared
+    moved: float = 0.15  # share of its size by which the field must move in that time to take part
     below: float = 8.0
     above: float = 2.2
     """Times by which a known factor may be below and above the rough one: short arcs and noise make

@@ -46,22 +46,16 @@ class GuideStepState(str, Enum):
 class GuideTuning:
     """When a stage is seen."""
 
-    block: float = 0.25
-    """Seconds that are averaged."""
-    stand: float = 4.0
-    """Seconds of standing still at first."""
-    rest: float = 1.0
-    """Seconds of standing that end a turn or a lift."""
+    block: float = 0.25  # seconds that are averaged
+    stand: float = 4.0  # seconds of standing still at first
+    rest: float = 1.0  # seconds of standing that end a turn or a lift
     still: tuple[float, float] = (math.radians(2.0), 0.06)
     """Radians by which gravity, and share of its size by which the field, may move at rest."""
-    angle: float = math.radians(75.0)
-    """Radians of turn that the gyro must read."""
+    angle: float = math.radians(75.0)  # radians of turn that the gyro must read
     swing: float = 0.4
     """Share of its size by which the field must move where the gyro reads no turn."""
-    lift: float = math.radians(8.0)
-    """Radians by which gravity must lean."""
-    patience: float = 45.0
-    """Seconds after which a stage is given up."""
+    lift: float = math.radians(8.0)  # radians by which gravity must lean
+    patience: float = 45.0  # seconds after which a stage is given up
 
 
 TUNING = GuideTuning()
@@ -69,7 +63,7 @@ TUNING = GuideTuning()
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Means over a short time; NaN where a stream said nothing."""
+    """Means over a short time; NaN without samples."""
 
     force: FloatArray
     rate: FloatArray
@@ -79,15 +73,10 @@ class _Block:
 class Guide:
     """Asks for one stage after the other and sees them done.
 
-    Parameters
-    ----------
-    now : float
-        Seconds on a clock that does not jump.
-    tuning : GuideTuning, optional
+    `now` is in seconds, on a clock that does not jump.
     """
 
-    def __init__(self, now: float, tuning: GuideTuning = TUNING) -> None:
-        self._tuning = tuning
+    def __init__(self, now: float) -> None:
         self._states = dict.fromkeys(GuideStep, GuideStepState.LATER)
         self._states[GuideStep.STAND] = GuideStepState.NOW
         self._since = self._block_began = now
@@ -122,7 +111,7 @@ class Guide:
 
     def left(self, now: float) -> float:
         """Return the seconds after which what is asked for is given up."""
-        return max(self._tuning.patience - (now - self._since), 0.0)
+        return max(TUNING.patience - (now - self._since), 0.0)
 
     def skip(self, now: float) -> None:
         """Give up what is asked for now; standing still is needed."""
@@ -132,7 +121,7 @@ class Guide:
 
     def pass_time(self, now: float) -> bool:
         """Let time pass; returns whether a stage was seen or given up."""
-        if now - self._block_began < self._tuning.block or self.current is None:
+        if now - self._block_began < TUNING.block or self.current is None:
             return False
         self._close_block(now)
         stage = self.current
@@ -140,7 +129,7 @@ class Guide:
         if self._seen(stage):
             self._next(stage, GuideStepState.SEEN, now)
             return True
-        if now - self._since > self._tuning.patience:
+        if now - self._since > TUNING.patience:
             self._next(stage, GuideStepState.MISSED, now)
             return True
         return False
@@ -160,20 +149,20 @@ class Guide:
 
     def _seen(self, stage: GuideStep) -> bool:
         if stage is GuideStep.STAND:
-            return self._stands(self._tuning.stand)
+            return self._stands(TUNING.stand)
         assert self._resting is not None
         newest = self._blocks[-1]
         if stage is GuideStep.TURN:
             way = float(np.linalg.norm(newest.field - self._resting.field))
             swing = way / max(float(np.linalg.norm(self._resting.field)), 1e-12)
-            self._done_moving |= abs(self._angle) > self._tuning.angle or swing > self._tuning.swing
+            self._done_moving |= abs(self._angle) > TUNING.angle or swing > TUNING.swing
         else:
-            self._done_moving |= _apart(newest.force, self._resting.force) > self._tuning.lift
-        return self._done_moving and self._stands(self._tuning.rest)
+            self._done_moving |= _apart(newest.force, self._resting.force) > TUNING.lift
+        return self._done_moving and self._stands(TUNING.rest)
 
     def _stands(self, seconds: float) -> bool:
         """Return whether gravity and field have not moved for so long."""
-        count = max(2, round(seconds / self._tuning.block))
+        count = max(2, round(seconds / TUNING.block))
         if len(self._blocks) < count:
             return False
         last = self._blocks[-count:]
@@ -181,7 +170,7 @@ class Guide:
         field = np.mean([block.field for block in last], axis=0)
         if not (np.isfinite(force).all() and np.isfinite(field).all()):
             return False
-        lean, swing = self._tuning.still
+        lean, swing = TUNING.still
         size = float(np.linalg.norm(field))
         return all(
             _apart(block.force, force) < lean

@@ -13,24 +13,20 @@ from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import SWAY, slow_words
 from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
-from magcal_ros.core.samples.window import SensorLog
+from magcal_ros.core.samples.window import SensorLog, white_noise
 
 
 @dataclass(frozen=True)
 class Finding:
     """One line of the page."""
 
-    key: str
-    """For programs: what is wrong, or was looked at."""
-    name: str
-    """What was looked at, for people."""
+    key: str  # for programs: what is wrong, or was looked at
+    name: str  # what was looked at, for people
     grade: Grade
     """`EXCELLENT` where nothing is wrong, `GOOD` where the movement did not show it, `WARN` where
     something is worth a look, `REFUSED` where a heading would be wrong."""
-    evidence: str
-    """The numbers."""
-    remedy: str = ""
-    """What to change; empty where nothing is wrong."""
+    evidence: str  # the numbers
+    remedy: str = ""  # what to change; empty where nothing is wrong
 
     @property
     def is_wrong(self) -> bool:
@@ -57,21 +53,15 @@ def not_shown(key: str, name: str, why: str) -> Finding:
 class HealthTuning:
     """Where a stream's fault begins."""
 
-    jitter: float = 0.5
-    """RMS deviation of the gaps over the usual gap that is worth a look."""
-    repeats: float = 0.05
-    """Share of samples with the values of the one before."""
-    coarse: float = 0.5e-6
-    """Tesla, step of the field's numbers."""
-    lattice: float = 0.05
-    """Share of a step by which numbers on a grid may be off it."""
+    jitter: float = 0.5  # RMS deviation of the gaps over the usual gap that is worth a look
+    repeats: float = 0.05  # share of samples with the values of the one before
+    coarse: float = 0.5e-6  # tesla, step of the field's numbers
+    lattice: float = 0.05  # share of a step by which numbers on a grid may be off it
     saturated: tuple[int, float] = (5, 1.5)
     """Places along the other two axes, in twentieths of the field's size, at which one axis must
     stand at its extreme; and how many times those just below the extreme."""
-    gravity: float = 0.15
-    """Misfit of the usual acceleration."""
-    fewest: int = 50
-    """Samples below which nothing is said of a stream."""
+    gravity: float = 0.15  # misfit of the usual acceleration
+    fewest: int = 50  # samples below which nothing is said of a stream
     field_noise: float = 3e-6
     rate_noise: float = 0.3
     """Tesla and rad/s, standard deviation per axis and sample that is worth a look; an engine
@@ -79,9 +69,11 @@ class HealthTuning:
 
 
 TUNING = HealthTuning()
+SIGMAS = 3.0
+"""Standard deviations that an error must have beside its size to be reported."""
 
 
-def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+def stamps_finding(name: str, time: FloatArray) -> Finding:
     """Look at a stream's stamps, seconds, increasing; at least two."""
     gaps = np.diff(time)
     usual = float(np.median(gaps))
@@ -105,10 +97,10 @@ def stamps_finding(name: str, time: FloatArray, tuning: HealthTuning = TUNING) -
         "the stamps jitter: stamp each sample in the driver when it is measured, at best by the "
         "sensor's own clock"
     )
-    return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > tuning.jitter))
+    return looked_at("stamps", f"{name}: stamps", evidence, remedy * (jitter > TUNING.jitter))
 
 
-def repeats_finding(name: str, values: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+def repeats_finding(name: str, values: FloatArray) -> Finding:
     """Look for values (n, d) of the sample before.
 
     Coarse numbers repeat by chance, each axis for itself, and a frozen sensor for long.
@@ -119,7 +111,7 @@ def repeats_finding(name: str, values: FloatArray, tuning: HealthTuning = TUNING
     share = float(same[~long].mean()) if not long.all() else 0.0
     chance = float(np.prod(axes.mean(axis=0))) if len(axes) else 0.0
     words = "the driver publishes faster than the sensor measures: lower its rate to the sensor's"
-    too_many = share - chance > tuning.repeats and share > 2.0 * chance
+    too_many = share - chance > TUNING.repeats and share > 2.0 * chance
     return looked_at("repeats", f"{name}: repeats", f"{share:.0%} repeated", words * too_many)
 
 
@@ -138,18 +130,18 @@ def repeats(values: FloatArray) -> BoolArray:
     return same
 
 
-def field_findings(field: FloatArray, tuning: HealthTuning = TUNING) -> list[Finding]:
+def field_findings(field: FloatArray) -> list[Finding]:
     """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
     size = float(np.median(np.linalg.norm(field, axis=1)))
     unit = likely_field_unit(size)
     found = [looked_at("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
-    step = max(_step(field[:, axis], tuning) for axis in range(3))
+    step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
     found.append(
-        looked_at("resolution", "field: resolution", evidence, words * (step > tuning.coarse))
+        looked_at("resolution", "field: resolution", evidence, words * (step > TUNING.coarse))
     )
-    full = [axis for axis in range(3) if saturated(field, axis, tuning).any()]
+    full = [axis for axis in range(3) if saturated(field, axis).any()]
     largest = float(np.abs(field).max()) * 1e6
     words = f"{_axes(full)} stops at one value: choose a wider range, or move it away from magnets"
     evidence = f"at most {largest:.3g} µT on an axis"
@@ -161,11 +153,11 @@ def field_findings(field: FloatArray, tuning: HealthTuning = TUNING) -> list[Fin
     return found
 
 
-def gravity_size_finding(force: FloatArray, tuning: HealthTuning = TUNING) -> Finding:
+def gravity_size_finding(force: FloatArray) -> Finding:
     """Look at the length of specific force (n, 3), m/s² as published."""
     size = float(np.median(np.linalg.norm(force, axis=1)))
     hint = ""
-    if abs(size / STANDARD_GRAVITY - 1.0) > tuning.gravity:
+    if abs(size / STANDARD_GRAVITY - 1.0) > TUNING.gravity:
         hint = likely_acceleration_unit(size) or "check the accelerometer's range and scale"
     x, y, z = np.median(force, axis=0)
     evidence = f"({x:.2f}, {y:.2f}, {z:.2f}) m/s², {size:.2f} in all"
@@ -188,7 +180,7 @@ def unchanging(values: FloatArray) -> list[int]:
     return [axis for axis in range(3) if np.ptp(values[:, axis]) == 0.0]
 
 
-def saturated(field: FloatArray, axis: int, tuning: HealthTuning = TUNING) -> BoolArray:
+def saturated(field: FloatArray, axis: int) -> BoolArray:
     """Return which samples (n, 3) stand at the end of an axis' range, shape (n,).
 
     A range that ends shows in many places of the other two axes; a robot that rests there, or a
@@ -200,14 +192,14 @@ def saturated(field: FloatArray, axis: int, tuning: HealthTuning = TUNING) -> Bo
         return none
     cell = max(float(np.ptp(field, axis=0).max()) / 40.0, 1e-12)
     places = np.floor(others / cell).astype(np.int64)
-    step = _step(values, tuning)
+    step = _step(values)
     for extreme in (values.max(), values.min()):
         at = np.asarray(values == extreme)
         below = ~at & (np.abs(values - extreme) < 4.5 * step)
         stands = len(np.unique(places[at], axis=0))
         if (
-            stands >= tuning.saturated[0]
-            and stands > tuning.saturated[1] * len(np.unique(places[below], axis=0))
+            stands >= TUNING.saturated[0]
+            and stands > TUNING.saturated[1] * len(np.unique(places[below], axis=0))
             and abs(extreme) == np.abs(values).max()
         ):
             return at
@@ -218,7 +210,7 @@ def _axes(which: list[int]) -> str:
     return " and ".join("xyz"[axis] for axis in which)
 
 
-def _step(values: FloatArray, tuning: HealthTuning) -> float:
+def _step(values: FloatArray) -> float:
     """Return the step of numbers (n,) that lie on a grid; zero where they lie on none."""
     gaps = np.diff(np.unique(values))
     gaps = gaps[gaps > 1e-6 * float(np.abs(values).max())]
@@ -229,29 +221,14 @@ def _step(values: FloatArray, tuning: HealthTuning) -> float:
     step = float(np.median(gaps[gaps < 1.5 * step]))
     near = gaps[gaps < 9.5 * step] / step
     off = np.abs(near - np.rint(near))
-    on_grid = len(near) > 0.5 * len(gaps) and float((off < tuning.lattice).mean()) > 0.97
+    on_grid = len(near) > 0.5 * len(gaps) and float((off < TUNING.lattice).mean()) > 0.97
     return step if on_grid else 0.0
-
-
-def white_noise(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of each column (n, d) about a smooth course.
-
-    Second differences of white noise have six times its variance, and nearly nothing of a slow
-    movement.
-    """
-    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
-    return np.asarray(1.4826 * np.median(np.abs(second), axis=0) / math.sqrt(6.0))
 
 
 def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
     """Look at the scatter of both sensors; each stream has three samples or more.
 
-    Parameters
-    ----------
-    log : SensorLog
-        The cleaned streams.
-    factor : float
-        What makes rad/s of the gyro's numbers.
+    The streams are clean, and `factor` makes rad/s of the gyro's numbers.
     """
     field = float(white_noise(log.field).max())
     words = (

@@ -14,45 +14,39 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
-from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.health import white_noise
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
 from magcal_ros.core.samples.alignment import inefficiency
-from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, AlignmentFit, AlignmentTuning
-from magcal_ros.core.samples.window import SensorLog, Stretch, StretchTuning, stretch_of_log
+from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, WIDE, AlignmentFit
+from magcal_ros.core.samples.window import (
+    SensorLog,
+    Stretch,
+    StretchTuning,
+    stretch_of_log,
+    white_noise,
+)
 
-OF_FIELD = replace(WEIGHED.fit, field_floor=1e-3, freedom=10.0)
+OF_FIELD = replace(WIDE, field_floor=1e-3, freedom=10.0)
 OF_FORCE = replace(OF_FIELD, installation=math.radians(3.0), soft_iron=0.02, hard_iron=0.3)
+"""What is believed of the magnetometer and of the accelerometer, whose offset counts in the
+changing part of gravity."""
 
 
 @dataclass(frozen=True)
 class LatencyTuning:
     """How the latency of a sensor is fitted."""
 
-    most: int = 1500
-    """Samples; more are averaged."""
-    field: AlignmentTuning = OF_FIELD
-    force: AlignmentTuning = OF_FORCE
-    """What is believed of the magnetometer and of the accelerometer, whose offset counts in the
-    changing part of gravity."""
+    most: int = 1500  # samples; more are averaged
     lever: float = 0.3
     """Metres, standard deviation of how far the accelerometer sits off the turn's axis."""
-    walk_step: float = 1.0
-    """Seconds between the steps of the gyro's random walk at least."""
-    walk_steps: int = 40
-    """Of them at most."""
-    walk: float = math.radians(0.01)
-    """Radians in a second that a gyro without noise walks."""
-    shaken: float = 1.5
-    """Seconds over which the noise is taken together."""
-    least: float = 1e-3
-    """Seconds, standard deviation of the stamps' own habits."""
-    rounds: int = 3
-    """Of robust weights."""
-    steps: int = 4
-    """Of the fit between two estimates of the noise."""
+    walk_step: float = 1.0  # seconds between the steps of the gyro's random walk at least
+    walk_steps: int = 40  # of them at most
+    walk: float = math.radians(0.01)  # radians in a second that a gyro without noise walks
+    shaken: float = 1.5  # seconds over which the noise is taken together
+    least: float = 1e-3  # seconds, standard deviation of the stamps' own habits
+    steps: int = 4  # of the fit between two estimates of the noise
 
 
 @dataclass(frozen=True)
@@ -70,14 +64,8 @@ EACH_SAMPLE = StretchTuning(fewest=TUNING.most, most=TUNING.most)
 def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency | None:
     """Return the field's latency by one explanation; None where there are too few samples.
 
-    Parameters
-    ----------
-    log : SensorLog
-        As it was explained: rates in rad/s, the known mounting taken off.
-    explanations : Explanations
-        What explains the axes, the bias and the hard iron.
-    k : int
-        Which explanation.
+    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
+    gives the axes, the bias and the hard iron.
     """
     state = explanations.parameters[k : k + 1].copy()
     before = float(state[0, LAG])
@@ -87,7 +75,7 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
     axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    fit = AlignmentFit(part, axes, TUNING.field, gyro)
+    fit = AlignmentFit(part, axes, OF_FIELD, gyro)
     found = _fitted(fit, state, part, log, None)
     return Latency(before + found.lag, found.sigma)
 
@@ -104,8 +92,8 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         part = stretch_of_log(gravity, before, EACH_SAMPLE)
         if part is None:
             break
-        fit = AlignmentFit(part, np.eye(3)[None], TUNING.force, gyro, with_up=False)
-        state = fit.descend(fit.start(), TUNING.force.start_noise, TUNING.steps)
+        fit = AlignmentFit(part, np.eye(3)[None], OF_FORCE, gyro, with_up=False)
+        state = fit.descend(fit.start(), OF_FORCE.start_noise, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         more = _fitted(fit, state, part, log, TUNING.lever / part.size * lever)
@@ -117,11 +105,7 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
 
 
 def _fitted(
-    fit: AlignmentFit,
-    state: FloatArray,
-    part: Stretch,
-    log: SensorLog,
-    lever: FloatArray | None,
+    fit: AlignmentFit, state: FloatArray, part: Stretch, log: SensorLog, lever: FloatArray | None
 ) -> Latency:
     """Fit the latency with all that looks like it; `lever` (n, 3, 3) is of unit prior."""
     for _ in range(2):
@@ -139,7 +123,7 @@ def _fitted(
     prior[: len(fit.prior), : len(fit.prior)] = fit.prior
     slope = np.concatenate([fit.prior @ state[0], np.zeros(count - len(fit.prior))])
     left, nu = residual, fit.tuning.freedom
-    for _ in range(TUNING.rounds):
+    for _ in range(GRAVITY.rounds):
         variance = _noise_around(left, part.time)
         weight = (nu + 3.0) / (nu + np.sum(left**2, axis=1) / variance) / variance
         weight /= inefficiency(left / np.sqrt(variance)[:, None])

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import AxesFound, most_turned
+from magcal_ros.core.doctor.axes import AxesFound, most_turned
 from magcal_ros.core.doctor.blame import UserAnswers, blame, upright
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.doctor.explanations import Explanations, explain, factor_in_words, rate_factors
-from magcal_ros.core.doctor.health import Finding, looked_at, not_shown, wrong
+from magcal_ros.core.doctor.health import SIGMAS, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -39,20 +39,12 @@ NO_GYRO = (
 class MotionTuning:
     """Where an error between the sensors is worth a word."""
 
-    bias: float = math.radians(0.8)
-    """rad/s of the gyro's bias."""
-    scale: float = 0.03
-    """Relative error of the gyro's scale."""
-    at_rest: float = math.radians(0.1)
-    """rad/s, standard deviation of a bias that was read at rest."""
-    borne_out: float = 0.4
-    """Share of the bias by which the rate at rest may be another."""
-    alike: float = 1.2
-    """Times the least residual with which rad/s are preferred to a known slip."""
-    lag: float = 0.015
-    """Seconds between the sensors' stamps."""
-    sigmas: float = 3.0
-    """So many standard deviations it must be, too."""
+    bias: float = math.radians(0.8)  # rad/s of the gyro's bias
+    scale: float = 0.03  # relative error of the gyro's scale
+    at_rest: float = math.radians(0.1)  # rad/s, standard deviation of a bias that was read at rest
+    borne_out: float = 0.4  # share of the bias by which the rate at rest may be another
+    alike: float = 1.2  # times the least residual with which rad/s are preferred to a known slip
+    lag: float = 0.015  # seconds between the sensors' stamps
     vague: tuple[float, float, float, float] = (math.radians(0.6), 0.015, 0.012, 0.008)
     """Standard deviations of bias (rad/s), scale, the field's and the accelerometer's lag (s)
     beyond which it is not shown."""
@@ -67,20 +59,15 @@ TUNING = MotionTuning()
 class MotionFound:
     """What was found, and by which explanation."""
 
-    findings: tuple[Finding, ...]
-    """The lines."""
+    findings: tuple[Finding, ...]  # the lines
     axes: AxesFound | None = None
     """Of the magnetometer, where it is the one that errs; None where nothing was shown."""
-    explanations: Explanations | None = None
-    """What was weighed."""
-    chosen: int = 0
-    """The explanation that is taken."""
-    factor: float = 1.0
-    """What makes rad/s of the gyro's numbers."""
+    explanations: Explanations | None = None  # what was weighed
+    chosen: int = 0  # the explanation that is taken
+    factor: float = 1.0  # what makes rad/s of the gyro's numbers
     up_is_down: bool | None = False
     """Whether gravity's sign is what errs; None where that is not decided."""
-    explained: bool = False
-    """Whether the explanation explains the movement."""
+    explained: bool = False  # whether the explanation explains the movement
 
 
 def compare(
@@ -158,7 +145,7 @@ def _opposite(belief: Belief) -> Belief:
 
 
 def _turns_beside(stretch: Stretch, rest: Rest) -> bool:
-    """Return whether the gyro tells a turn beside what it reads at rest."""
+    """Return whether the gyro reads a turn beside what it reads at rest."""
     alone = replace(stretch, turn=stretch.turn - stretch.seconds[:, None] * rest.rate)
     return most_turned(alone) >= WEIGHED.least_turn
 
@@ -188,11 +175,7 @@ def _unit(factor: float, turns_alike: bool) -> Finding:
 
 
 def _gyro_errors(
-    explanations: Explanations,
-    chosen: int,
-    factor: float,
-    rest: Rest | None,
-    restamped: bool,
+    explanations: Explanations, chosen: int, factor: float, rest: Rest | None, restamped: bool
 ) -> list[Finding]:
     state, sigma = explanations.parameters[chosen], explanations.sigma[chosen]
     if not np.isfinite(sigma).all():
@@ -224,7 +207,7 @@ def _gyro_errors(
         f"{'more' if scale > 0.0 else 'less'} than the gyro says, multiply the gyro's rates by "
         f"{factor * (1.0 + scale):.4g} in the driver"
     )
-    too_large = abs(scale) > max(TUNING.scale, TUNING.sigmas * off)
+    too_large = abs(scale) > max(TUNING.scale, SIGMAS * off)
     if too_large and not _gravity_agrees(explanations, chosen):
         why = f"gravity and field tell two scales; {FULL_TURN}"
         return [*found, not_shown("rate_scale", "gyro: scale", why)]
@@ -239,25 +222,24 @@ def _bias(bias: FloatArray, off: float, factor: float) -> Finding:
         "let the driver measure the gyro's bias while the robot stands, or subtract "
         f"({as_published}) from its rates"
     )
-    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, TUNING.sigmas * off)
+    too_large = float(np.linalg.norm(bias)) > max(TUNING.bias, SIGMAS * off)
     return looked_at("gyro_bias", "gyro: bias", evidence, remedy * too_large)
 
 
 def _gravity_agrees(explanations: Explanations, chosen: int) -> bool:
-    """Return whether the field alone tells the same scale of the gyro as with gravity.
+    """Return whether the field alone gives the same scale of the gyro as with gravity.
 
-    Linear acceleration and a field that is bent change what one of them tells.
+    Linear acceleration and a disturbed field change one of them.
     """
     alone = align(
         explanations.part,
         explanations.field[chosen : chosen + 1],
-        WEIGHED.fit,
         explanations.gyro[chosen : chosen + 1],
         with_up=False,
     )
     gap = abs(float(alone.parameters[0, SCALE] - explanations.parameters[chosen, SCALE]))
     sigma = math.sqrt(float(alone.covariance[0, SCALE, SCALE]))
-    return gap < TUNING.sigmas * max(sigma, float(explanations.sigma[chosen, SCALE]))
+    return gap < SIGMAS * max(sigma, float(explanations.sigma[chosen, SCALE]))
 
 
 def _borne_out(rest: Rest | None, bias: FloatArray) -> bool:
@@ -303,7 +285,7 @@ def _latencies(log: SensorLog, explanations: Explanations, chosen: int) -> list[
 
 def _significant(latency: Latency | None) -> float:
     """Return a latency that is worth a word, seconds; zero for others."""
-    if latency is None or abs(latency.lag) < max(TUNING.lag, TUNING.sigmas * latency.sigma):
+    if latency is None or abs(latency.lag) < max(TUNING.lag, SIGMAS * latency.sigma):
         return 0.0
     return latency.lag
 

@@ -1,4 +1,7 @@
-"""The page: everything that is wrong with the sensors, graded, with what corrects it."""
+"""The page: everything that is wrong with the sensors, graded, with what corrects it.
+
+And the refusal of a turn where the sensors are behind it, in the words of the page.
+"""
 
 from __future__ import annotations
 
@@ -8,21 +11,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.assessment.axes import parameter_line
 from magcal_ros.core.assessment.grading import Grade
+from magcal_ros.core.doctor.axes import AxesFound, parameter_line
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
-from magcal_ros.core.doctor.explanations import Explanations
-from magcal_ros.core.doctor.health import Finding, looked_at, noise_findings, not_shown
+from magcal_ros.core.doctor.explanations import Explanations, rate_factors
+from magcal_ros.core.doctor.health import (
+    SIGMAS,
+    Finding,
+    alive_finding,
+    field_findings,
+    looked_at,
+    noise_findings,
+    not_shown,
+    unchanging,
+)
 from magcal_ros.core.doctor.motion import MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
+from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
-from magcal_ros.core.samples.window import SensorLog, Window
+from magcal_ros.core.samples.stamps import bursts_of_a_turn
+from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
+from magcal_ros.core.samples.window import SensorLog, Window, stretch_of
 
 PAIRED = ("bursts", "stamps", "repeats")
 """Lines of which paired samples show nothing."""
@@ -32,13 +47,12 @@ PAIRED = ("bursts", "stamps", "repeats")
 class Page:
     """What was found."""
 
-    findings: tuple[Finding, ...]
-    """All lines."""
+    findings: tuple[Finding, ...]  # all lines
     mount_rpy_deg: tuple[int, int, int] | None = None
     """The mounting that alone corrects the magnetometer's axes; None where none does, or where none
     has to."""
-    used: AxesInUse | None = None
-    """What a drive's course can be compared with."""
+    used: AxesInUse | None = None  # what a drive's course can be compared with
+    axes: AxesFound | None = None  # what the movement shows of the magnetometer's axes
 
     @property
     def misleads(self) -> bool:
@@ -55,7 +69,7 @@ class Page:
         return replace(self, findings=(*self.findings, *findings))
 
     def with_course(self, seen: CourseSeen) -> Page:
-        """Return the page with what the course says of the axes' yaw, which no turn can tell."""
+        """Return the page with what the course shows of the axes' yaw, which no turn can show."""
         assert self.used is not None
         lines, mount = course_findings(self.used, seen)
         page = self.with_more(lines)
@@ -75,7 +89,8 @@ def examine(
     lines += _of_the_field(prepared, found, knowledge)
     mount = None
     axes = found.axes
-    if axes is not None and not axes.right and len(axes.candidates) == 1:
+    is_field = any(finding.key == "field_axes" for finding in found.findings)
+    if axes is not None and is_field and len(axes.candidates) == 1:
         mount = axes.mount_rpy_deg
         lines += known_habits(log, axes.candidates[0])
     else:
@@ -85,7 +100,7 @@ def examine(
     if found.explained and found.factor == 1.0 and not found.up_is_down:
         assert found.explanations is not None
         used = axes_in_use(found.explanations, found.chosen, knowledge)
-    return Page(tuple(lines), mount, used)
+    return Page(tuple(lines), mount, used, axes)
 
 
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
@@ -117,16 +132,10 @@ def _of_the_field(prepared: CleanLog, found: MotionFound, knowledge: Knowledge) 
 class PlaceTuning:
     """When the field is called another than the reference's, and the motors' one is."""
 
-    strength: float = 0.2
-    """Relative difference."""
-    inclination: float = math.radians(8.0)
-    """Radians."""
-    sigmas: float = 3.0
-    """So many standard deviations it must be, too."""
-    vague: float = 0.1
-    """Relative standard deviation of the strength beyond which it is not shown."""
-    motors: float = 1.5e-6
-    """Tesla by which the field steps when the robot sets off."""
+    strength: float = 0.2  # relative difference
+    inclination: float = math.radians(8.0)  # radians
+    vague: float = 0.1  # relative standard deviation of the strength beyond which it is not shown
+    motors: float = 1.5e-6  # tesla by which the field steps when the robot sets off
     turned_too_far: float = 25.0
     scatter_too_large: float = 5.0
     """Degrees of heading of that step, and by which it differs from one time to another, from which
@@ -135,8 +144,7 @@ class PlaceTuning:
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
     """rad/s below which it stands, and above which it turns."""
-    late: float = 0.05
-    """Seconds of a latency that is not shown, up to which it does not matter."""
+    late: float = 0.05  # seconds of a latency that is not shown, up to which it does not matter
     before: tuple[float, float] = (-0.6, -0.1)
     after: tuple[float, float] = (0.3, 0.8)
     """Seconds from and to, around the moment in which it sets off or stops."""
@@ -149,10 +157,7 @@ OR_LATE = "start and stop several times while you turn: motors and a late field 
 
 
 def reference_findings(
-    explanations: Explanations,
-    k: int,
-    knowledge: Knowledge,
-    up_is_down: bool | None = False,
+    explanations: Explanations, k: int, knowledge: Knowledge, up_is_down: bool | None = False
 ) -> list[Finding]:
     """Compare strength and inclination with the reference, by one explanation."""
     size = explanations.part.size
@@ -175,11 +180,11 @@ def reference_findings(
     if not believed.strength.is_unknown:
         spread = math.hypot(off, believed.strength.sigma)
         apart = abs(strength - believed.strength.value)
-        if apart > max(TUNING.strength * believed.strength.value, TUNING.sigmas * spread):
+        if apart > max(TUNING.strength * believed.strength.value, SIGMAS * spread):
             wrong.append(f"{believed.strength.value * 1e6:.1f} µT")
     if not believed.inclination.is_unknown and up_is_down is not None:
         spread = math.hypot(off / strength, believed.inclination.sigma)
-        limit = max(TUNING.inclination, TUNING.sigmas * spread)
+        limit = max(TUNING.inclination, SIGMAS * spread)
         if abs(dip - believed.inclination.value) > limit:
             if abs(dip + believed.inclination.value) <= limit:
                 return [looked_at("inclination_sign", name, evidence, FIELD_POINTS_UP)]
@@ -199,18 +204,10 @@ def motors_finding(
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, only what both of them tell is said.
+    not shown, only what both agree on is reported.
 
-    Parameters
-    ----------
-    log : SensorLog
-        As it was explained: rates in rad/s, the known mounting taken off.
-    explanations : Explanations
-        What explains the axes, the bias and the hard iron.
-    k : int
-        Which explanation.
-    lag_is_shown : bool
-        Whether the movement shows the field's latency.
+    `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
+    gives the axes, the bias and the hard iron.
     """
     lag = float(explanations.parameters[k, LAG])
     found = _motors_with(log, explanations, k, lag)
@@ -249,7 +246,8 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
     scatter = max(float(np.mean(spread)), float(np.linalg.norm(np.std(steps, axis=0, ddof=1))))
     size, off = float(np.linalg.norm(step)), scatter / math.sqrt(len(steps))
     words = ", ".join(f"{value * 1e6:+.1f}" for value in step)
-    turned, scattered = (_degrees(each, float(np.median(level))) for each in (size, scatter))
+    across = np.arctan2((size, scatter), max(float(np.median(level)), 1e-9))
+    turned, scattered = (float(each) for each in np.degrees(across))
     evidence = (
         f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
         f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
@@ -265,13 +263,8 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
             "drivers and battery wires, and each pair of wires twisted"
         )
     return looked_at(
-        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
+        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, SIGMAS * 1.7 * off))
     )
-
-
-def _degrees(field: float, level: float) -> float:
-    """Return by how many degrees a field across the level one turns the heading."""
-    return math.degrees(math.atan2(field, max(level, 1e-9)))
 
 
 def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:
@@ -302,3 +295,105 @@ def _turned(time: FloatArray, rate: FloatArray, first: float, last: float) -> Fl
     inside: BoolArray = (time >= low) & (time <= high)
     mean = rate[inside].mean(axis=0) if inside.any() else np.zeros(3)
     return np.asarray(mean * (last - first))
+
+
+AXES = ("axes", "gyro_axes", "field_axes", "force_axes", "rate_unit")
+"""Lines of the page that say why field, gyro and gravity disagree."""
+
+
+SMOOTH = 1e-4
+"""Share of its largest value by which a rate without noise may bend from sample to sample."""
+
+
+def wrong_axes(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of a turn whose axes are certainly wrong; None where they may be right."""
+    refusal = wrong_gyro(window, knowledge)
+    if refusal is not None or window.angular_rate is None:
+        return refusal
+    words = _by_the_page(window, knowledge, least=Grade.REFUSED)
+    if not words:
+        return None
+    return wrong_stamps(window) or Refusal(Reason.AXES_DISAGREE, words)
+
+
+def wrong_reading(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of readings that no fit can use, seen before the work; None of others."""
+    return saturated_field(window) or wrong_gyro(window, knowledge)
+
+
+def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
+    """Return the refusal of a turn whose gyro has dead axes or another unit; None of others.
+
+    A dead axis hides what the robot leans by, and the gyro's turn cannot be followed in space.
+    """
+    rate = window.angular_rate
+    if rate is None or len(window) < 3:
+        return None
+    dead = unchanging(rate)
+    if 0 < len(dead) < 3 and _has_noise(np.delete(rate, dead, axis=1)):
+        words = alive_finding("gyro", rate).remedy
+        up = int(np.argmax(np.abs(window.specific_force.mean(axis=0))))
+        if up in dead and len(dead) == 2:
+            living = 3 - sum(dead)
+            words += f", and gives the turn about {'xyz'[up]} as {'xyz'[living]}"
+        return Refusal(
+            Reason.AXES_DISAGREE,
+            f"the gyro's {words}; correct the driver, or let it mark the rates as absent "
+            "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
+            "calibrated without a gyro",
+        )
+    stretch = stretch_of(window)
+    if stretch is not None and rate_factors(stretch):
+        unit = _by_the_page(window, knowledge, ("rate_unit",))
+        return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
+    return None
+
+
+def _has_noise(rate: FloatArray) -> bool:
+    """Return whether rates (n, k) have noise; those of a simulator without any may stay zero."""
+    bend = np.abs(np.diff(rate, 2, axis=0))
+    return bool(np.median(bend) > SMOOTH * np.abs(rate).max())
+
+
+def saturated_field(window: Window) -> Refusal | None:
+    """Return the refusal of a turn whose field stops at the end of a range; None of others.
+
+    What is cut off there looks like a smaller hard iron.
+    """
+    if len(window) < 3:
+        return None
+    for found in field_findings(window.field):
+        if found.is_wrong and found.key == "saturation":
+            words = f"the magnetometer saturates ({found.evidence}): {found.remedy}"
+            return Refusal(Reason.NO_SOLUTION, words)
+    return None
+
+
+def wrong_stamps(window: Window) -> Refusal | None:
+    """Return the refusal of a turn with a gyro whose stamps come in bursts; None of others."""
+    bursts = "" if window.angular_rate is None else bursts_of_a_turn(window.time)
+    if not bursts:
+        return None
+    return Refusal(Reason.AXES_DISAGREE, f"gyro and field do not tell one turn: {bursts}")
+
+
+def blamed_on_axes(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return a method's refusal, or that of the wrong axes behind it."""
+    wrong = wrong_axes(window, knowledge) if refusal.reason in MISLED_BY_AXES else None
+    return explained(refusal, window) if wrong is None else wrong
+
+
+def blamed_on_sensors(refusal: Refusal, window: Window, knowledge: Knowledge) -> Refusal:
+    """Return the refusal of a turn that was not seen, or what the page finds of the sensors."""
+    gyro = wrong_gyro(window, knowledge)
+    if gyro is not None:
+        return gyro
+    words = _by_the_page(window, knowledge)
+    return Refusal(Reason.AXES_DISAGREE, words) if words else refusal
+
+
+def _by_the_page(
+    window: Window, knowledge: Knowledge, lines: tuple[str, ...] = AXES, least: Grade = Grade.WARN
+) -> str:
+    findings = examine_window(window, knowledge).findings
+    return "; ".join(f.remedy for f in findings if f.grade.rank >= least.rank and f.key in lines)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magcal_ros.core.doctor.health import TUNING as HEALTH
 from magcal_ros.core.doctor.health import (
     Finding,
-    HealthTuning,
     alive_finding,
     field_findings,
     gravity_size_finding,
@@ -21,30 +20,10 @@ from magcal_ros.core.doctor.health import (
     stamps_finding,
     wrong,
 )
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated, runs
+from magcal_ros.core.samples.rest import longest_stand
 from magcal_ros.core.samples.stamps import evenly, long_gaps
 from magcal_ros.core.samples.window import SensorLog
-
-
-@dataclass(frozen=True)
-class QuietTuning:
-    """When a robot is called at rest."""
-
-    block: float = 0.5
-    """Seconds that are averaged."""
-    blocks: int = 3
-    """So many in a row."""
-    rate: float = math.radians(0.6)
-    """rad/s by which the gyro's means may differ from one to the next."""
-    lean: float = 0.015
-    """Share of gravity by which its means may differ."""
-    field: float = 0.008
-    """Share of its size by which the field's may, on top of their noise."""
-    wanders: float = 0.1
-    """Share of what a turn would move the field by that it may wander by at rest."""
-
-
-TUNING = QuietTuning()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,48 +32,15 @@ class Rest:
 
     rate: FloatArray
     """What the gyro read, rad/s. Shape (3,)."""
-    is_certain: bool
-    """Whether a turn at that rate would have moved the field, which did not move."""
+    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
 
 
 def longest_rest(log: SensorLog) -> Rest | None:
-    """Return the longest rest; None if there was none.
-
-    Parameters
-    ----------
-    log : SensorLog
-        Finite numbers, increasing stamps, rates in rad/s.
-    """
-    begin = max(float(log.imu_time[0]), float(log.field_time[0]))
-    end = min(float(log.imu_time[-1]), float(log.field_time[-1]))
-    count = int((end - begin) / TUNING.block)
-    if count < TUNING.blocks:
-        return None
-    edges: FloatArray = begin + TUNING.block * np.arange(count + 1, dtype=np.float64)
-    rate, force = (block_means(log.imu_time, values, edges) for values in (log.rate, log.force))
-    field = block_means(log.field_time, log.field, edges)
-    per_block = max(len(log.field) * TUNING.block / max(end - begin, 1e-9), 1.0)
-    noise = np.median(np.abs(np.diff(log.field, axis=0))) / 0.95 / math.sqrt(per_block)
-    size = float(np.median(np.linalg.norm(log.field, axis=1)))
-    gravity = float(np.median(np.linalg.norm(log.force, axis=1)))
-    stays = (
-        (_step(rate) < TUNING.rate)
-        & (_step(force) < TUNING.lean * gravity)
-        & (_step(field) < TUNING.field * size + 4.0 * float(noise))
-    )
-    found = [run for run in runs(stays) if run[1] - run[0] >= TUNING.blocks - 1]
-    if not found:
-        return None
-    first, last = max(found, key=lambda run: run[1] - run[0])
-    # A slow turn passes from block to block; over the whole of a rest it shows.
-    moved = float(np.linalg.norm(field[last] - field[first]))
-    turned = float(np.linalg.norm(rate[first : last + 1].sum(axis=0))) * TUNING.block
-    limit = TUNING.field * size + 4.0 * float(noise)
-    would = 0.3 * size * min(turned, 1.0)
-    if moved > limit + would:
-        return None
-    still = max(limit, TUNING.wanders * would)
-    return Rest(rate[first : last + 1].mean(axis=0), moved < still and would > 3.0 * limit)
+    """Return the longest rest of a clean log; None if there was none."""
+    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
+    time = log.field_time[inside]
+    found = longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
+    return None if found is None else Rest(*found)
 
 
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:
@@ -106,39 +52,28 @@ def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> Floa
         return np.asarray(np.diff(total[rows], axis=0) / number[:, None])
 
 
-def _step(values: FloatArray) -> FloatArray:
-    """Return how far neighbours (k, 3) are apart, shape (k - 1,); infinite where one is."""
-    apart = np.linalg.norm(np.diff(values, axis=0), axis=1)
-    return np.asarray(np.where(np.isfinite(apart), apart, np.inf))
-
-
 @dataclass(frozen=True)
 class FrozenTuning:
-    """When a sensor is called frozen that says the same for a while."""
+    """When a sensor is called frozen that repeats one value for a while."""
 
-    lasts: float = 1.0
-    """Seconds."""
-    rate: float = 0.09
-    """rad/s beyond its median that the gyro must read meanwhile."""
-    field: float = 0.2
-    """Share of its whole swing by which the field must move meanwhile."""
+    lasts: float = 1.0  # seconds
+    rate: float = 0.09  # rad/s beyond its median that the gyro must read meanwhile
+    field: float = 0.2  # share of its whole swing by which the field must move meanwhile
+
+
+FROZEN = FrozenTuning()
 
 
 @dataclass(frozen=True, eq=False)
 class CleanLog:
     """A log of finite, fresh samples with increasing stamps."""
 
-    log: SensorLog
-    """What is left."""
-    findings: tuple[Finding, ...]
-    """What the streams show by themselves."""
-    restamped: bool
-    """Whether stamps came in bursts and were spread evenly."""
+    log: SensorLog  # what is left
+    findings: tuple[Finding, ...]  # what the streams show by themselves
+    restamped: bool  # whether stamps came in bursts and were spread evenly
 
 
-def prepare(
-    log: SensorLog, health: HealthTuning = HealthTuning(), frozen: FrozenTuning = FrozenTuning()
-) -> CleanLog:
+def prepare(log: SensorLog) -> CleanLog:
     """Look at the streams of a log by themselves, and clean it."""
     imu = np.isfinite(log.imu_time) & np.isfinite(log.force).all(axis=1)
     imu &= np.linalg.norm(log.force, axis=1) > 0.0
@@ -154,29 +89,26 @@ def prepare(
     burst = False
     for name in ("imu", "field"):
         time = getattr(log, f"{name}_time")
-        if len(np.unique(time)) <= health.fewest:
+        if len(np.unique(time)) <= HEALTH.fewest:
             continue
         increasing = np.unique(time)
-        findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing, health))
+        findings.append(stamps_finding("IMU" if name == "imu" else "field", increasing))
         if len(long_gaps(increasing)):
             burst = True
             log = replace(log, **{f"{name}_time": evenly(time)})
-    if len(log.field) > health.fewest:
-        findings += [
-            *field_findings(log.field, health),
-            repeats_finding("field", log.field, health),
-        ]
-    if len(log.force) > health.fewest:
+    if len(log.field) > HEALTH.fewest:
+        findings += [*field_findings(log.field), repeats_finding("field", log.field)]
+    if len(log.force) > HEALTH.fewest:
         both = np.column_stack([log.force, np.nan_to_num(log.rate)])
-        findings += [gravity_size_finding(log.force, health), repeats_finding("IMU", both, health)]
+        findings += [gravity_size_finding(log.force), repeats_finding("IMU", both)]
         findings.append(alive_finding("accelerometer", log.force))
         if log.has_gyro:
             findings.append(alive_finding("gyro", log.rate))
-    log = _fresh(log, health)
-    if min(len(log.force), len(log.field)) > health.fewest:
+    log = _fresh(log)
+    if min(len(log.force), len(log.field)) > HEALTH.fewest:
         log, clocks = on_one_clock(log)
         findings += clocks
-    log, more = _without_frozen(log, frozen)
+    log, more = _without_frozen(log)
     if more:
         findings = [f for f in findings if f.key != "frozen" or f.is_wrong] + more
     return CleanLog(log, tuple(findings), burst)
@@ -195,15 +127,16 @@ def _taken(log: SensorLog, imu: BoolArray, field: BoolArray) -> SensorLog:
     )
 
 
-def _fresh(log: SensorLog, health: HealthTuning) -> SensorLog:
+def _fresh(log: SensorLog) -> SensorLog:
     """Leave out repeated samples, those at the end of a range, and stamps that do not increase."""
     held = np.zeros(len(log.field), dtype=np.bool_)
-    if len(log.field) > health.fewest:
+    if len(log.field) > HEALTH.fewest:
         for axis in range(3):
-            held |= saturated(log.field, axis, health)
+            held |= saturated(log.field, axis)
     imu = _increasing(log.imu_time)
     field = _increasing(log.field_time) & ~held
-    # A short repetition is one of the driver, a long one of a frozen sensor, which is told apart.
+    # A short repetition is one of the driver, a long one of a frozen sensor, which is another
+    # fault.
     field &= ~repeats(log.field) | in_long_runs(repeats(log.field))
     return _taken(log, imu, field)
 
@@ -216,7 +149,7 @@ def _increasing(time: FloatArray) -> BoolArray:
     return np.asarray(time > before)
 
 
-def _without_frozen(log: SensorLog, tuning: FrozenTuning) -> tuple[SensorLog, list[Finding]]:
+def _without_frozen(log: SensorLog) -> tuple[SensorLog, list[Finding]]:
     """Find sensors that say the same while another one moves; keep what is longest without."""
     found = []
     streams = [("accelerometer", log.imu_time, log.force), ("field", log.field_time, log.field)]
@@ -226,7 +159,7 @@ def _without_frozen(log: SensorLog, tuning: FrozenTuning) -> tuple[SensorLog, li
     for name, time, values in streams:
         for first, end in runs(repeats(values)):
             span = float(time[first - 1]), float(time[end - 1])
-            if span[1] - span[0] > tuning.lasts and _moves(log, name, span, tuning):
+            if span[1] - span[0] > FROZEN.lasts and _moves(log, name, span):
                 words = f"one value for {span[1] - span[0]:.1f} s while the robot moved"
                 remedy = f"the {name} is frozen: look at its wiring, and at its driver's errors"
                 found.append(wrong("frozen", f"{name}: alive", words, remedy))
@@ -247,19 +180,19 @@ def _without_frozen(log: SensorLog, tuning: FrozenTuning) -> tuple[SensorLog, li
     return _taken(log, imu, field), found
 
 
-def _moves(log: SensorLog, name: str, span: tuple[float, float], tuning: FrozenTuning) -> bool:
+def _moves(log: SensorLog, name: str, span: tuple[float, float]) -> bool:
     """Return whether another sensor than this one sees the robot move meanwhile."""
     if name != "gyro" and log.has_gyro:
         size = np.linalg.norm(log.rate - np.median(log.rate[:50], axis=0), axis=1)
         inside = (log.imu_time > span[0]) & (log.imu_time < span[1])
-        if inside.any() and float((size[inside] > tuning.rate).mean()) > 0.2:
+        if inside.any() and float((size[inside] > FROZEN.rate).mean()) > 0.2:
             return True
     if name == "field" or not len(log.field):
         return False
     inside = (log.field_time > span[0]) & (log.field_time < span[1])
     whole = float(np.ptp(log.field, axis=0).max())
     return bool(inside.any()) and float(np.ptp(log.field[inside], axis=0).max()) > (
-        tuning.field * whole
+        FROZEN.field * whole
     )
 
 
@@ -273,18 +206,14 @@ ONE_CLOCK = (
 class ClockTuning:
     """When stamps are taken for those of two clocks."""
 
-    shared: float = 0.5
-    """Share of the shorter stream that the other one must cover."""
-    step: float = 0.1
-    """Seconds at which the streams' own speeds are compared."""
-    least: float = 0.6
-    """Seconds below which it is a latency, which is measured better elsewhere."""
+    shared: float = 0.5  # share of the shorter stream that the other one must cover
+    step: float = 0.1  # seconds at which the streams' own speeds are compared
+    least: float = 0.6  # seconds below which it is a latency, which is measured better elsewhere
     alike: float = 0.55
     better: float = 0.2
     """Correlation of the speeds beyond the latter lag that is believed, and by how much it must
     exceed the best within it."""
-    longest: float = 7200.0
-    """Seconds beyond which speeds are not compared."""
+    longest: float = 7200.0  # seconds beyond which speeds are not compared
 
 
 CLOCKS = ClockTuning()

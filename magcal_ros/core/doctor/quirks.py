@@ -42,14 +42,10 @@ FIELD_POINTS_UP = (
 class Quirk:
     """A habit of a driver."""
 
-    driver: str
-    """Who has it."""
-    habit: str
-    """What it publishes."""
-    remedy: str
-    """What to change."""
-    line: str = "driver"
-    """Which line of the page names it."""
+    driver: str  # which drivers have it
+    habit: str  # what it publishes
+    remedy: str  # what to change
+    line: str = "driver"  # which line of the page names it
     shows: Callable[[SensorLog, FloatArray | None], bool] | None = None
     """Whether a log shows it, given the magnetometer's axes (3, 3) in the IMU's where they alone
     err; None where the line that finds the fault names the driver itself."""
@@ -142,12 +138,7 @@ QUIRKS: tuple[Quirk, ...] = (
 def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding]:
     """Return a line for each driver whose habit a log shows.
 
-    Parameters
-    ----------
-    log : SensorLog
-        As published.
-    axes : ndarray, shape (3, 3), optional
-        The magnetometer's axes, rows in the IMU's, where they alone err.
+    `axes` (3, 3) are the magnetometer's, rows in the IMU's, where they alone err.
     """
     return [
         looked_at("driver", "driver", f"as {each.driver}: {each.habit}", each.remedy)
@@ -160,17 +151,16 @@ def known_habits(log: SensorLog, axes: FloatArray | None = None) -> list[Finding
 class YawTuning:
     """How far a driver's yaw may be off the magnetic yaw, and how well a log shows it."""
 
-    declination: float = math.radians(25.0)
-    """Largest where people live, where no place is given."""
+    declination: float = math.radians(25.0)  # largest where people live, where no place is given
     own: float = math.radians(8.0)
     """Sigma of the mean error, over a turn or a part of it, of a driver's own compass."""
-    sigma: float = math.radians(15.0)
-    """A log that shows less than this shows nothing."""
+    sigma: float = math.radians(15.0)  # radians; a log that shows it worse shows nothing
 
 
-def orientation_findings(
-    log: SensorLog, knowledge: Knowledge, tuning: YawTuning = YawTuning()
-) -> list[Finding]:
+YAW = YawTuning()
+
+
+def orientation_findings(log: SensorLog, knowledge: Knowledge) -> list[Finding]:
     """Compare the yaw of the driver's orientation with the field; nothing where it has none.
 
     In the world of this orientation the field is one vector, and the hard iron one in the
@@ -202,16 +192,16 @@ def orientation_findings(
     level = left * np.linalg.inv(known)[:2, :2]
     across = np.array([-found[1], found[0]]) / float(found[:2] @ found[:2])
     sigma = math.sqrt(float(across @ level @ across))
-    if not sigma < tuning.sigma:
+    if not sigma < YAW.sigma:
         return []
     off = math.remainder(math.atan2(found[1], found[0]) - 0.5 * math.pi, math.tau)
     declination = knowledge.reference.declination
-    least, most = -tuning.declination, tuning.declination
+    least, most = -YAW.declination, YAW.declination
     if declination is not None:
         least, most = min(-declination, 0.0), max(-declination, 0.0)
     sizes = f"{math.degrees(off):+.0f} ± {math.degrees(sigma):.0f}°"
     words = f"its yaw is {sizes} off the magnetic yaw (ENU)"
-    if max(least - off, off - most) < 3.0 * math.hypot(sigma, tuning.own):
+    if max(least - off, off - most) < 3.0 * math.hypot(sigma, YAW.own):
         return [looked_at("orientation", "IMU: orientation", words)]
     words += ": counted from north instead of east, or as BNO08x publishes its game rotation vector"
     return [looked_at("orientation", "IMU: orientation", words, NO_NORTH)]

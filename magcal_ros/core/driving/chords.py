@@ -7,8 +7,19 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.driving.driving_tuning import ChordTuning, TickTuning
-from magcal_ros.core.geometry.vec3 import Triple, cross, dot, length, propagated, unit_triple
+from magcal_ros.core.driving.driving_tuning import CHORDS, SPEED, TICKS
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    dot,
+    length,
+    minus,
+    plus,
+    propagated,
+    scaled,
+    unit_triple,
+)
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, PositionSample, VelocitySample
 
 Axes = tuple[Triple, Triple, Triple]
@@ -20,12 +31,9 @@ class Tick(NamedTuple):
     stamp: float
     seconds: float
     """Its end, and how long it took."""
-    force: Triple
-    """Mean specific force in the frame, m/s²."""
-    yaw: float
-    """Of the body's x in the frame at its end, radians."""
-    turn_rate: float
-    """Mean about the frame's up, rad/s."""
+    force: Triple  # mean specific force in the frame, m/s²
+    yaw: float  # of the body's x in the frame at its end, radians
+    turn_rate: float  # mean about the frame's up, rad/s
 
     @property
     def level_force(self) -> complex:
@@ -36,16 +44,11 @@ class Tick(NamedTuple):
 class GyroFrame:
     """Keeps a level frame by the gyro and sums the force in it.
 
-    Attributes
-    ----------
-    axes : tuple of tuples
-        The frame's axes in body axes; the third is up but for seconds' worth of accelerations.
-    restarts : int
-        How often the frame began anew, after a gap or a step back in time.
+    `axes` are the frame's in body axes; the third is up but for seconds' worth of accelerations.
+    `restarts` counts how often the frame began anew, after a gap or a step back in time.
     """
 
-    def __init__(self, tuning: TickTuning | None = None) -> None:
-        self._tuning = tuning or TickTuning()
+    def __init__(self) -> None:
         self._last: ImuSample | None = None
         self.axes: Axes | None = None
         self.restarts = 0
@@ -62,32 +65,22 @@ class GyroFrame:
         if last is None or self.axes is None or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._begin(sample.force)
             return None
-        (a, b, c), (x, y, z) = last.rate, bias
-        turn = (
-            (0.5 * (a + p) - x) * seconds,
-            (0.5 * (b + q) - y) * seconds,
-            (0.5 * (c + r) - z) * seconds,
-        )
+        turn = scaled(minus(between(last.rate, sample.rate, 0.5), bias), seconds)
         first, second, _ = self.axes
         first, second = propagated(first, turn), propagated(second, turn)
         third = cross(first, second)
         self.axes = (first, second, third)
-        force, (sx, sy, sz) = sample.force, self._force
-        self._force = (
-            sx + dot(first, force) * seconds,
-            sy + dot(second, force) * seconds,
-            sz + dot(third, force) * seconds,
-        )
+        force = (dot(first, sample.force), dot(second, sample.force), dot(third, sample.force))
+        self._force = plus(self._force, scaled(force, seconds))
         self._turned += dot(third, turn)
         self._seconds += seconds
-        return self._end(stamp) if self._seconds >= self._tuning.seconds - 1e-6 else None
+        return self._end(stamp) if self._seconds >= TICKS.seconds - 1e-6 else None
 
     def to_body(self, vector: Triple) -> Triple:
         """Turn a vector from the frame's axes into body axes."""
         assert self.axes is not None
-        (a, b, c), (p, q, r), (x, y, z) = self.axes
-        u, v, w = vector
-        return (u * a + v * p + w * x, u * b + v * q + w * y, u * c + v * r + w * z)
+        first, second, third = (scaled(a, x) for a, x in zip(self.axes, vector, strict=True))
+        return plus(plus(first, second), third)
 
     def _begin(self, force: Triple) -> None:
         self.restarts += 1
@@ -109,20 +102,20 @@ class GyroFrame:
         seconds, turned = self._seconds, self._turned
         self._anew()
         self._level((x, y, z), seconds)
-        if abs(forward) < self._tuning.steepest:
+        if abs(forward) < TICKS.steepest:
             return None
         return Tick(stamp, seconds, (x, y, z), cmath.phase(forward), turned / seconds)
 
     def _level(self, force: Triple, seconds: float) -> None:
         """Lean the frame towards the force, by little: its up is right in the long run."""
-        self._levelled = min(self._levelled + seconds, self._tuning.levelling)
+        self._levelled = min(self._levelled + seconds, TICKS.levelling)
         size = length(force)
         if size <= 0.0:
             return
         share = seconds / self._levelled / size
         # The frame's up is to turn towards the force: about up x force, in body axes.
         lean = self.to_body((-force[1] * share, force[0] * share, 0.0))
-        back = (-lean[0], -lean[1], -lean[2])
+        back = scaled(lean, -1.0)
         assert self.axes is not None
         first, second, _ = (unit_triple(propagated(axis, back)) for axis in self.axes)
         self.axes = (first, second, cross(first, second))
@@ -131,21 +124,15 @@ class GyroFrame:
 class Chord(NamedTuple):
     """A straight piece of way."""
 
-    stamp: float
-    """Its end, on the clock of the fixes, seconds."""
+    stamp: float  # its end, on the clock of the fixes, seconds
     east: float
     north: float
     """Its middle, metres."""
-    course: float
-    """ENU, radians, where the vehicle went."""
-    gap: float
-    """Yaw of the compass less course, radians, unwrapped by nobody."""
-    gyro_gap: float
-    """The same of the gyro's yaw, whose zero is anywhere."""
-    sigma: float
-    """Of the course, radians."""
-    metres: float
-    """Its length."""
+    course: float  # ENU, radians, where the vehicle went
+    gap: float  # yaw of the compass less course, radians, not unwrapped
+    gyro_gap: float  # the same of the gyro's yaw, whose zero is anywhere
+    sigma: float  # of the course, radians
+    metres: float  # its length
 
     @property
     def backwards(self) -> Chord:
@@ -171,16 +158,12 @@ class _Looked(NamedTuple):
 class Chords:
     """Makes chords of fixes and yaws.
 
-    Attributes
-    ----------
-    delay : float
-        Seconds by which the receiver's stamps are late.
+    `delay` are the seconds by which the receiver's stamps are late.
     """
 
-    def __init__(self, tuning: ChordTuning | None = None, delay: float = 0.5) -> None:
-        self._tuning = tuning or ChordTuning()
-        self.delay = delay
-        self._looked: deque[_Looked] = deque(maxlen=self._tuning.remembered)
+    def __init__(self) -> None:
+        self.delay = SPEED.receiver_delay
+        self._looked: deque[_Looked] = deque(maxlen=CHORDS.remembered)
         self._sum, self._count = 0.0 + 0.0j, 0
         self._anchor: PositionSample | None = None
         self._waiting: deque[PositionSample | VelocitySample] = deque(maxlen=64)
@@ -203,9 +186,10 @@ class Chords:
         made: list[Chord] = []
         while self._waiting and self._waiting[0].stamp - self.delay <= tick.stamp:
             fix = self._waiting.popleft()
-            isfix = isinstance(fix, PositionSample)
-            chord = self._by_position(fix) if isinstance(fix, PositionSample) else None
-            chord = chord if isfix else self._by_velocity(fix)  # type: ignore[arg-type]
+            if isinstance(fix, PositionSample):
+                chord = self._by_position(fix)
+            else:
+                chord = self._by_velocity(fix)
             if chord is not None:
                 made.append(chord)
         return made
@@ -223,40 +207,39 @@ class Chords:
         self._placed_at = -math.inf
 
     def _by_position(self, fix: PositionSample) -> Chord | None:
-        tuning = self._tuning
         self._place, self._placed_at = (fix.east, fix.north), fix.stamp
         if self._has_good_velocity(fix.stamp):
             self._anchor = None
             return None
         start = self._anchor
-        if start is None or not 0.0 < fix.stamp - start.stamp <= tuning.longest:
+        if start is None or not 0.0 < fix.stamp - start.stamp <= CHORDS.longest:
             self._anchor = fix
             return None
         east, north = fix.east - start.east, fix.north - start.north
         metres, seconds = math.hypot(east, north), fix.stamp - start.stamp
-        if metres < tuning.shortest:
+        if metres < CHORDS.shortest:
             return None
         looked = self._straight(start.stamp, fix.stamp)
-        if looked is None or metres / seconds < tuning.slowest:
+        if looked is None or metres / seconds < CHORDS.slowest:
             self._anchor = fix
             return None
         # The next chord begins with another fix: an error of this one shows once.
         self._anchor = None
         middle = (0.5 * (fix.east + start.east), 0.5 * (fix.north + start.north))
-        sigma = math.sqrt(2.0) * tuning.relative_sigma / metres
+        sigma = math.sqrt(2.0) * CHORDS.relative_sigma / metres
         return self._chord(fix.stamp, middle, math.atan2(north, east), looked, sigma, metres)
 
     def _by_velocity(self, fix: VelocitySample) -> Chord | None:
-        tuning, before, self._velocity = self._tuning, self._velocity, fix
+        before, self._velocity = self._velocity, fix
         speed = math.hypot(fix.east, fix.north)
         seconds = math.inf if before is None else fix.stamp - before.stamp
-        if not 0.0 < seconds <= tuning.longest:
+        if not 0.0 < seconds <= CHORDS.longest:
             return None
-        if fix.stamp - self._placed_at > tuning.longest:
+        if fix.stamp - self._placed_at > CHORDS.longest:
             x, y = self._place
             self._place = (x + fix.east * seconds, y + fix.north * seconds)
-        is_good = fix.sigma <= tuning.good_velocity
-        if speed < (tuning.slowest_velocity if is_good else tuning.slowest):
+        is_good = fix.sigma <= CHORDS.good_velocity
+        if speed < (CHORDS.slowest_velocity if is_good else CHORDS.slowest):
             return None
         looked = self._straight(fix.stamp - 0.5, fix.stamp + 0.1)
         if looked is None:
@@ -285,7 +268,7 @@ class Chords:
             course,
             math.remainder(compass - course, math.tau),
             math.remainder(gyro - course, math.tau),
-            math.hypot(sigma, self._tuning.course_sigma),
+            math.hypot(sigma, CHORDS.course_sigma),
             metres,
         )
 
@@ -298,12 +281,12 @@ class Chords:
         among = [each for each in self._looked if each.end > begin and each.begin < end]
         if not among or among[0].begin > begin + 0.3 or among[-1].end < end - 0.3:
             return None
-        if any(abs(each.turn_rate) > self._tuning.largest_rate for each in among):
+        if any(abs(each.turn_rate) > CHORDS.largest_rate for each in among):
             return None
         if not all(each.compass for each in among):
             return None
         turned = abs(cmath.phase(among[-1].gyro / among[0].gyro))
-        if turned > self._tuning.largest_turn:
+        if turned > CHORDS.largest_turn:
             return None
         compass = sum(each.compass / abs(each.compass) for each in among)
         gyro = sum(each.gyro for each in among)

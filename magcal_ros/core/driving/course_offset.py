@@ -2,10 +2,9 @@
 
     r_i = o + a1 cos psi + b1 sin psi + a2 cos 2psi + b2 sin 2psi + g(p_i) + n_i
 
-psi is the course, g what the street at the place p_i bends: cov = s² exp(-|p_i - p_j|/30 m), but
-for a quarter of it that is alike over two metres only.
-Generalised least squares with Student's weights; the sigma is the largest of three, and a share of
-a plain swing.
+psi is the course, g what the street at the place p_i adds: cov = s² exp(-|p_i - p_j|/30 m).
+Generalised least squares with Student's weights; the sigma counts both ways of a street as one
+observation, and has a share of a plain swing.
 """
 
 from __future__ import annotations
@@ -17,43 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.driving_tuning import COURSE
+from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.geometry.attitude import wrap_angle
 
 Key = tuple[int, int, int]
-
-
-@dataclass
-class _Cell:
-    """Sums over the chords of a place and a course."""
-
-    gap: complex = 0j
-    course: complex = 0j
-    east: float = 0.0
-    north: float = 0.0
-    variance: float = 0.0
-    count: int = 0
-    metres: float = 0.0
-    first: int = 0
-
-    @classmethod
-    def of(cls, chord: Chord, order: int) -> _Cell:
-        """Return the cell of one chord; `order` counts all chords."""
-        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
-        place = chord.east, chord.north
-        return cls(gap, course, *place, chord.sigma**2, 1, chord.metres, order)
-
-    def join(self, other: _Cell) -> None:
-        """Take what another cell holds."""
-        self.first = min(self.first, other.first) if self.count else other.first
-        self.gap += other.gap
-        self.course += other.course
-        self.east += other.east
-        self.north += other.north
-        self.variance += other.variance
-        self.metres += other.metres
-        self.count += other.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,14 +32,11 @@ class CellTable:
     """Mean yaw of the compass less course, radians. Shape (n,)."""
     course: FloatArray
     """Mean course, ENU, radians. Shape (n,)."""
-    place: FloatArray
-    """Mean place, metres. Shape (n, 2)."""
+    place: FloatArray  # mean place, metres, shape (n, 2)
     variance: FloatArray
     """Of a chord's course, radians squared. Shape (n,)."""
-    count: FloatArray
-    """Chords. Shape (n,)."""
-    metres: FloatArray
-    """Way. Shape (n,)."""
+    count: FloatArray  # chords, shape (n,)
+    metres: FloatArray  # way, shape (n,)
     first: FloatArray
     """Number of its first chord. Shape (n,)."""
 
@@ -79,19 +44,13 @@ class CellTable:
 class CourseCells:
     """A grid of bounded size over places and courses; it is coarsened whenever it is full.
 
-    Attributes
-    ----------
-    side : float
-        Metres of a cell.
-    chords : int
-        That were taken so far.
+    `side` are the metres of a cell, and `chords` counts what was taken so far.
     """
 
-    def __init__(self, tuning: CourseTuning | None = None) -> None:
-        self._tuning = tuning or CourseTuning()
-        self.side = self._tuning.cell
+    def __init__(self) -> None:
+        self.side = COURSE.cell
         self.chords = 0
-        self._cells: dict[Key, _Cell] = {}
+        self._cells: dict[Key, tuple[ComplexArray, int]] = {}
 
     def __len__(self) -> int:
         return len(self._cells)
@@ -99,36 +58,36 @@ class CourseCells:
     def add(self, chord: Chord) -> None:
         """Take a chord."""
         self.chords += 1
-        key = self._key(chord.east, chord.north, chord.course)
-        self._cells.setdefault(key, _Cell()).join(_Cell.of(chord, self.chords))
-        while len(self._cells) > self._tuning.most_cells:
-            self._coarsen()
+        gap, course = cmath.exp(1j * chord.gap), cmath.exp(1j * chord.course)
+        place = chord.east, chord.north
+        self._put(np.array([gap, course, *place, chord.sigma**2, 1.0, chord.metres]), self.chords)
+        while len(self._cells) > COURSE.most_cells:
+            self.side *= 2.0
+            before, self._cells = self._cells, {}
+            for sums, first in before.values():
+                self._put(sums, first)
+
+    def _put(self, sums: ComplexArray, first: int) -> None:
+        """Add sums over chords to their cell, with the number of the first chord."""
+        east, north = (float(value) / float(sums[5].real) for value in sums[2:4].real)
+        sector = round(cmath.phase(sums[1]) / math.tau * COURSE.sectors) % COURSE.sectors
+        key = (math.floor(east / self.side), math.floor(north / self.side), sector)
+        others, earlier = self._cells.get(key, (0.0, first))
+        self._cells[key] = (sums + others, min(first, earlier))
 
     def table(self) -> CellTable:
         """Return what is kept."""
-        cells = list(self._cells.values())
-        count = np.array([cell.count for cell in cells], dtype=np.float64)
+        sums = np.array([sums for sums, _ in self._cells.values()]).reshape(-1, 7)
+        count = sums[:, 5].real
         return CellTable(
-            np.array([cmath.phase(cell.gap) for cell in cells]),
-            np.array([cmath.phase(cell.course) for cell in cells]),
-            np.array([(cell.east, cell.north) for cell in cells]).reshape(-1, 2) / count[:, None],
-            np.array([cell.variance for cell in cells]) / count,
+            np.angle(sums[:, 0]),
+            np.angle(sums[:, 1]),
+            sums[:, 2:4].real / count[:, None],
+            sums[:, 4].real / count,
             count,
-            np.array([cell.metres for cell in cells]),
-            np.array([cell.first for cell in cells], dtype=np.float64),
+            sums[:, 6].real,
+            np.array([first for _, first in self._cells.values()], dtype=np.float64),
         )
-
-    def _key(self, east: float, north: float, course: float) -> Key:
-        sector = round(course / math.tau * self._tuning.sectors) % self._tuning.sectors
-        return (math.floor(east / self.side), math.floor(north / self.side), sector)
-
-    def _coarsen(self) -> None:
-        self.side *= 2.0
-        before, self._cells = self._cells, {}
-        for cell in before.values():
-            course = cmath.phase(cell.course)
-            key = self._key(cell.east / cell.count, cell.north / cell.count, course)
-            self._cells.setdefault(key, _Cell()).join(cell)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +101,8 @@ class CourseOffset:
     """cos psi, sin psi, cos 2psi, sin 2psi, radians. Shape (4,)."""
     covariance: FloatArray
     """Of offset and harmonics. Shape (5, 5)."""
-    street: float
-    """Radians by which streets bend the heading."""
-    cells: int
-    """Places and courses seen."""
-    metres: float
-    """Straight way driven."""
-    sectors: int
-    """Courses seen, of eight."""
+    metres: float  # straight way driven
+    sectors: int  # courses seen, of eight
 
     def swing(self, order: int) -> tuple[float, float]:
         """Return the amplitude of the first or second harmonic, radians, and its significance.
@@ -162,26 +115,24 @@ class CourseOffset:
         return float(np.hypot(*pair)), math.sqrt(float(pair @ np.linalg.solve(own, pair)))
 
 
-def fit_course_offset(cells: CellTable, tuning: CourseTuning) -> CourseOffset | None:
+def fit_course_offset(cells: CellTable) -> CourseOffset | None:
     """Fit the offset; None before enough places were seen."""
-    if len(cells.gap) < tuning.fewest:
+    if len(cells.gap) < COURSE.fewest:
         return None
     start = _cluster(cells)
-    found = _Fit(cells, wrap_angle(cells.gap - start), tuning)
-    for _ in range(tuning.rounds):
+    found = _Fit(cells, wrap_angle(cells.gap - start))
+    for _ in range(COURSE.rounds):
         found.improve()
-    variance = max(found.covariance[0, 0], found.by_clusters(), found.by_first_ways())
-    variance += tuning.swing_share**2 * found.plain_swing()
+    variance = max(found.covariance[0, 0], found.by_first_ways())
+    variance += COURSE.swing_share**2 * found.plain_swing()
     covariance = found.covariance.copy()
     covariance[0, 0] = variance
-    sectors = np.round(cells.course / math.tau * tuning.sectors) % tuning.sectors
+    sectors = np.round(cells.course / math.tau * COURSE.sectors) % COURSE.sectors
     return CourseOffset(
         float(wrap_angle(start + found.values[0])),
         math.sqrt(variance),
         found.values[1:],
         covariance,
-        found.street,
-        len(cells.gap),
         float(np.sum(cells.metres)),
         len(np.unique(sectors)),
     )
@@ -203,82 +154,67 @@ def _cluster(cells: CellTable) -> float:
 class _Fit:
     """The weights, the street's size and the values of one fit."""
 
-    def __init__(self, cells: CellTable, gap: FloatArray, tuning: CourseTuning) -> None:
-        self._tuning, self._cells, self._gap = tuning, cells, gap
+    def __init__(self, cells: CellTable, gap: FloatArray) -> None:
+        self._cells, self._gap = cells, gap
         psi = cells.course
         ones = np.ones(len(psi))
         self._design = np.column_stack(
             [ones, np.cos(psi), np.sin(psi), np.cos(2.0 * psi), np.sin(2.0 * psi)]
         )
-        first, second = tuning.first_sigma**-2, tuning.second_sigma**-2
+        first, second = COURSE.first_sigma**-2, COURSE.second_sigma**-2
         self._prior = np.diag([1e-6, first, first, second, second])
         away = cells.place[:, None] - cells.place[None]
         self._distance = np.hypot(away[..., 0], away[..., 1])
-        small = tuning.small_share
-        self._alike = (1.0 - small) * np.exp(-self._distance / tuning.reach)
-        self._alike += small * np.exp(-self._distance / tuning.small_reach)
-        self._noise = (cells.variance + tuning.noise**2) / cells.count
+        self._alike = np.exp(-self._distance / COURSE.reach)
+        self._noise = (cells.variance + COURSE.noise**2) / cells.count
         self._weight = ones
-        self.street = tuning.street
+        self.street = COURSE.street
         self.values: FloatArray = np.zeros(5)
         self.covariance: FloatArray = np.eye(5)
 
     def improve(self) -> None:
         """One round: values by least squares, then weights and street by what is left."""
-        solved, design = self._solve(np.column_stack([self._design, self._gap]))
-        self._whitened = solved[:, :5]
-        information = design.T @ self._whitened + self._prior
+        design = self._design
+        solved = self._solve(np.column_stack([design, self._gap]), slice(None))
+        information = design.T @ solved[:, :5] + self._prior
         self.covariance = np.asarray(np.linalg.inv(information))
         self.values = np.asarray(self.covariance @ (design.T @ solved[:, 5]))
         self.left = self._gap - design @ self.values
-        own, freedom = self.street**2 + self._noise, self._tuning.freedom
+        own, freedom = self.street**2 + self._noise, COURSE.freedom
         self._weight = (freedom + 1.0) / (freedom + self.left**2 / own)
         self._weigh_street()
 
-    def _solve(self, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-        own = np.sqrt(self._weight)
-        # A cell of little weight is one that its street bends more than others.
-        spread = self.street**2 * self._alike / np.outer(own, own)
-        spread[np.diag_indices_from(spread)] += self._noise / self._weight
-        return np.asarray(np.linalg.solve(spread, right)), self._design
+    def _solve(self, right: FloatArray, rows: slice | BoolArray) -> FloatArray:
+        """Return the inverse covariance of some rows times `right`."""
+        weight = self._weight[rows]
+        own = np.sqrt(weight)
+        # A cell of little weight is one that its street disturbs more than others.
+        spread = self.street**2 * self._alike[rows][:, rows] / np.outer(own, own)
+        spread[np.diag_indices_from(spread)] += self._noise[rows] / weight
+        return np.asarray(np.linalg.solve(spread, right))
 
     def _weigh_street(self) -> None:
         """Take the street's size from what is left, with some pseudo-observations.
 
         What is seen counts by its places: a street that is driven again is the same one.
         """
-        tuning = self._tuning
         own = np.sqrt(self._weight) * self.left
         shape = self._alike.copy()
         shape[np.diag_indices_from(shape)] += self._noise / self.street**2
         squares = float(own @ np.linalg.solve(shape, own))
-        places = len(np.unique(np.floor(self._cells.place / tuning.reach), axis=0))
+        places = len(np.unique(np.floor(self._cells.place / COURSE.reach), axis=0))
         seen = min(places, len(own))
-        total = tuning.street_weight * tuning.street**2 + seen * squares / len(own)
-        self.street = math.sqrt(total / (tuning.street_weight + seen))
+        total = COURSE.street_weight * COURSE.street**2 + seen * squares / len(own)
+        self.street = math.sqrt(total / (COURSE.street_weight + seen))
 
     def plain_swing(self) -> float:
         """Return the harmonics' square, radians², beyond what is uncertain of them.
 
-        Iron that is there for a part of the way swings the compass, and puts the offset off in a
-        way that no scatter of streets tells.
+        Iron that is there for a part of the way swings the compass, and changes the offset in a
+        way that the scatter of streets does not show.
         """
         uncertain = np.trace(self.covariance[1:, 1:])
         return max(0.0, float(np.sum(self.values[1:] ** 2) - uncertain))
-
-    def by_clusters(self) -> float:
-        """Return the offset's variance by the scatter of clusters of 150 m (sandwich)."""
-        tuning = self._tuning
-        spot = np.floor(self._cells.place / tuning.cluster).astype(np.int64)
-        _, label = np.unique(spot, axis=0, return_inverse=True)
-        count = int(label.max()) + 1
-        if count <= tuning.few_clusters + 2:
-            return 0.0
-        scores = self._whitened * self.left[:, None]
-        sums = np.zeros((count, 5))
-        np.add.at(sums, label.ravel(), scores)
-        middle = sums.T @ sums * count / (count - tuning.few_clusters) + self._prior
-        return float((self.covariance @ middle @ self.covariance)[0, 0])
 
     def by_first_ways(self) -> float:
         """Return the variance if each street counted only the way it was driven first.
@@ -290,17 +226,14 @@ class _Fit:
         if not again.any():
             return 0.0
         kept = ~again
-        own = np.sqrt(self._weight[kept])
-        spread = self.street**2 * self._alike[np.ix_(kept, kept)] / np.outer(own, own)
-        spread[np.diag_indices_from(spread)] += self._noise[kept] / self._weight[kept]
         design = self._design[kept]
-        information = design.T @ np.linalg.solve(spread, design) + self._prior
+        information = design.T @ self._solve(design, kept) + self._prior
         return float(np.linalg.inv(information)[0, 0])
 
     def _again(self) -> BoolArray:
-        """Tell which cells lie where the vehicle has been before, on another course."""
+        """Return which cells lie where the vehicle has been before, on another course."""
         cells = self._cells
-        near = self._distance < max(1.5 * self._tuning.cell, 0.5 * self._tuning.reach)
+        near = self._distance < max(1.5 * COURSE.cell, 0.5 * COURSE.reach)
         other = np.cos(cells.course[:, None] - cells.course[None]) < 0.0
         earlier = cells.first[None] < cells.first[:, None]
         return np.asarray((near & other & earlier).any(axis=1))

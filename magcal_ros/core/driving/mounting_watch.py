@@ -1,4 +1,4 @@
-"""Follows a drive: the yaw of the IMU in the vehicle, and whether the speed is to be believed."""
+"""Follows a drive: the yaw of the IMU in the vehicle, and whether the speed can be trusted."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.driving.chords import Tick
-from magcal_ros.core.driving.driving_tuning import (
-    DrivingTuning,
-    MountingYawTuning,
-    SpeedSource,
-)
+from magcal_ros.core.driving.driving_tuning import MOUNTING, OWN, TICKS, SpeedSource
 from magcal_ros.core.driving.mounting_yaw import (
     MountingYaw,
     TickTable,
@@ -40,7 +36,7 @@ class SpeedFault(str, Enum):
 
 
 class Judged(NamedTuple):
-    """What a fit says of one source: the yaw it leads to, what is wrong with it, its latency."""
+    """What a fit shows of one source: the yaw it leads to, what is wrong with it, its latency."""
 
     source: SpeedSource
     fitted: MountingYaw | None
@@ -56,20 +52,13 @@ class Judged(NamedTuple):
 class MountingWatch:
     """Keeps the ticks of some minutes and fits them now and then.
 
-    Attributes
-    ----------
-    found : MountingYaw or None
-        The newest fit of the source in use.
-    faults : dict of SpeedSource to SpeedFault
-        What is wrong with which source.
-    seen : dict of SpeedSource to MountingYaw
-        The newest fit of each source.
+    `found` is the newest fit of the source in use, `seen` that of each source, and `faults` is what
+    is wrong with which source.
     """
 
-    def __init__(self, speedometer: Speedometer, tuning: DrivingTuning | None = None) -> None:
-        self._tuning = tuning or DrivingTuning()
+    def __init__(self, speedometer: Speedometer) -> None:
         self._speedometer = speedometer
-        self._ticks: deque[Tick] = deque(maxlen=self._tuning.mounting.remembered)
+        self._ticks: deque[Tick] = deque(maxlen=MOUNTING.remembered)
         self._fitted_at = -math.inf
         self._fits = 0
         self._still = 0.0
@@ -82,28 +71,27 @@ class MountingWatch:
     def known(self) -> MountingYaw | None:
         """The yaw, where enough was seen to determine it."""
         found = self.found
-        return found if found is not None and found.is_known(self._tuning.mounting) else None
+        return found if found is not None and found.is_known else None
 
     def add(self, tick: Tick, speed: float) -> bool:
         """Take a tick and its speed (m/s, NaN where unknown); returns whether a fit is due."""
-        mounting = self._tuning.mounting
-        self._still = 0.0 if abs(speed) > mounting.moving else self._still + tick.seconds
-        is_quiet = abs(tick.level_force) < 0.5 * mounting.moving
-        if self._still < mounting.standing or not is_quiet:
+        self._still = 0.0 if abs(speed) > MOUNTING.moving else self._still + tick.seconds
+        is_quiet = abs(tick.level_force) < 0.5 * MOUNTING.moving
+        if self._still < MOUNTING.standing or not is_quiet:
             self._ticks.append(tick)
         is_urgent = len(self._ticks) * tick.seconds < 60.0 or self._looks_stuck(tick, speed)
         return tick.stamp - self._fitted_at >= (
-            mounting.reuse_first if is_urgent else mounting.reuse
+            MOUNTING.reuse_first if is_urgent else MOUNTING.reuse
         )
 
     def _looks_stuck(self, tick: Tick, speed: float) -> bool:
         """Whether the force changes while the speed does not."""
         change = tick.level_force - self._level
-        self._level += change * tick.seconds / self._tuning.mounting.stuck_levelling
+        self._level += change / MOUNTING.highpass
         self._unmoved += abs(change) ** 2 * tick.seconds
         if speed != self._speed:
             self._speed, self._unmoved = speed, 0.0
-        return self._unmoved > self._tuning.mounting.stuck_energy
+        return self._unmoved > MOUNTING.first_energy
 
     def restart(self) -> None:
         """Forget the ticks: time was set back."""
@@ -117,17 +105,17 @@ class MountingWatch:
         """
         self._fitted_at = stamp
         self._fits += 1
-        tuning, table, is_thorough = self._tuning, self._table(), self._fits % 4 == 0
-        spoken = [
+        table, is_thorough = self._table(), self._fits % 4 == 0
+        recent = [
             (source, track.record())
             for source, track in self._speedometer.tracks.items()
-            if stamp - track.newest <= tuning.mounting.reuse
+            if stamp - track.newest <= MOUNTING.reuse
         ]
 
         def work() -> tuple[Judged, ...]:
             judged: list[Judged] = []
-            for source, record in spoken:
-                judged.append(_judged(source, table, record, tuning, is_thorough))
+            for source, record in recent:
+                judged.append(_judged(source, table, record, is_thorough))
                 if judged[-1].is_good and not is_thorough:
                     break
             return tuple(judged)
@@ -161,49 +149,45 @@ class MountingWatch:
 
 
 def _judged(
-    source: SpeedSource,
-    table: TickTable,
-    record: SpeedRecord,
-    tuning: DrivingTuning,
-    measures_delay: bool,
+    source: SpeedSource, table: TickTable, record: SpeedRecord, measures_delay: bool
 ) -> Judged:
-    delay = _delay(table, record, tuning) if measures_delay else record.delay
-    met, mounting = _met(table, record, delay), tuning.mounting
+    delay = _delay(table, record) if measures_delay else record.delay
+    met = _met(table, record, delay)
     is_rough = source is not SpeedSource.ODOMETRY
 
     def fitted(ticks: TickTable) -> MountingYaw | None:
-        found = fit_mounting_yaw(ticks, delay, mounting, tuning.trip)
+        found = fit_mounting_yaw(ticks, delay)
         return None if found is None else dataclasses.replace(found, is_rough=is_rough)
 
-    newest = _last(met, mounting.stuck)
-    if len(newest.speed) == mounting.stuck and np.ptp(newest.speed) == 0.0:
+    newest = _last(met, MOUNTING.stuck)
+    if len(newest.speed) == MOUNTING.stuck and np.ptp(newest.speed) == 0.0:
         stuck = fitted(newest)
-        if stuck is not None and _is_stuck(stuck, mounting):
+        if (
+            stuck is not None
+            and stuck.force_energy > MOUNTING.first_energy
+            and stuck.explained < MOUNTING.explained
+        ):
             return Judged(source, stuck, SpeedFault.FROZEN, delay)
     # What went wrong just now is not outweighed by minutes in which all was well.
-    recent = fitted(_last(met, mounting.recent))
-    fault = None if recent is None else _fault(record, recent, tuning)
+    recent = fitted(_last(met, MOUNTING.recent))
+    fault = None if recent is None else _fault(record, recent)
     if fault is not None:
         return Judged(source, recent, fault, delay)
     found = fitted(met)
-    fault = None if found is None else _fault(record, found, tuning)
+    fault = None if found is None else _fault(record, found)
     return Judged(source, found, fault, delay)
 
 
-def _is_stuck(fitted: MountingYaw, tuning: MountingYawTuning) -> bool:
-    return fitted.force_energy > tuning.stuck_energy and fitted.explained < tuning.explained
-
-
-def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> float:
+def _delay(table: TickTable, record: SpeedRecord) -> float:
     """Find the shift at which force and change of velocity go together best."""
-    mounting, step = tuning.mounting, 2.0 * tuning.ticks.seconds
-    if len(table.stamp) < 2 * mounting.highpass:
+    step = 2.0 * TICKS.seconds
+    if len(table.stamp) < 2 * MOUNTING.highpass:
         return record.delay
-    delays = np.arange(mounting.earliest_delay, mounting.largest_delay + step, step)
-    scores = np.array([correlation(_met(table, record, d), mounting) for d in delays])
+    delays = np.arange(MOUNTING.earliest_delay, MOUNTING.largest_delay + step, step)
+    scores = np.array([correlation(_met(table, record, d)) for d in delays])
     best = int(np.argmax(scores))
     now = float(np.interp(record.delay, delays, scores))
-    is_clear = scores[best] ** 2 > mounting.explained and scores[best] > now + 0.02
+    is_clear = scores[best] ** 2 > MOUNTING.explained and scores[best] > now + 0.02
     if not is_clear or best in (0, len(delays) - 1):
         return record.delay
     before, top, after = scores[best - 1 : best + 2]
@@ -212,19 +196,18 @@ def _delay(table: TickTable, record: SpeedRecord, tuning: DrivingTuning) -> floa
     return float(delays[best] + step * shift)
 
 
-def _fault(record: SpeedRecord, fitted: MountingYaw, tuning: DrivingTuning) -> SpeedFault | None:
-    mounting = tuning.mounting
-    if record.wild_share > mounting.wild:
+def _fault(record: SpeedRecord, fitted: MountingYaw) -> SpeedFault | None:
+    if record.wild_share > MOUNTING.wild:
         return SpeedFault.JUMPS
-    if fitted.force_energy < mounting.energy:
+    if fitted.force_energy < MOUNTING.energy:
         return None
     if fitted.energy < 0.02 * fitted.force_energy:
         return SpeedFault.FROZEN
-    if fitted.explained < mounting.explained:
+    if fitted.explained < MOUNTING.explained:
         return SpeedFault.UNRELATED
-    if not fitted.has_scale(mounting):
+    if not fitted.has_scale:
         return SpeedFault.SCALE
-    return SpeedFault.LATE if fitted.delay > tuning.own.latest else None
+    return SpeedFault.LATE if fitted.delay > OWN.latest else None
 
 
 def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
@@ -235,15 +218,9 @@ def _met(table: TickTable, record: SpeedRecord, delay: float) -> TickTable:
 
 def _last(table: TickTable, count: int) -> TickTable:
     """Return the newest ticks."""
-    return TickTable(
-        table.stamp[-count:],
-        table.seconds[-count:],
-        table.force[-count:],
-        table.yaw[-count:],
-        table.turn_rate[-count:],
-        table.speed[-count:],
-        table.is_signed,
-    )
+    columns = ("stamp", "seconds", "force", "yaw", "turn_rate", "speed")
+    newest = {name: getattr(table, name)[-count:] for name in columns}
+    return dataclasses.replace(table, **newest)
 
 
 def fault_words(topic: str, fault: SpeedFault, fitted: MountingYaw) -> str:

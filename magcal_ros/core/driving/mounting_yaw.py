@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from magcal_ros.core.driving.driving_tuning import MountingYawTuning, TripTuning
+from magcal_ros.core.driving.driving_tuning import MOUNTING, TRIP
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ComplexArray = npt.NDArray[np.complex128]
@@ -32,39 +32,35 @@ class MountingYaw:
     yaw: float
     sigma: float
     """Radians, counter-clockwise from the vehicle's x to the IMU's x."""
-    scale: float
-    """Force over change of velocity: one, if the speed is in m/s and in time."""
-    delay: float
-    """Seconds by which the speed's stamps are late."""
-    explained: float
-    """Share of the force's changes that the speed explains."""
-    energy: float
-    """m²/s³ of changes of velocity that were seen."""
-    force_energy: float
-    """The same of the force."""
-    seconds: float
-    """Of driving that were fitted."""
-    noise: float
-    """m/s² that the force departs by."""
+    scale: float  # force over change of velocity: one, if the speed is in m/s and in time
+    delay: float  # seconds by which the speed's stamps are late
+    explained: float  # share of the force's changes that the speed explains
+    energy: float  # m²/s³ of changes of velocity that were seen
+    force_energy: float  # the same of the force
+    seconds: float  # of driving that were fitted
+    noise: float  # m/s² that the force departs by
     is_rough: bool = False
     """Whether the speed is a receiver's, whose noise makes the scale less than one."""
 
-    def is_usable(self, tuning: MountingYawTuning) -> bool:
+    @property
+    def is_usable(self) -> bool:
         """Whether it is good enough to take the vehicle's own acceleration off."""
-        is_enough = min(self.energy, self.force_energy) >= tuning.first_energy
-        return is_enough and self.explained >= tuning.explained and self.sigma < tuning.believed
+        is_enough = min(self.energy, self.force_energy) >= MOUNTING.first_energy
+        return is_enough and self.explained >= MOUNTING.explained and self.sigma < MOUNTING.believed
 
-    def has_scale(self, tuning: MountingYawTuning) -> bool:
+    @property
+    def has_scale(self) -> bool:
         """Whether the speed is in m/s."""
-        lowest = tuning.lowest_rough if self.is_rough else tuning.lowest
-        return lowest <= self.scale <= tuning.highest
+        below = MOUNTING.rough_scale if self.is_rough else MOUNTING.scale
+        return -below <= self.scale - 1.0 <= MOUNTING.scale
 
-    def is_known(self, tuning: MountingYawTuning) -> bool:
+    @property
+    def is_known(self) -> bool:
         """Whether enough was seen, and the speed explains it."""
         return (
-            min(self.energy, self.force_energy) >= tuning.energy
-            and self.explained >= tuning.explained
-            and self.has_scale(tuning)
+            min(self.energy, self.force_energy) >= MOUNTING.energy
+            and self.explained >= MOUNTING.explained
+            and self.has_scale
         )
 
 
@@ -82,8 +78,7 @@ class TickTable:
     """Of the IMU in the frame, radians and rad/s. Shape (n,)."""
     speed: FloatArray
     """m/s; NaN where it is not known. Shape (n,)."""
-    is_signed: bool = True
-    """Whether backwards is negative."""
+    is_signed: bool = True  # whether backwards is negative
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,41 +89,28 @@ class _Filtered:
     valid: BoolArray
 
 
-def fit_mounting_yaw(
-    ticks: TickTable,
-    delay: float,
-    tuning: MountingYawTuning,
-    trips: TripTuning,
-) -> MountingYaw | None:
+def fit_mounting_yaw(ticks: TickTable, delay: float) -> MountingYaw | None:
     """Fit yaw, scale and lever arm; None where nothing moved.
 
-    Parameters
-    ----------
-    ticks : TickTable
-        What was driven.
-    delay : float
-        Seconds of latency that the speeds are already freed of.
-    tuning, trips : MountingYawTuning, TripTuning
-        What is taken for granted.
+    The speeds are already corrected by the latency `delay`, seconds.
     """
-    if len(ticks.stamp) < tuning.highpass // 2 or not np.isfinite(ticks.speed).any():
+    if len(ticks.stamp) < MOUNTING.highpass // 2 or not np.isfinite(ticks.speed).any():
         return None
     signs = np.ones(len(ticks.stamp))
-    filtered = _filtered(ticks, signs, tuning)
-    if filtered.valid.sum() < tuning.highpass // 4:
+    filtered = _filtered(ticks, signs)
+    if filtered.valid.sum() < MOUNTING.highpass // 4:
         return None
     if not ticks.is_signed:
-        for _ in range(2):
-            signs = _signs(ticks, _filtered(ticks, np.ones(len(signs)), tuning), trips)
-        filtered = _filtered(ticks, signs, tuning)
-    return _solved(ticks, filtered, delay, tuning)
+        signs = _signs(ticks, filtered)
+        filtered = _filtered(ticks, signs)
+    return _solved(ticks, filtered, delay)
 
 
-def correlation(ticks: TickTable, tuning: MountingYawTuning) -> float:
+def correlation(ticks: TickTable) -> float:
     """Return how well force and change of velocity go together, zero to one."""
     change, valid = _change(ticks, np.ones(len(ticks.stamp)))
-    force = _banded(np.where(valid, ticks.force, 0.0), valid, tuning)
-    change = _banded(change, valid, tuning)
+    force = _banded(np.where(valid, ticks.force, 0.0), valid)
+    change = _banded(change, valid)
     size = math.sqrt(float(np.sum(np.abs(force) ** 2) * np.sum(np.abs(change) ** 2)))
     return 0.0 if size <= 0.0 else float(abs(np.vdot(change, force))) / size
 
@@ -144,22 +126,22 @@ def _change(ticks: TickTable, signs: FloatArray) -> tuple[ComplexArray, BoolArra
     return np.where(valid, change, 0.0), valid
 
 
-def _filtered(ticks: TickTable, signs: FloatArray, tuning: MountingYawTuning) -> _Filtered:
+def _filtered(ticks: TickTable, signs: FloatArray) -> _Filtered:
     change, valid = _change(ticks, signs)
     ends = 0.5 * (ticks.turn_rate + np.append(ticks.turn_rate[1:], ticks.turn_rate[-1]))
     look = 1j * ends * np.exp(1j * ticks.yaw)
     swing = np.zeros(len(look), dtype=np.complex128)
     swing[1:] = (look[1:] - look[:-1]) / ticks.seconds[1:]
     force, swing = (np.where(valid, x, 0.0) for x in (ticks.force, swing))
-    force, change, swing = (_banded(x, valid, tuning) for x in (force, change, swing))
+    force, change, swing = (_banded(x, valid) for x in (force, change, swing))
     return _Filtered(force, change, swing, valid)
 
 
-def _banded(values: ComplexArray, valid: BoolArray, tuning: MountingYawTuning) -> ComplexArray:
+def _banded(values: ComplexArray, valid: BoolArray) -> ComplexArray:
     counts = np.zeros(len(values) + 1, dtype=np.int64)
     np.cumsum(valid, out=counts[1:])
-    low = _running(values, counts, tuning.smooth)
-    return np.where(valid, low - _running(values, counts, tuning.highpass), 0.0)
+    low = _running(values, counts, MOUNTING.smooth)
+    return np.where(valid, low - _running(values, counts, MOUNTING.highpass), 0.0)
 
 
 def _running(values: ComplexArray, counts: IntArray, width: int) -> ComplexArray:
@@ -179,12 +161,12 @@ def trip_labels(speed: FloatArray, slowest: float) -> IntArray:
     return np.asarray(np.where(moving, np.cumsum(begins), 0))
 
 
-def _signs(ticks: TickTable, found: _Filtered, trips: TripTuning) -> FloatArray:
+def _signs(ticks: TickTable, found: _Filtered) -> FloatArray:
     """Return plus or minus one per row: forwards where most of the way was driven.
 
     The squares of the trips' sums do not know the trips' signs.
     """
-    label = trip_labels(ticks.speed, trips.standing)
+    label = trip_labels(ticks.speed, TRIP.standing)
     count = int(label.max()) + 1
     product = found.force * np.conj(found.change)
     sums = np.bincount(label, product.real, count) + 1j * np.bincount(label, product.imag, count)
@@ -210,28 +192,26 @@ class _Solution(NamedTuple):
     prior_score: float
 
 
-def _solved(
-    ticks: TickTable, found: _Filtered, delay: float, tuning: MountingYawTuning
-) -> MountingYaw:
+def _solved(ticks: TickTable, found: _Filtered, delay: float) -> MountingYaw:
     rows = np.flatnonzero(found.valid)
     force, change, swing = (x[rows] for x in (found.force, found.change, found.swing))
     period = float(np.median(ticks.seconds))
-    moving = np.abs(np.nan_to_num(ticks.speed)) > tuning.moving
+    moving = np.abs(np.nan_to_num(ticks.speed)) > MOUNTING.moving
     seconds = float(np.sum(ticks.seconds[moving]))
     energy = float(np.sum(np.abs(change) ** 2)) * period
     force_energy = float(np.sum(np.abs(force) ** 2)) * period
     if energy <= 0.0:
         return MountingYaw(0.0, math.pi, 0.0, delay, 0.0, 0.0, force_energy, seconds, math.inf)
-    end = _steps(force, change, swing, tuning)
+    end = _steps(force, change, swing)
     # A wild speed explains nothing, but is no worse than none.
     spent = float(np.sum(np.abs(force) ** 2))
     left = float(np.sum(np.minimum(np.abs(end.error) ** 2, np.abs(force) ** 2)))
-    variance = _yaw_variance(end, ticks.stamp[rows], tuning)
-    if seconds < tuning.short:
-        variance *= tuning.widening**2
+    variance = _yaw_variance(end, ticks.stamp[rows])
+    if seconds < MOUNTING.short:
+        variance *= MOUNTING.widening**2
     return MountingYaw(
         -cmath.phase(end.z),
-        min(math.pi, math.sqrt(variance + tuning.floor**2)),
+        min(math.pi, math.sqrt(variance + MOUNTING.floor**2)),
         abs(end.z),
         delay,
         1.0 - left / spent if spent > 0.0 else 0.0,
@@ -242,13 +222,11 @@ def _solved(
     )
 
 
-def _steps(
-    force: ComplexArray, change: ComplexArray, swing: ComplexArray, tuning: MountingYawTuning
-) -> _Solution:
+def _steps(force: ComplexArray, change: ComplexArray, swing: ComplexArray) -> _Solution:
     """Gauss-Newton on z and the lever arm, with weights 1/(1 + |e|²/4s²)."""
     z = complex(np.vdot(change, force)) / float(np.sum(np.abs(change) ** 2))
     lever = 0.0
-    for _ in range(tuning.iterations):
+    for _ in range(MOUNTING.iterations):
         error = force - z * (change + lever * swing)
         # The median of a Rayleigh distribution is 1.177 of its components' sigma.
         noise = max(1e-3, 1.26 * float(np.median(np.abs(error))))
@@ -256,7 +234,7 @@ def _steps(
         model = change + lever * swing
         columns = np.array([model, 1j * model, z * swing])
         # Smoothed rows are correlated: the prior is weighed against independent ones.
-        prior = noise**2 * tuning.smooth / tuning.lever_sigma**2
+        prior = noise**2 * MOUNTING.smooth / MOUNTING.lever_sigma**2
         information = np.real(columns.conj() * weight @ columns.T)
         information += np.diag([1e-9, 1e-9, prior])
         slope = np.real(columns.conj() @ (weight * error))
@@ -265,13 +243,13 @@ def _steps(
         z, lever = z + complex(step[0], step[1]), lever + float(step[2])
     error = force - z * (change + lever * swing)
     scores = np.real(columns.conj() * (weight * error))
-    prior_score = (prior * tuning.lever_sigma) ** 2
+    prior_score = (prior * MOUNTING.lever_sigma) ** 2
     return _Solution(z, noise, weight, error, scores, information, prior_score)
 
 
-def _yaw_variance(end: _Solution, stamps: FloatArray, tuning: MountingYawTuning) -> float:
+def _yaw_variance(end: _Solution, stamps: FloatArray) -> float:
     """Return the variance of the yaw by blocks of time whose errors are taken as one."""
-    block = ((stamps - stamps[0]) / tuning.block).astype(np.int64)
+    block = ((stamps - stamps[0]) / MOUNTING.block).astype(np.int64)
     sums = np.array([np.bincount(block, row) for row in end.scores])
     inverse = np.linalg.inv(end.information)
     covariance = inverse @ (sums @ sums.T + np.diag([0.0, 0.0, end.prior_score])) @ inverse

@@ -8,10 +8,13 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from magcal_ros.core.driving.chords import GyroFrame, Tick
-from magcal_ros.core.driving.driving_tuning import DrivingTuning, SpeedSource
+from magcal_ros.core.driving.driving_tuning import OWN, TRIP, SpeedSource
+from magcal_ros.core.driving.mounting_yaw import ComplexArray
 from magcal_ros.core.driving.speedometer import SpeedTrack
-from magcal_ros.core.geometry.vec3 import Triple
+from magcal_ros.core.geometry.vec3 import Triple, minus
 
 
 class Tried(NamedTuple):
@@ -28,10 +31,8 @@ class Tried(NamedTuple):
 class SpeedTrial:
     """The newest forces and changes of velocity, and how they scatter."""
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._tried: deque[Tried] = deque()
-        self.clear()
+    def __init__(self) -> None:
+        self._tried: deque[Tried] = deque(maxlen=OWN.watched)
 
     def __len__(self) -> int:
         return len(self._tried)
@@ -39,23 +40,16 @@ class SpeedTrial:
     def clear(self) -> None:
         """Forget them."""
         self._tried.clear()
-        self._force = self._change = self._both = 0j
-        self._forces = self._changes = self._along = 0.0
 
     def add(self, tried: Tried) -> None:
         """Take the newest, and leave the oldest."""
         self._tried.append(tried)
-        self._sum(tried, 1.0)
-        if len(self._tried) > self._most:
-            self._sum(self._tried.popleft(), -1.0)
 
     def turn_back(self, count: int) -> None:
-        """Turn the newest so many changes round: the vehicle has backed up."""
-        all_of_them = list(self._tried)
-        first = max(0, len(all_of_them) - count)
-        self.clear()
-        for index, tried in enumerate(all_of_them):
-            self.add(tried if index < first else tried._replace(change=-tried.change))
+        """Negate the newest changes, as many as `count`: the vehicle has backed up."""
+        for index in range(max(0, len(self._tried) - count), len(self._tried)):
+            tried = self._tried[index]
+            self._tried[index] = tried._replace(change=-tried.change)
 
     @property
     def last(self) -> Tried:
@@ -64,36 +58,28 @@ class SpeedTrial:
 
     def left(self, turn: complex) -> complex:
         """Return the mean of the force less `turn` times the change; zero before the first."""
-        return (self._force - turn * self._change) / max(1, len(self._tried))
+        return complex(np.mean(self._left(turn))) if self._tried else 0j
 
     @property
     def newest(self) -> Tried:
         """The newest, less the means."""
-        count, (force, change, along) = len(self._tried), self._tried[-1]
-        return Tried(force - self._force / count, change - self._change / count, along)
+        force, change, _ = np.mean(np.array(self._tried), axis=0)
+        last = self._tried[-1]
+        return last._replace(force=last.force - force, change=last.change - change)
 
     @property
     def share_along(self) -> float:
         """Share of the changes that lies along the vehicle: starts and stops."""
-        return self._along / self._changes if self._changes > 0.0 else 0.0
+        _, changes, along = np.sum(np.abs(np.array(self._tried)) ** 2, axis=0)
+        return float(along / changes) if changes > 0.0 else 0.0
 
     def scatter(self, turn: complex) -> float:
         """Return the variance of the force less `turn` times the change, (m/s²)²."""
-        count = len(self._tried)
-        force = self._forces / count - abs(self._force / count) ** 2
-        change = self._changes / count - abs(self._change / count) ** 2
-        both = self._both / count - self._force * self._change.conjugate() / count**2
-        crossed: float = (both * turn.conjugate()).real
-        return max(0.0, force - 2.0 * crossed + abs(turn) ** 2 * change)
+        return float(np.var(self._left(turn)))
 
-    def _sum(self, tried: Tried, sign: float) -> None:
-        force, change, along = tried
-        self._force += sign * force
-        self._change += sign * change
-        self._both += sign * force * change.conjugate()
-        self._forces += sign * abs(force) ** 2
-        self._changes += sign * abs(change) ** 2
-        self._along += sign * along * along
+    def _left(self, turn: complex) -> ComplexArray:
+        force, change, _ = np.array(self._tried).T
+        return np.asarray(force - turn * change)
 
 
 class _Matched(NamedTuple):
@@ -113,7 +99,7 @@ class _Trip(NamedTuple):
 
 @dataclass
 class _Evidence:
-    """What the force says of the direction of travel since a stamp; positive is forwards.
+    """What the force shows of the direction of travel since a stamp; positive is forwards.
 
     `slope` is what the force was then beside the vehicle's own acceleration.
     """
@@ -135,52 +121,41 @@ class _Evidence:
 
 
 class OwnAcceleration:
-    """Frees the force of what the vehicle accelerates by.
+    """Subtracts the vehicle's own acceleration from the force.
 
     Over the last half second that the speed is known for, the mean force less the change of
     velocity is gravity, in the frame that the gyro keeps still; it is turned into the body axes
     of the moment. So neither a late speed nor one that comes once a second does harm.
 
-    Attributes
-    ----------
-    yaw : float
-        Of the IMU in the vehicle, radians; zero until somebody knows better.
-    scale : float
-        Force over change of speed: the latter's noise makes it less than one.
-    noise : float
-        m/s² by which the force departs from what the speed explains.
-    is_used : bool
-        Whether the speed explains the force of the last seconds.
-    is_yaw_usable, is_yaw_known : bool
-        Whether somebody does, roughly and well: before the latter, a vehicle is taken to drive
-        forwards.
-    sign : float
-        Minus one while a speed without sign is that of a vehicle that backs up.
-    sign_score : float
-        Sigmas by which the force speaks for `sign` since the vehicle stood.
+    `yaw` is that of the IMU in the vehicle, radians, zero until it is known. `scale` is the force
+    over the change of speed, whose noise makes it less than one, and `noise` the m/s² by which the
+    force departs from it. `is_used` is whether the speed explains the force of the last seconds.
+    `is_yaw_usable` and `is_yaw_known` are whether the yaw is known roughly, and well: before the
+    latter, a vehicle is taken to drive forwards. `sign` is minus one while a speed without sign is
+    that of a vehicle that backs up, and `sign_score` are the sigmas by which the force supports it
+    since the vehicle stood.
     """
 
-    def __init__(self, tuning: DrivingTuning | None = None) -> None:
-        self._tuning = tuning or DrivingTuning()
+    def __init__(self) -> None:
         self.yaw, self.is_yaw_usable, self.is_yaw_known = 0.0, False, False
         self.scale, self.noise = 1.0, 0.3
         self._waiting: deque[Tick] = deque(maxlen=64)
-        self._matched: deque[_Matched] = deque(maxlen=max(self._tuning.own.spans.values()) + 1)
-        self._trial = SpeedTrial(self._tuning.own.watched)
-        self._trip = SpeedTrial(self._tuning.own.watched)
+        self._matched: deque[_Matched] = deque(maxlen=max(OWN.spans.values()) + 1)
+        self._trial = SpeedTrial()
+        self._trip = SpeedTrial()
         self._before, self._is_under_way, self._speed = _Trip(), True, 0.0
         self._gravity: tuple[float, Triple] | None = None
-        self._is_rough, self._slow = False, self._tuning.own.slow[SpeedSource.ODOMETRY]
-        self._is_signed, self._span = True, self._tuning.own.spans[SpeedSource.ODOMETRY]
+        self._is_rough, self._slow = False, OWN.slow[SpeedSource.ODOMETRY]
+        self._is_signed, self._span = True, OWN.spans[SpeedSource.ODOMETRY]
         self._gives, self._pauses_until = False, -math.inf
-        self._speaker: tuple[SpeedSource, float] | None = None
+        self._track_key: tuple[SpeedSource, float] | None = None
         self.is_used = False
         self._stand(-math.inf)
 
     @property
     def is_clear(self) -> bool:
         """Whether the force has decided on the direction of travel since the vehicle stood."""
-        return self.sign_score > self._tuning.trip.clear
+        return self.sign_score > TRIP.clear
 
     def trip_at(self, stamp: float) -> tuple[float, bool, bool]:
         """Return the sign of a trip under way at a stamp, or that ended after it.
@@ -194,52 +169,51 @@ class OwnAcceleration:
     def add(self, tick: Tick, track: SpeedTrack | None) -> list[tuple[Tick, float]]:
         """Take a tick; returns the ticks that met their speed (m/s, NaN where there is none)."""
         self._waiting.append(tick)
-        speaker = None if track is None else (track.source, track.delay)
-        if speaker != self._speaker:
+        key = None if track is None else (track.source, track.delay)
+        if key != self._track_key:
             # Another source, or another latency: a change of velocity would be none.
-            self._speaker = speaker
+            self._track_key = key
             self._matched.clear()
             self._trial.clear()
             self.is_used = False
         met: list[tuple[Tick, float]] = []
         while self._waiting:
             first = self._waiting[0]
-            is_late = tick.stamp - first.stamp > self._tuning.own.oldest
+            is_late = tick.stamp - first.stamp > OWN.oldest
             if track is not None and not track.has_passed(first.stamp) and not is_late:
                 break
             self._waiting.popleft()
             speed = None if track is None else track.at(first.stamp)
             if track is not None:
                 self._is_signed = track.is_signed
-                spoken = SpeedSource.VELOCITY if track.is_slow else track.source
-                self._slow = self._tuning.own.slow[track.source]
+                like = SpeedSource.VELOCITY if track.is_slow else track.source
+                self._slow = OWN.slow[track.source]
                 self._is_rough = track.source is SpeedSource.FIXES
-                self._span = self._tuning.own.spans[spoken]
+                self._span = OWN.spans[like]
             self._meet(first, speed)
             met.append((first, math.nan if speed is None else speed * self.sign))
         return met
 
     def linear(self, stamp: float, force: Triple, frame: GyroFrame) -> Triple | None:
-        """Return what to take off a specific force, m/s², body axes; None if it is not known.
+        """Return what to subtract from a specific force, m/s², body axes; None if it is not known.
 
-        It does not come and go: a force that is freed of it for moments only would mislead.
+        It does not come and go: a force that is corrected for moments only would mislead.
         """
         gravity = self._gravity_at(stamp)
         if gravity is None or frame.axes is None or stamp < self._pauses_until:
             if self._gives:
-                self._pauses_until = stamp + self._tuning.own.pause
+                self._pauses_until = stamp + OWN.oldest
             self._gives = False
             return None
         self._gives = True
-        x, y, z = frame.to_body(gravity)
-        return (force[0] - x, force[1] - y, force[2] - z)
+        return minus(force, frame.to_body(gravity))
 
     def _gravity_at(self, stamp: float) -> Triple | None:
         """Return gravity in the gyro's frame, m/s², while it may be used."""
         if self._gravity is None or not self.is_used:
             return None
         since, gravity = self._gravity
-        return gravity if 0.0 <= stamp - since <= self._tuning.own.oldest else None
+        return gravity if 0.0 <= stamp - since <= OWN.oldest else None
 
     def restart(self) -> None:
         """Forget ticks: the gyro's frame is another one."""
@@ -261,13 +235,13 @@ class OwnAcceleration:
             self._matched.clear()
             self._gravity = None
             return
-        is_slow = abs(speed) < self._tuning.trip.standing
+        is_slow = abs(speed) < TRIP.standing
         if is_slow and self._is_under_way:
             self._before = _Trip(tick.stamp, self.sign, self.is_clear)
             self._stand(tick.stamp)
         self._is_under_way = not is_slow
-        if abs(speed) < min(self._tuning.trip.crawling, self._speed):
-            # A speed that is told once a second may leave out that the vehicle stood.
+        if abs(speed) < min(TRIP.crawling, self._speed):
+            # A speed that comes once a second may leave out that the vehicle stood.
             self._newer = _Evidence(tick.stamp, self._trial.left(self._turn))
         self._speed = abs(speed)
         velocity = speed * cmath.exp(1j * tick.yaw)
@@ -304,41 +278,41 @@ class OwnAcceleration:
 
     def _judge(self) -> None:
         """Look whether the speed explains the force of the last seconds, and with which sign."""
-        own, trial = self._tuning.own, self._trial
+        trial = self._trial
         self.is_used = False
-        if len(trial) < own.fewest:
+        if len(trial) < OWN.fewest:
             return
         if not self._is_signed:
             self._decide()
         without, with_it = trial.scatter(0j), trial.scatter(self._turn)
-        quiet, gain = own.quiet**2, own.rough_gain if self._is_rough else own.gain
+        quiet, gain = OWN.quiet**2, OWN.rough_gain if self._is_rough else OWN.gain
         self.is_used = with_it <= (gain * without if without > quiet else quiet)
-        # An even circle is seen through without: the speed of mere fixes would only add noise.
-        if self._is_rough and (trial.share_along < own.pulling or not self.is_yaw_usable):
+        # On an even circle the gyro suffices: the speed of mere fixes would only add noise.
+        if self._is_rough and (trial.share_along < OWN.along or not self.is_yaw_usable):
             self.is_used = False
 
     def _decide(self) -> None:
-        """Sum up, since the vehicle stood, what the force says of the direction of travel.
+        """Sum up, since the vehicle stood, what the force shows of the direction of travel.
 
         Earlier trips have no part in the means that are taken off: they may have another sign.
         """
         if not self._is_under_way:
             return
-        trip, newest, last = self._tuning.trip, self._trip.newest, self._trip.last
+        newest, last = self._trip.newest, self._trip.last
         self._whole.add(newest.force, newest.change * self._turn)
         # Where the sign may have changed meanwhile, a mean over both parts would be of neither.
         self._newer.add(last.force - self._newer.slope, last.change * self._turn)
         if not self.is_yaw_known:
             return
         whole, newer = (
-            each.score(self.noise, trip.correlated) for each in (self._whole, self._newer)
+            each.score(self.noise, TRIP.correlated) for each in (self._whole, self._newer)
         )
-        if newer * self.sign < -trip.clear < whole * self.sign:
+        if newer * self.sign < -TRIP.clear < whole * self.sign:
             self._before = _Trip(self._newer.since, self.sign, self.is_clear)
             self._whole, whole = self._newer, newer
-        if whole * self.sign < -trip.clear:
+        if whole * self.sign < -TRIP.clear:
             self.sign = -self.sign
             self._trial.turn_back(self._whole.count)
         # Mere fixes smear a stop over seconds: what was known before it is known no longer.
-        told = min(whole * self.sign, newer * self.sign) if self._is_rough else whole * self.sign
-        self.sign_score = told
+        least = min(whole * self.sign, newer * self.sign)
+        self.sign_score = least if self._is_rough else whole * self.sign

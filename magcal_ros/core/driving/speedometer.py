@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
-from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
+from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import (
     Drop,
@@ -16,24 +17,28 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     StampGuard,
     VelocitySample,
+    enclosing,
 )
+
+Span = TypeVar("Span", float, FloatArray)
+
+
+def largest_change(seconds: Span) -> Span:
+    """Return by how much a speed may change meanwhile, m/s; beyond it is a jump."""
+    return SPEED.largest_acceleration * seconds + SPEED.step
 
 
 @dataclass(frozen=True, eq=False)
 class SpeedRecord:
-    """What one source said, frozen."""
+    """What one source has measured, frozen."""
 
     kept: FloatArray
     """Stamps and speeds of some minutes, thinned. Shape (n, 2)."""
-    wild_share: float
-    """Share of the newest samples to which the speed jumps as no vehicle can."""
+    wild_share: float  # share of the newest samples to which the speed jumps as no vehicle can
     delay: float
     gap: float
     """Seconds by which the stamps are late, and that are interpolated over."""
-    is_signed: bool
-    """Whether backwards is negative."""
-    tuning: SpeedTuning
-    """What is taken for granted."""
+    is_signed: bool  # whether backwards is negative
 
     def along(self, stamps: FloatArray, delay: float) -> FloatArray:
         """Return the speed at many stamps (n,), NaN where there is none, for a latency."""
@@ -43,37 +48,30 @@ class SpeedRecord:
         moments = stamps + delay
         after = np.clip(np.searchsorted(time, moments), 1, len(time) - 1)
         span, change = np.diff(time), np.diff(speed)
-        broken = (span > self.gap) | (np.abs(change) > self.tuning.largest_change(span))
+        broken = (span > self.gap) | (np.abs(change) > largest_change(span))
         found = np.interp(moments, time, speed, left=math.nan, right=math.nan)
         found[broken[after - 1]] = math.nan
         return np.asarray(found)
 
 
 class SpeedTrack:
-    """What one source said lately.
+    """What one source has measured lately.
 
-    Attributes
-    ----------
-    delay : float
-        Seconds by which its stamps are late.
-    is_signed : bool
-        Whether backwards is negative.
-    drops : Counter of Drop
-        What was not used.
+    `delay` are the seconds by which its stamps are late, `is_signed` is whether backwards is
+    negative, and `drops` counts what was not used.
     """
 
-    def __init__(self, tuning: SpeedTuning, source: SpeedSource) -> None:
+    def __init__(self, source: SpeedSource) -> None:
         own = source is SpeedSource.ODOMETRY
         self.source = source
-        self.delay = 0.0 if own else tuning.receiver_delay
+        self.delay = 0.0 if own else SPEED.receiver_delay
         self.is_signed = own
         self.drops: Counter[Drop] = Counter()
-        self._tuning = tuning
         self._stamps = StampGuard()
         self._doubted: tuple[float, float] | None = None
-        self._wild: deque[bool] = deque(maxlen=tuning.newest)
-        self._recent: deque[tuple[float, float]] = deque(maxlen=tuning.newest)
-        self._kept: deque[tuple[float, float]] = deque(maxlen=tuning.remembered)
+        self._wild: deque[bool] = deque(maxlen=SPEED.newest)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=SPEED.newest)
+        self._kept: deque[tuple[float, float]] = deque(maxlen=SPEED.remembered)
 
     @property
     def newest(self) -> float:
@@ -87,7 +85,7 @@ class SpeedTrack:
 
     def wants(self, stamp: float) -> bool:
         """Whether a sample is of use, and not one of more a second than are read."""
-        return not 0.0 < stamp - self.newest < self._tuning.shortest
+        return not 0.0 < stamp - self.newest < SPEED.shortest
 
     def add(self, stamp: float, speed: float) -> bool:
         """Take a speed; returns whether it was usable."""
@@ -95,7 +93,7 @@ class SpeedTrack:
             return True
         if not math.isfinite(speed):
             reason: Drop | None = Drop.NOT_FINITE
-        elif abs(speed) > self._tuning.largest:
+        elif abs(speed) > SPEED.largest:
             reason = Drop.TOO_LARGE
         else:
             reason = self._stamps.check(stamp)
@@ -109,7 +107,7 @@ class SpeedTrack:
         return True
 
     def _weigh(self, sample: tuple[float, float]) -> None:
-        """Believe a sample; one to which the speed jumps only if the next one stays there."""
+        """Accept a sample; one to which the speed jumps only if the next one stays there."""
         doubted, self._doubted = self._doubted, None
         is_wild = bool(self._recent) and self._is_jump(self._recent[-1], sample)
         self._wild.append(is_wild)
@@ -117,24 +115,24 @@ class SpeedTrack:
             self._doubted = sample
             return
         self._recent.append(sample)
-        if not self._kept or sample[0] - self._kept[-1][0] >= self._tuning.spacing:
+        if not self._kept or sample[0] - self._kept[-1][0] >= 2.0 * SPEED.shortest:
             self._kept.append(sample)
 
     def _is_jump(self, before: tuple[float, float], after: tuple[float, float]) -> bool:
-        return abs(after[1] - before[1]) > self._tuning.largest_change(after[0] - before[0])
+        return abs(after[1] - before[1]) > largest_change(after[0] - before[0])
 
     @property
     def is_slow(self) -> bool:
         """Whether these are wheels with as few messages as a receiver."""
         if self.source is not SpeedSource.ODOMETRY or len(self._recent) < 4:
             return False
-        return self._recent[-1][0] - self._recent[-4][0] > 3.0 * self._tuning.seldom
+        return self._recent[-1][0] - self._recent[-4][0] > 3.0 * SPEED.seldom
 
     @property
     def gap(self) -> float:
         """Seconds between two samples that are interpolated between."""
         is_quick = self.source is SpeedSource.ODOMETRY and not self.is_slow
-        return self._tuning.odometry_gap if is_quick else self._tuning.receiver_gap
+        return SPEED.odometry_gap if is_quick else SPEED.receiver_gap
 
     def at(self, stamp: float) -> float | None:
         """Return the speed at a stamp of the IMU's clock; None unless two near samples enclose it.
@@ -142,17 +140,16 @@ class SpeedTrack:
         m/s.
         """
         stamp += self.delay
-        later: tuple[float, float] | None = None
-        for sample in reversed(self._recent):
-            if sample[0] <= stamp:
-                if later is None:
-                    return sample[1] if sample[0] == stamp else None
-                span = later[0] - sample[0]
-                if span > self.gap or self._is_jump(sample, later):
-                    return None
-                return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
-            later = sample
-        return None
+        found = enclosing(self._recent, stamp)
+        if found is None:
+            return None
+        sample, later = found
+        if later is None:
+            return sample[1] if sample[0] == stamp else None
+        span = later[0] - sample[0]
+        if span > self.gap or self._is_jump(sample, later):
+            return None
+        return sample[1] + (later[1] - sample[1]) * (stamp - sample[0]) / span
 
     def has_passed(self, stamp: float) -> bool:
         """Whether waiting longer can bring no sample before a stamp of the IMU's clock."""
@@ -161,22 +158,21 @@ class SpeedTrack:
     def record(self) -> SpeedRecord:
         """Return what is remembered, for work in another thread."""
         kept = np.array(self._kept).reshape(-1, 2)
-        told = len(self._wild)
-        wild = sum(self._wild) / told if told >= self._tuning.fewest else 0.0
-        return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed, self._tuning)
+        count = len(self._wild)
+        wild = sum(self._wild) / count if count >= SPEED.fewest else 0.0
+        return SpeedRecord(kept, wild, self.delay, self.gap, self.is_signed)
 
 
 class Speedometer:
     """Listens to wheels and receiver."""
 
-    def __init__(self, tuning: SpeedTuning | None = None) -> None:
-        self._tuning = tuning or SpeedTuning()
-        self.tracks = {source: SpeedTrack(self._tuning, source) for source in SpeedSource}
+    def __init__(self) -> None:
+        self.tracks = {source: SpeedTrack(source) for source in SpeedSource}
         self.distrusted: set[SpeedSource] = set()
         self._fix: PositionSample | None = None
 
     def add_speed(self, sample: SpeedSample) -> bool:
-        """Take what wheels say; returns whether it was usable."""
+        """Take a speed of the wheels; returns whether it was usable."""
         track = self.tracks[SpeedSource.ODOMETRY]
         track.is_signed = sample.is_signed
         return track.add(sample.stamp, sample.speed)
@@ -192,7 +188,7 @@ class Speedometer:
         if not math.isfinite(sample.stamp + sample.east + sample.north):
             return False
         self._fix = sample
-        if before is None or not 0.05 < sample.stamp - before.stamp <= self._tuning.receiver_gap:
+        if before is None or not 0.05 < sample.stamp - before.stamp <= SPEED.receiver_gap:
             return False
         span = sample.stamp - before.stamp
         way = math.hypot(sample.east - before.east, sample.north - before.north)
@@ -203,7 +199,7 @@ class Speedometer:
         """The best source that is available and trusted; None without one."""
         newest = max([track.newest for track in self.tracks.values()])
         for source, track in self.tracks.items():
-            is_here = newest - track.newest < self._tuning.silent
+            is_here = newest - track.newest < SPEED.silent
             if is_here and source not in self.distrusted:
                 return track
         return None

@@ -6,13 +6,13 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from magcal_ros.core.driving.chords import Chord, Chords, GyroFrame, Tick
 from magcal_ros.core.driving.course_offset import CourseCells, CourseOffset, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import DriftTuning, DrivingTuning, SpeedSource
+from magcal_ros.core.driving.driving_tuning import COURSE, DRIFT, MOUNTING, SPEED, TRIP, SpeedSource
 from magcal_ros.core.driving.mounting_watch import Judged, MountingWatch
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.own_acceleration import OwnAcceleration
@@ -28,72 +28,56 @@ from magcal_ros.core.samples.streams import (
     VelocitySample,
 )
 from magcal_ros.core.up import UpFollower
-
-
-class _Seen(NamedTuple):
-    """A chord: seconds, and radians that go on beyond a whole turn.
-
-    `heading` is the gyro's yaw, `gap` what it is off course, `lead` what it is off the compass.
-    """
-
-    stamp: float
-    gap: float
-    lead: float
-    heading: float
-    sigma: float
+from magcal_ros.core.up.stillness import ZERO
 
 
 class DriftWatch:
     """Compares course and gyro over a minute of straight driving.
 
-    Attributes
-    ----------
-    scatter : float
-        Radians, of course less the gyro's yaw about a steady drift of the gyro; zero until known.
+    `scatter` is that of course less the gyro's yaw, about a steady drift of the gyro, radians; zero
+    until known.
     """
 
-    def __init__(self, tuning: DriftTuning | None = None) -> None:
-        self._tuning = tuning or DriftTuning()
-        self._seen: deque[_Seen] = deque(maxlen=120)
+    def __init__(self) -> None:
+        self._seen: deque[Chord] = deque(maxlen=120)
         self.scatter = 0.0
         self.judged = self.drifted = 0
 
     def add(self, chord: Chord) -> bool:
         """Take a chord; returns whether the vehicle goes where it looks, as far as is known."""
-        seen, gap = self._seen, chord.gyro_gap
-        angles = gap, gap - chord.gap, gap + chord.course
-        if seen:
-            angles = _going_on(seen[-1], angles)
-        seen.append(_Seen(chord.stamp, *angles, chord.sigma))
-        while chord.stamp - seen[0].stamp > self._tuning.span:
+        seen = self._seen
+        seen.append(chord)
+        while chord.stamp - seen[0].stamp > DRIFT.span:
             seen.popleft()
-        if len(seen) >= self._tuning.chords:
+        if len(seen) >= DRIFT.chords:
             self.judged += 1
             self.drifted += self._drifts()
         return not self.is_drifting
 
     def _drifts(self) -> bool:
         """Whether the newest chords are those of a hull that goes where it does not look."""
-        time, gaps, leads, headings, sigmas = np.array(self._seen).T
-        since = time - time.mean()
+        time, _, _, courses, compass_gaps, gaps, sigmas, _ = np.array(self._seen).T
+        # By how much the gyro leads the compass, and its yaw; radians that go on beyond a turn.
+        leads, headings = np.unwrap(gaps - compass_gaps), np.unwrap(gaps + courses)
+        gaps, since = np.unwrap(gaps), time - time.mean()
         slope, lead = (float(since @ each / (since @ since)) for each in (gaps, leads))
         # The gyro leads the compass by its bias, and not by what a hull turns.
-        margin = self._tuning.bias
+        margin = DRIFT.bias
         bias = since * min(max(slope, min(lead, 0.0) - margin), max(lead, 0.0) + margin)
         left = gaps - bias
         left -= np.median(left)
         # What the receiver's own noise scatters is no drift.
         square = (1.4826 * float(np.median(np.abs(left)))) ** 2 - float(np.median(sigmas)) ** 2
         self.scatter = math.sqrt(max(0.0, square))
-        if self.scatter > self._tuning.scatter:
+        if self.scatter > DRIFT.scatter:
             return True
         turned = headings - bias
         turned -= turned.mean()
         square = float(turned @ turned)
-        if math.sqrt(square / len(turned)) < self._tuning.turned:
+        if math.sqrt(square / len(turned)) < DRIFT.turned:
             return False
         # A receiver's noise knows nothing of the hull's turns; a course that stays leaves them out.
-        return float(turned @ left) / square > self._tuning.share
+        return float(turned @ left) / square > DRIFT.share
 
     @property
     def is_drifting(self) -> bool:
@@ -103,15 +87,6 @@ class DriftWatch:
     def restart(self) -> None:
         """Forget the newest chords: the gyro's zero is another one."""
         self._seen.clear()
-
-
-def _going_on(last: _Seen, angles: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return angles as the nearest to those before."""
-    gap, lead, heading = (
-        before + math.remainder(angle - before, math.tau)
-        for before, angle in zip((last.gap, last.lead, last.heading), angles, strict=True)
-    )
-    return gap, lead, heading
 
 
 Run = Callable[[Callable[[], Any], Callable[[Any], None]], None]
@@ -127,8 +102,6 @@ class Travelling:
 
     Parameters
     ----------
-    tuning : DrivingTuning, optional
-        What is taken for granted.
     run : callable, optional
         Takes some work and what is to be done with its result; by default it does both at once.
         A node has the work, of some tens of milliseconds, done beside its messages.
@@ -137,50 +110,33 @@ class Travelling:
     ----------
     course : CourseOffset or None
         The newest fit of compass against course: of the yaw to *magnetic* north.
+    is_heard : bool
+        Whether any speed or fix has come.
+    own : OwnAcceleration
+        The vehicle's own acceleration, and the direction of travel.
     """
 
-    def __init__(self, tuning: DrivingTuning | None = None, run: Run = at_once) -> None:
+    def __init__(self, run: Run = at_once) -> None:
         self._run, self._is_running = run, False
-        self.tuning = tuning or DrivingTuning()
-        self.speedometer = Speedometer(self.tuning.speed)
-        self.mounting = MountingWatch(self.speedometer, self.tuning)
-        self.cells = CourseCells(self.tuning.course)
-        self.drift = DriftWatch(self.tuning.course.drift)
+        self.speedometer = Speedometer()
+        self.mounting = MountingWatch(self.speedometer)
+        self.cells = CourseCells()
+        self.drift = DriftWatch()
         self.course: CourseOffset | None = None
         self.metres = 0.0
-        self._frame = GyroFrame(self.tuning.ticks)
-        self._own = OwnAcceleration(self.tuning)
-        self._chords = Chords(self.tuning.chords, self.tuning.speed.receiver_delay)
+        self.own = OwnAcceleration()
+        self._frame = GyroFrame()
+        self._chords = Chords()
         self._pending: deque[Chord] = deque(maxlen=256)
-        self._is_heard = False
+        self.is_heard = False
         self._given: tuple[float, float] | None = None
         self._restarts = 0
         self._fitted_chords = 0
 
     @property
-    def is_heard(self) -> bool:
-        """Whether any speed or fix has come."""
-        return self._is_heard
-
-    @property
     def known_mounting(self) -> MountingYaw | None:
         """The yaw of the IMU in the vehicle, where enough was seen to determine it."""
         return self.mounting.known
-
-    @property
-    def direction(self) -> float:
-        """Minus one while the vehicle backs up, else one."""
-        return self._own.sign
-
-    @property
-    def direction_is_clear(self) -> bool:
-        """Whether the force has decided on the direction since the vehicle stood."""
-        return self._own.is_clear
-
-    @property
-    def takes_off(self) -> bool:
-        """Whether the vehicle's own acceleration is being taken off."""
-        return self._own.is_used
 
     @property
     def source(self) -> SpeedSource | None:
@@ -198,7 +154,7 @@ class Travelling:
 
         None where it is not known; then nothing is to be taken off.
         """
-        if not self._is_heard:
+        if not self.is_heard:
             return None
         tick = self._frame.add(sample, gyro_bias)
         if self._frame.restarts != self._restarts:
@@ -206,7 +162,7 @@ class Travelling:
             self._restart()
         if tick is not None:
             self._on_tick(tick)
-        return self._own.linear(sample.stamp, sample.force, self._frame)
+        return self.own.linear(sample.stamp, sample.force, self._frame)
 
     def wants_speed(self, stamp: float) -> bool:
         """Whether what wheels say at a stamp is of use; a message that is not need not be read."""
@@ -214,17 +170,17 @@ class Travelling:
 
     def add_speed(self, sample: SpeedSample) -> None:
         """Take what wheels say."""
-        self._is_heard = self.speedometer.add_speed(sample) or self._is_heard
+        self.is_heard = self.speedometer.add_speed(sample) or self.is_heard
 
     def add_velocity(self, sample: VelocitySample) -> None:
         """Take a receiver's velocity."""
         if self.speedometer.add_velocity(sample):
-            self._is_heard = True
+            self.is_heard = True
             self._chords.add_fix(sample)
 
     def add_position(self, sample: PositionSample) -> None:
         """Take a fix."""
-        self._is_heard = self.speedometer.add_position(sample) or self._is_heard
+        self.is_heard = self.speedometer.add_position(sample) or self.is_heard
         self._chords.add_fix(sample)
 
     def add_travel(self, sample: TravelSample) -> None:
@@ -238,12 +194,12 @@ class Travelling:
 
     def add_yaw(self, yaw: float) -> None:
         """Take a yaw of the compass to magnetic north, of the IMU's x, radians."""
-        if self._is_heard:
+        if self.is_heard:
             self._chords.add_yaw(yaw)
 
     def forget_compass(self) -> None:
-        """Another calibration is in force: what course told of the last one is of no use."""
-        self.cells = CourseCells(self.tuning.course)
+        """Another calibration is in force: forget the comparison of the last one with course."""
+        self.cells = CourseCells()
         self.course, self._fitted_chords = None, 0
         self._pending.clear()
 
@@ -255,21 +211,21 @@ class Travelling:
 
     def _begin_course(self) -> Callable[[], CourseOffset | None]:
         """Return the work of fitting the course; up to a tenth of a second with many cells."""
-        last, tuning, chords = self.course, self.tuning.course, self.cells.chords
+        last, chords = self.course, self.cells.chords
         if self.drift.is_drifting or not len(self.cells):
             return lambda: None
-        if chords < self._fitted_chords + tuning.new_chords:
+        if chords < self._fitted_chords + COURSE.fewest:
             return lambda: last
         self._fitted_chords = chords
         table = self.cells.table()
-        return lambda: fit_course_offset(table, tuning)
+        return lambda: fit_course_offset(table)
 
     def give_up_fit(self) -> None:
         """Forget a fit that has failed: the next one may be tried."""
         self._is_running = False
 
     def _restart(self) -> None:
-        self._own.restart()
+        self.own.restart()
         self._chords.restart()
         self.mounting.restart()
         self.drift.restart()
@@ -277,7 +233,7 @@ class Travelling:
     def _on_tick(self, tick: Tick) -> None:
         track = self.speedometer.track
         is_due = False
-        for met, speed in self._own.add(tick, track):
+        for met, speed in self.own.add(tick, track):
             is_due = self.mounting.add(met, speed) or is_due
             if math.isfinite(speed):
                 self.metres += abs(speed) * met.seconds
@@ -305,15 +261,14 @@ class Travelling:
         self._run(work, then)
 
     def _believe_fit(self) -> None:
-        found, own, tuning = self.mounting.found, self._own, self.tuning
-        given = self._given
-        if found is not None and found.is_usable(tuning.mounting):
-            # What is taken off is tried against the force all the time: a rough yaw does.
+        found, own, given = self.mounting.found, self.own, self._given
+        if found is not None and found.is_usable:
+            # What is subtracted is tested against the force all the time: a rough yaw does.
             own.yaw, own.noise = found.yaw, found.noise
             own.scale = min(1.0, found.scale)
             own.is_yaw_usable = True
-            own.is_yaw_known = found.is_known(tuning.mounting)
-        elif given is not None and given[1] < tuning.mounting.believed:
+            own.is_yaw_known = found.is_known
+        elif given is not None and given[1] < MOUNTING.believed:
             own.yaw, own.is_yaw_usable, own.is_yaw_known = given[0], True, True
 
     def _receiver_delay(self) -> float:
@@ -321,21 +276,21 @@ class Travelling:
         for source in (SpeedSource.VELOCITY, SpeedSource.FIXES):
             if math.isfinite(tracks[source].newest):
                 return tracks[source].delay
-        return self.tuning.speed.receiver_delay
+        return SPEED.receiver_delay
 
     def _settle(self) -> None:
         """Let chords count once it is known whether the vehicle went forwards."""
-        track, trip = self.speedometer.track, self.tuning.trip
+        track = self.speedometer.track
         while self._pending:
             chord = self._pending[0]
             moment = chord.stamp - self._chords.delay
-            sign, is_clear, is_open = self._own.trip_at(moment)
+            sign, is_clear, is_open = self.own.trip_at(moment)
             if track is not None and track.is_signed:
                 speed = track.at(moment + track.delay)
                 sign = sign if speed is None else math.copysign(1.0, speed)
-            elif self._own.is_yaw_known and not is_clear and is_open:
+            elif self.own.is_yaw_known and not is_clear and is_open:
                 waits = self._pending[-1].stamp - chord.stamp
-                if waits < trip.longest:
+                if waits < TRIP.longest:
                     return
             self._pending.popleft()
             chord = chord if sign > 0.0 else chord.backwards
@@ -343,25 +298,17 @@ class Travelling:
                 self.cells.add(chord)
 
 
-NOTHING: Triple = (0.0, 0.0, 0.0)
-
-
 class TravelReplay:
     """Merges travel samples into a recording's readings, and follows up and speed along it.
 
-    Attributes
-    ----------
-    up : UpFollower
-    travelling : Travelling
-    own : tuple of float
-        The vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it is
-        not known.
+    `own` is the vehicle's own acceleration at the newest IMU sample, m/s², body axes; zero where it
+    is not known.
     """
 
     def __init__(self, travel: Iterable[TravelSample], streams: Streams | None = None) -> None:
         self._travel, self._streams = list(travel), streams
         self.travelling, self.up = Travelling(), UpFollower()
-        self.own = NOTHING
+        self.own: Triple = ZERO
 
     def readings(
         self, readings: Iterable[ImuSample | FieldSample | None]
@@ -383,7 +330,7 @@ class TravelReplay:
                     continue
                 own = self.travelling.add_imu(reading, self.up.gyro_bias.rate)
                 self.up.add(reading, own)
-                self.own = own or NOTHING
+                self.own = own or ZERO
             elif isinstance(reading, FieldSample):
                 if self._streams is not None and not self._streams.add_field(reading):
                     continue

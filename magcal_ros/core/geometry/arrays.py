@@ -17,24 +17,8 @@ IntArray: TypeAlias = npt.NDArray[np.int64]
 def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
     """Copy `values` into a read-only float array of a given shape.
 
-    Parameters
-    ----------
-    values : array_like
-        The numbers.
-    shape : tuple of int
-        The shape they must have; -1 stands for any length.
-    name : str
-        What to call them in the error.
-
-    Returns
-    -------
-    ndarray
-        A C-contiguous copy that cannot be written to.
-
-    Raises
-    ------
-    ValueError
-        If the shape is another, or if a number is not finite.
+    In `shape`, -1 stands for any length; `name` is for the words of the error. Raises `ValueError`
+    if the shape is another, or if a number is not finite.
     """
     array = np.array(values, dtype=np.float64, order="C")
     fits = array.ndim == len(shape) and all(
@@ -51,10 +35,7 @@ def frozen_array(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Fl
 def centred(points: FloatArray, least: int, shape: str) -> tuple[FloatArray, FloatArray]:
     """Return the centroid (d,) of points (n, d), and the points about it.
 
-    Raises
-    ------
-    Refusal
-        If a point is not finite, or if there are fewer than `shape` needs.
+    Raises `Refusal` if a point is not finite, or if there are fewer than `shape` needs.
     """
     if not np.isfinite(points).all():
         raise Refusal(Reason.NOT_FINITE, "Some samples are not numbers. Drop them before fitting.")

@@ -53,15 +53,8 @@ def yaw_from_up_and_field(up: FloatArray, field: FloatArray) -> FloatArray:
 def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
     """Return the rotation from magnetic ENU to body axes seen by gravity and field.
 
-    Parameters
-    ----------
-    up, field : ndarray, shape (..., 3)
-        In body axes. They must not be parallel.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Its columns are east, north and up in body axes.
+    Both vectors (..., 3) are in body axes and not parallel. The columns of the rotations (..., 3,
+    3) are east, north and up in body axes.
     """
     up = unit(up)
     east = unit(np.cross(field, up))
@@ -71,14 +64,8 @@ def body_from_enu(up: FloatArray, field: FloatArray) -> FloatArray:
 def field_in_enu(strength: float, inclination: float, declination: float = 0.0) -> FloatArray:
     """Return the reference field in ENU, shape (3,), in the unit of `strength`.
 
-    Parameters
-    ----------
-    strength : float
-        Length of the field vector.
-    inclination : float
-        Radians below the horizon, positive where the field points down.
-    declination : float
-        Radians by which magnetic north lies east of true north; zero gives magnetic ENU.
+    `inclination` is positive where the field points down, and `declination` where magnetic north
+    lies east of true north, radians; without a declination it is magnetic ENU.
     """
     level = strength * np.cos(inclination)
     return np.array(

@@ -18,30 +18,20 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 
-
-@dataclass(frozen=True)
-class ConicTuning:
-    """What is no curve but a line."""
-
-    thinnest: float = 1e-6
-    """Points narrower than this share of their length are a line."""
-    largest_radius: float = 1e4
-    """Radii beyond this many times the points' own size are a line, too."""
-
-
-CONICS = ConicTuning()
+THINNEST = 1e-6
+"""Points narrower than this share of their length lie on a line, or in space on a plane."""
+LARGEST_RADIUS = 1e4
+"""Radii beyond this many times the points' own size are a line, too."""
 
 
 @dataclass(frozen=True, eq=False)
 class Conic:
     """A circle or an ellipse."""
 
-    centre: FloatArray
-    """In the points' unit. Shape (2,)."""
+    centre: FloatArray  # in the points' unit, shape (2,)
     radii: FloatArray
     """Half axes; the first lies at `angle`, the second 90° further. Shape (2,)."""
-    angle: float
-    """Radians from x to the first half axis, in (-pi/2, pi/2]."""
+    angle: float  # radians from x to the first half axis, in (-pi/2, pi/2]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centre", frozen_array(self.centre, (2,), "centre"))
@@ -104,14 +94,18 @@ def _fit_circle_taubin(points: FloatArray) -> Conic:
     values after Chernov, Circular and Linear Regression (2010).
     """
     frame = _Frame.of(points, least=3)
-    x, y = frame.points.T
-    square = x * x + y * y
-    mean_square = float(square.mean())
-    scaled = (square - mean_square) / (2.0 * math.sqrt(mean_square))
-    weights = np.linalg.svd(np.column_stack([scaled, x, y]), full_matrices=False)[2][2]
-    a = float(weights[0]) / (2.0 * math.sqrt(mean_square))
-    b, c = float(weights[1]) / 2.0, float(weights[2]) / 2.0
-    return frame.conic(a, a, 0.0, b, c, -mean_square * a)
+    mean_square = float(np.mean(np.sum(frame.points**2, axis=1)))
+    a, b, c = (
+        float(value) for value in np.linalg.svd(taubin_rows(frame.points, mean_square))[2][2]
+    )
+    a /= 2.0 * math.sqrt(mean_square)
+    return frame.conic(a, a, 0.0, 0.5 * b, 0.5 * c, -mean_square * a)
+
+
+def taubin_rows(points: FloatArray, mean_square: float) -> FloatArray:
+    """Return the rows (n, 3) whose right singular vector is Taubin's circle, of centred points."""
+    squares = np.sum(points**2, axis=1, keepdims=True)
+    return np.hstack([(squares - mean_square) / (2.0 * math.sqrt(mean_square)), points])
 
 
 class ConicFit(str, Enum):
@@ -126,21 +120,9 @@ class ConicFit(str, Enum):
     def __call__(self, points: FloatArray) -> Conic:
         """Fit a curve.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, 2)
-            In any unit.
-
-        Returns
-        -------
-        Conic
-            Of an ellipse along the axes the first half axis lies along x.
-
-        Raises
-        ------
-        Refusal
-            For fewer points than the curve has parameters, a line, one point, a curve that is no
-            ellipse, or numbers that are not finite.
+        Of an ellipse along the axes the first half axis lies along x. Raises `Refusal` for fewer
+        points (n, 2) than the curve has parameters, a line, one point, a curve that is no ellipse,
+        or numbers that are not finite.
         """
         return _FITS[self](points)
 
@@ -166,7 +148,7 @@ class _Frame:
     def of(cls, points: FloatArray, least: int) -> _Frame:
         centroid, moved = centred(points, least, "curve")
         values = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
-        if values[1] <= CONICS.thinnest * values[0] or values[0] == 0.0:
+        if values[1] <= THINNEST * values[0] or values[0] == 0.0:
             raise Refusal(
                 Reason.FIELD_ON_A_LINE,
                 "The samples lie on a line or on one point. Turn further round.",
@@ -185,7 +167,7 @@ class _Frame:
         squares = level / values
         if not (squares > 0.0).all():
             raise _not_an_ellipse()
-        if squares.max() > CONICS.largest_radius**2:
+        if squares.max() > LARGEST_RADIUS**2:
             raise Refusal(
                 Reason.FIELD_ON_A_LINE,
                 "The samples bend too little to show a circle. Turn further round.",
@@ -205,8 +187,7 @@ def _least_squares(columns: list[FloatArray]) -> list[float]:
     solution, _, rank, _ = np.linalg.lstsq(design, np.ones(len(design)), rcond=1e-12)
     if rank < len(columns):
         raise Refusal(
-            Reason.FIELD_ON_A_LINE,
-            "The samples do not determine a curve. Turn further round.",
+            Reason.FIELD_ON_A_LINE, "The samples do not determine a curve. Turn further round."
         )
     return [float(value) for value in solution]
 
@@ -219,17 +200,8 @@ def _not_an_ellipse() -> Refusal:
     )
 
 
-@dataclass(frozen=True)
-class QuadricTuning:
-    """Which clouds have no ellipsoid."""
-
-    thinnest: float = 1e-6
-    """Clouds thinner than this share of their length lie on a plane, a line or a point."""
-    largest_radius: float = 1e3
-    """Radii beyond this many times the cloud's own size are a plane, too."""
-
-
-QUADRICS = QuadricTuning()
+LARGEST_QUADRIC_RADIUS = 1e3
+"""Radii beyond this many times the cloud's own size are a plane."""
 
 
 class QuadricFit(str, Enum):
@@ -244,10 +216,8 @@ class QuadricFit(str, Enum):
 class Ellipsoid:
     """An ellipsoid."""
 
-    centre: FloatArray
-    """In the points' unit. Shape (3,)."""
-    radii: FloatArray
-    """Half axes. Shape (3,)."""
+    centre: FloatArray  # in the points' unit, shape (3,)
+    radii: FloatArray  # half axes, shape (3,)
     axes: FloatArray
     """A rotation; its columns are the directions of the half axes, in the order of `radii`. Shape
     (3, 3)."""
@@ -270,22 +240,13 @@ class Ellipsoid:
 def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> Ellipsoid:
     """Fit an ellipsoid by linear least squares, pᵀQp + 2bᵀp = 1.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-    shape : QuadricFit
-        Q with six free elements, diagonal, or a multiple of one.
-
-    Raises
-    ------
-    Refusal
-        For too few points, a plane, numbers not finite, or a surface that is no ellipsoid.
+    By `shape`, Q has six free elements, is diagonal, or a multiple of one. Raises `Refusal` for too
+    few points (n, 3), a plane, numbers not finite, or a surface that is no ellipsoid.
     """
     least = {QuadricFit.ROTATED: 9, QuadricFit.ALIGNED: 6, QuadricFit.SPHERE: 4}[shape]
     centroid, moved = centred(points, least, "surface")
     spread = np.linalg.svd(moved, compute_uv=False) / math.sqrt(len(points))
-    if spread[2] <= QUADRICS.thinnest * spread[0]:
+    if spread[2] <= THINNEST * spread[0]:
         raise _planar()
     size = float(np.linalg.norm(spread))
     moved /= size
@@ -297,11 +258,11 @@ def fit_quadric(points: FloatArray, shape: QuadricFit = QuadricFit.ROTATED) -> E
     values, axes = np.linalg.eigh(form)
     if shape is not QuadricFit.ROTATED:
         values, axes = np.diag(form), np.eye(3)
-    if np.abs(values).min() <= QUADRICS.largest_radius**-2:
+    if np.abs(values).min() <= LARGEST_QUADRIC_RADIUS**-2:
         raise _no_ellipsoid()
     centre = -np.linalg.solve(form, linear)
     squares = (1.0 + float(centre @ form @ centre)) / values
-    if not (squares > 0.0).all() or squares.max() > QUADRICS.largest_radius**2:
+    if not (squares > 0.0).all() or squares.max() > LARGEST_QUADRIC_RADIUS**2:
         raise _no_ellipsoid()
     if np.linalg.det(axes) < 0.0:
         axes = -axes

@@ -24,10 +24,8 @@ class FrameTrouble(MagcalError):
 class FrameJoint:
     """One frame in another."""
 
-    name: str
-    """What to call it."""
-    kind: str
-    """`FIXED`, or how it moves."""
+    name: str  # what to call it
+    kind: str  # `FIXED`, or how it moves
     parent: str
     child: str
     """Frames."""
@@ -39,13 +37,7 @@ class FrameJoint:
 
 
 class FrameTree:
-    """Frames joined to one another; the newest word about a frame counts.
-
-    Parameters
-    ----------
-    joints : iterable of FrameJoint
-        In any order.
-    """
+    """Frames joined to one another; the newest word about a frame counts."""
 
     def __init__(self, joints: Iterable[FrameJoint] = ()) -> None:
         self._above = {joint.child: joint for joint in joints}
@@ -62,20 +54,9 @@ class FrameTree:
     def pose(self, frame: str, parent: str) -> FloatArray:
         """Return how one frame sits in another, which need not be above it.
 
-        Parameters
-        ----------
-        frame, parent : str
-            Their names.
-
-        Returns
-        -------
-        ndarray, shape (3, 3)
-            Takes vectors from the axes of `frame` to those of `parent`.
-
-        Raises
-        ------
-        FrameTrouble
-            If one of them is missing, if nothing joins them, or if a joint between them moves.
+        The matrix (3, 3) takes vectors from the axes of `frame` to those of `parent`. Raises
+        `FrameTrouble` if one of them is missing, if nothing joins them, or if a joint between them
+        moves.
         """
         for name in (frame, parent):
             if name not in self.frames:
@@ -156,18 +137,12 @@ class SensorPoses:
     imu: FloatArray | None
     """Pose of the IMU in the base, IMU axes to base axes; None while it is not known. Shape (3,
     3)."""
-    complaints: tuple[str, ...] = ()
-    """What is missing, in words."""
+    complaints: tuple[str, ...] = ()  # what is missing, in words
 
     def contradiction(self, up: FloatArray, frames: Frames) -> str:
         """Say that gravity contradicts the description; empty if it does not.
 
-        Parameters
-        ----------
-        up : ndarray, shape (3,)
-            Unit, IMU axes, of a robot that stands.
-        frames : Frames
-            For the words.
+        `up` (3,) is that of a robot that stands, unit, IMU axes; `frames` are for the words.
         """
         if self.imu is None:
             return ""
@@ -184,14 +159,8 @@ class SensorPoses:
 def sensor_poses(frames: Frames, tree: FrameTree, given: FloatArray | None) -> SensorPoses:
     """Return how the sensors sit.
 
-    Parameters
-    ----------
-    frames : Frames
-        With an empty base the robot's description is not asked, and the base is the IMU.
-    tree : FrameTree
-        What is described.
-    given : ndarray, shape (3, 3), or None
-        The magnetometer's pose as given by hand, which wins.
+    With an empty base the robot's description is not asked, and the base is the IMU. `given` (3, 3)
+    is the magnetometer's pose as given by hand, which replaces the described one.
     """
     nothing: FloatArray = np.eye(3)
     if not frames.base:

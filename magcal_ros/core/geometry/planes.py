@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, centred, frozen_array
 from magcal_ros.core.geometry.attitude import unit
-from magcal_ros.core.geometry.conics import ConicFit
+from magcal_ros.core.geometry.conics import THINNEST, ConicFit, taubin_rows
 
 ROBUST_ROUNDS = 4
 """Of reweighting; what is left of an outlier after them steers nothing."""
@@ -29,8 +29,7 @@ class Circle:
     """In the unit of the points. Shape (3,)."""
     basis: FloatArray
     """Rows: two axes in the plane and the normal, unit, right-handed. Shape (3, 3)."""
-    radius: float
-    """In the unit of the points."""
+    radius: float  # in the unit of the points
 
     @property
     def normal(self) -> FloatArray:
@@ -51,17 +50,8 @@ class Circle:
 def fit_circle_in_space(points: FloatArray, upwards: FloatArray) -> Circle:
     """Fit the plane of least spread and Taubin's circle in it.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-    upwards : ndarray, shape (3,)
-        The side to which the normal shall point.
-
-    Raises
-    ------
-    Refusal
-        If the points are too few, on a line, or one point.
+    The normal points to the side of `upwards` (3,). Raises `Refusal` if the points (n, 3) are too
+    few, on a line, or one point.
     """
     middle = points.mean(axis=0)
     centred = points - middle
@@ -78,15 +68,7 @@ def fit_circle_robustly(points: FloatArray) -> Circle:
 
     A few rounds of Cauchy weights keep outliers from steering it.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 3)
-        In any unit.
-
-    Returns
-    -------
-    Circle
-        Of radius zero where the points are one.
+    The points (n, 3) are in any unit; the radius is zero where they are one.
     """
     weight = np.ones(len(points))
     circle = _weighted_circle(points, weight)
@@ -114,11 +96,10 @@ def _weighted_circle(points: FloatArray, weight: FloatArray) -> Circle:
 
 def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     """Fit a circle to centred points (Taubin 1991, in Chernov's SVD form); weights sum to one."""
-    squared = np.sum(xy**2, axis=1)
-    mean = float(weight @ squared)
+    mean = float(weight @ np.sum(xy**2, axis=1))
     if mean <= 0.0:
         return np.zeros(2), 0.0
-    rows = np.column_stack([(squared - mean) / (2.0 * np.sqrt(mean)), xy])
+    rows = taubin_rows(xy, mean)
     _, vectors = np.linalg.eigh((rows * weight[:, None]).T @ rows)
     a, b, c = vectors[:, 0]
     a /= 2.0 * np.sqrt(mean)
@@ -128,34 +109,21 @@ def _taubin(xy: FloatArray, weight: FloatArray) -> tuple[FloatArray, float]:
     return centre, float(np.sqrt(centre @ centre + mean))
 
 
-@dataclass(frozen=True)
-class PlaneTuning:
-    """Which clouds have no plane."""
-
-    smallest: float = 1e-9
-    """Clouds smaller than this share of their distance from the origin are one point."""
-    thinnest: float = 1e-6
-    """Clouds narrower than this share of their length are a line."""
-
-
-PLANES = PlaneTuning()
+SMALLEST = 1e-9
+"""Clouds smaller than this share of their distance from the origin are one point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
     """A plane through a cloud."""
 
-    normal: FloatArray
-    """Unit, of either sign. Shape (3,)."""
-    centre: FloatArray
-    """Mean of the points, which lies on the plane. Shape (3,)."""
+    normal: FloatArray  # unit, of either sign, shape (3,)
     scatter: FloatArray
     """Mean outer product of the centred points, in the points' unit squared. Shape (3, 3)."""
-    count: int
-    """Number of points."""
+    count: int  # number of points
 
     def __post_init__(self) -> None:
-        for name, shape in (("normal", (3,)), ("centre", (3,)), ("scatter", (3, 3))):
+        for name, shape in (("normal", (3,)), ("scatter", (3, 3))):
             object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
 
     @property
@@ -175,10 +143,7 @@ class Plane:
         n (l - t)² / (l t): perturbation theory of the eigenvectors. It falls smoothly to zero
         where the cloud becomes round.
 
-        Parameters
-        ----------
-        least_noise : float
-            Floor of the noise's standard deviation, in the points' unit; positive.
+        `least_noise` is the floor of the noise's standard deviation, in the points' unit; positive.
         """
         across = max(self.thickness, least_noise) ** 2
         in_plane = np.eye(3) - np.outer(self.normal, self.normal)
@@ -210,7 +175,7 @@ def _fit_least_squares(points: FloatArray) -> Plane:
     others = [k for k in range(3) if k != main]
     normal = np.ones(3)
     normal[others] = -np.linalg.solve(scatter[np.ix_(others, others)], scatter[others, main])
-    return Plane(normal / np.linalg.norm(normal), centre, scatter, len(points))
+    return Plane(normal / np.linalg.norm(normal), scatter, len(points))
 
 
 def _fit_eigen(points: FloatArray) -> Plane:
@@ -222,20 +187,11 @@ def _fit_eigen(points: FloatArray) -> Plane:
     centre, moved = centred(points, 3, "plane")
     values, axes = np.linalg.svd(moved, full_matrices=False)[1:]
     _refuse_degenerate(values[::-1] / np.sqrt(len(points)), centre)
-    return Plane(axes[2], centre, moved.T @ moved / len(points), len(points))
-
-
-def _fit_eigen_simple(points: FloatArray) -> Plane:
-    """Fit as `_fit_eigen` does from six running sums, as a microcontroller would."""
-    centre, moved = centred(points, 3, "plane")
-    scatter = moved.T @ moved / len(points)
-    values, axes = np.linalg.eigh(scatter)
-    _refuse_degenerate(np.sqrt(np.maximum(values, 0.0)), centre)
-    return Plane(axes[:, 0], centre, scatter, len(points))
+    return Plane(axes[2], moved.T @ moved / len(points), len(points))
 
 
 class PlaneFit(str, Enum):
-    """The plane fits by name."""
+    """The plane fits by name; the simple eigenvalues differ from the others by rounding alone."""
 
     LEAST_SQUARES = "least_squares"
     EIGEN = "eigen"
@@ -244,15 +200,7 @@ class PlaneFit(str, Enum):
     def __call__(self, points: FloatArray) -> Plane:
         """Fit a plane.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, 3)
-            The cloud, in any unit.
-
-        Raises
-        ------
-        Refusal
-            If the points are not finite, or are one point or a line.
+        Raises `Refusal` if the points (n, 3) are not finite, or are one point or a line.
         """
         return _FITS[self](points)
 
@@ -260,16 +208,16 @@ class PlaneFit(str, Enum):
 _FITS: dict[PlaneFit, Callable[[FloatArray], Plane]] = {
     PlaneFit.LEAST_SQUARES: _fit_least_squares,
     PlaneFit.EIGEN: _fit_eigen,
-    PlaneFit.EIGEN_SIMPLE: _fit_eigen_simple,
+    PlaneFit.EIGEN_SIMPLE: _fit_eigen,
 }
 
 
 def _refuse_degenerate(spread: FloatArray, centre: FloatArray) -> None:
-    if spread[2] <= PLANES.smallest * float(np.linalg.norm(centre)) or spread[2] == 0.0:
+    if spread[2] <= SMALLEST * float(np.linalg.norm(centre)) or spread[2] == 0.0:
         raise Refusal(
             Reason.NO_MOTION, "All samples are the same point. Turn while the samples are taken."
         )
-    if spread[1] <= PLANES.thinnest * spread[2]:
+    if spread[1] <= THINNEST * spread[2]:
         raise Refusal(
             Reason.FIELD_ON_A_LINE,
             "The samples lie on a line, which has no plane. Turn further round.",

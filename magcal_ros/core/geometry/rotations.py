@@ -116,15 +116,8 @@ def rotation_about(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def rotation_from_rpy(roll: float, pitch: float, yaw: float = 0.0) -> FloatArray:
     """Return the pose Rz(yaw) Ry(pitch) Rx(roll) of a link in its parent (REP-103, URDF).
 
-    Parameters
-    ----------
-    roll, pitch, yaw : float
-        Radians about the fixed axes x, y, z, in this order.
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Takes vectors from the link's axes to the parent's.
+    The angles are radians about the fixed axes x, y, z, in this order. The matrix takes vectors
+    from the link's axes to the parent's.
     """
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)

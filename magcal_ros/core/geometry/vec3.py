@@ -35,9 +35,19 @@ def unit_triple(a: Triple) -> Triple:
     return (a[0] / size, a[1] / size, a[2] / size)
 
 
+def plus(a: Triple, b: Triple) -> Triple:
+    """Return a + b."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
 def minus(a: Triple, b: Triple) -> Triple:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scaled(a: Triple, factor: float) -> Triple:
+    """Return factor a."""
+    return (factor * a[0], factor * a[1], factor * a[2])
 
 
 def distance(a: Triple, b: Triple) -> float:

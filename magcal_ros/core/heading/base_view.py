@@ -11,12 +11,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from magcal_ros.core.driving.course_offset import CourseOffset
-from magcal_ros.core.driving.driving_tuning import FrontTuning
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy, rpy_from_rotation
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.compass import SMALLEST_FORWARD, Heading
+
+
+@dataclass(frozen=True)
+class FrontTuning:
+    """When a sensor counts as misaligned, and a yaw found by driving is used."""
+
+    clear: float = 3.0  # sigmas beyond which two sources contradict each other
+    near: float = 2.0  # sigmas within which the contradiction is twice the declination
+    smallest: float = math.radians(3.0)  # radians; smaller contradictions are not reported
+    useful: float = math.radians(2.0)  # radians of sigma below which a yaw is applied
+    lost: float = math.radians(10.0)  # radians of sigma beyond which a course is not used
+    far_off: float = math.radians(15.0)
+    """Radians between a described and a found yaw: the description is wrong, which a person must
+    see."""
+
+
+FRONT = FrontTuning()
 
 
 @dataclass(frozen=True)
@@ -26,8 +42,7 @@ class VehicleYaw:
     offset: float
     sigma: float
     """Radians: heading of the IMU less heading of the vehicle, counter-clockwise positive."""
-    source: str
-    """What showed it: accelerations, course, or both."""
+    source: str  # what showed it: accelerations, course, or both
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.offset) and 0.0 <= self.sigma < math.inf):
@@ -59,45 +74,25 @@ class Declination:
 
 @dataclass(frozen=True)
 class Front:
-    """What drives have told so far."""
+    """What drives have shown so far."""
 
-    yaw: VehicleYaw | None = None
-    """Of the IMU in the vehicle, where it can be told."""
+    yaw: VehicleYaw | None = None  # of the IMU in the vehicle, where it is known
     compass_gap: float = math.nan
     compass_sigma: float = math.nan
-    """Radians: what the compass is off in the IMU's axes, against course; NaN where it cannot be
-    told."""
-    suspicion: str = ""
-    """Which is misaligned beside the IMU, in words; empty if nothing is."""
-
-    @property
-    def words(self) -> str:
-        """All of it in one line; empty while nothing is known."""
-        told = "" if self.yaw is None else self.yaw.words
-        return "; ".join(each for each in (told, self.suspicion) if each)
+    """Radians: by how much the compass is off in the IMU's axes, against course; NaN where that is
+    not known."""
+    suspicion: str = ""  # which is misaligned beside the IMU, in words; empty if nothing is
 
 
 def where_is_the_front(
-    mounting: MountingYaw | None,
-    course: CourseOffset | None,
-    declination: Declination,
-    tuning: FrontTuning | None = None,
+    mounting: MountingYaw | None, course: CourseOffset | None, declination: Declination
 ) -> Front:
     """Compare accelerations with course.
 
-    Parameters
-    ----------
-    mounting : MountingYaw or None
-        Yaw of the IMU from accelerations: the compass has no part in it.
-    course : CourseOffset or None
-        Yaw of the compass, to magnetic north, less course.
-    declination : Declination
-        The one in use.
-    tuning : FrontTuning, optional
-        What is taken for granted.
+    `mounting` is the yaw of the IMU from accelerations: the compass has no part in it. `course` is
+    the yaw of the compass, to magnetic north, less course.
     """
-    tuning = tuning or FrontTuning()
-    if course is not None and course.sigma > tuning.lost:
+    if course is not None and course.sigma > FRONT.lost:
         course = None
     north = declination.value if declination.is_known else 0.0
     if mounting is None:
@@ -111,10 +106,10 @@ def where_is_the_front(
     gap = math.remainder(course.offset - north - mounting.yaw, math.tau)
     sigma = math.hypot(course.sigma, mounting.sigma)
     if not declination.is_known:
-        return Front(own, gap, sigma, _missing_declination(gap, sigma, tuning))
+        return Front(own, gap, sigma, _missing_declination(gap, sigma))
     sigma = math.hypot(sigma, declination.sigma)
-    if abs(gap) > max(tuning.clear * sigma, tuning.smallest):
-        return Front(own, gap, sigma, _suspicion(gap, sigma, declination.value, tuning))
+    if abs(gap) > max(FRONT.clear * sigma, FRONT.smallest):
+        return Front(own, gap, sigma, _suspicion(gap, sigma, declination.value))
     return Front(_joined(mounting, course, declination), gap, sigma)
 
 
@@ -126,9 +121,9 @@ def _joined(mounting: MountingYaw, course: CourseOffset, declination: Declinatio
     return VehicleYaw(yaw, math.sqrt(own * other / (own + other)), "accelerations and course")
 
 
-def _missing_declination(gap: float, sigma: float, tuning: FrontTuning) -> str:
+def _missing_declination(gap: float, sigma: float) -> str:
     """Say what the declination seems to be, where it is not known."""
-    if sigma > tuning.useful or abs(gap) < tuning.clear * sigma:
+    if sigma > FRONT.useful or abs(gap) < FRONT.clear * sigma:
         return ""
     return (
         f"by course the declination is about {math.degrees(gap):+.0f}° "
@@ -137,11 +132,11 @@ def _missing_declination(gap: float, sigma: float, tuning: FrontTuning) -> str:
     )
 
 
-def _suspicion(gap: float, sigma: float, declination: float, tuning: FrontTuning) -> str:
+def _suspicion(gap: float, sigma: float, declination: float) -> str:
     """Say why compass and course differ although the IMU's own yaw is taken off."""
     size = f"{math.degrees(gap):+.1f}° ± {math.degrees(sigma):.1f}°"
-    is_large = abs(declination) > tuning.smallest
-    if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < tuning.near * sigma:
+    is_large = abs(declination) > FRONT.smallest
+    if is_large and abs(math.remainder(gap + 2.0 * declination, math.tau)) < FRONT.near * sigma:
         return (
             f"the compass is off the course by {size}, twice the declination in use: its sign is "
             f"wrong, give reference.declination_deg: {-math.degrees(declination):.1f} "
@@ -157,10 +152,7 @@ def _suspicion(gap: float, sigma: float, declination: float, tuning: FrontTuning
 class BaseView:
     """Turns headings of the IMU into headings of its base.
 
-    Parameters
-    ----------
-    imu_in_base : ndarray, shape (3, 3)
-        Pose of the IMU, IMU axes to base axes.
+    `imu_in_base` (3, 3) is the pose of the IMU, IMU axes to base axes.
     """
 
     def __init__(self, imu_in_base: FloatArray) -> None:
@@ -229,29 +221,11 @@ def _by_tilt(seen: Heading) -> tuple[float, float]:
     return by_roll * cosine - by_pitch * sine, by_roll * sine + by_pitch * cosine
 
 
-@dataclass(frozen=True)
-class DescribedPoseTuning:
-    """When a yaw found by driving corrects the described one."""
-
-    useful: float = math.radians(2.0)
-    """Sigma below which a yaw found by driving is applied."""
-    far_off: float = math.radians(15.0)
-    """Radians between a described and a found yaw: the description is wrong, which a person must
-    see."""
-    clear: float = 3.0
-    """Sigmas by which a yaw contradicts one given by hand."""
-    smallest: float = math.radians(3.0)
-    """Radians. Contradictions below this are not worth a word."""
-
-
-TUNING = DescribedPoseTuning()
-
-
 @dataclass(frozen=True, eq=False)
 class CorrectedPose:
     """A pose of the IMU in the base, shape (3, 3); None where none is described.
 
-    `contradiction` says in words that driving shows another yaw; empty if it does not.
+    `contradiction` is in words: driving shows another yaw; empty if it does not.
     """
 
     pose: FloatArray | None
@@ -263,24 +237,18 @@ def corrected_pose(
 ) -> CorrectedPose:
     """Return the pose that attitudes of the base are made with.
 
-    Parameters
-    ----------
-    described : ndarray, shape (3, 3), or None
-        By the robot's description, IMU axes to base axes.
-    by_hand : float or None
-        Yaw that was given, radians: it wins.
-    found : VehicleYaw or None
-        Yaw that driving shows.
+    `described` (3, 3) is that of the robot's description, IMU axes to base axes. A yaw that was
+    given `by_hand`, radians, replaces the one that was `found` by driving.
     """
     if described is None:
         return CorrectedPose(None)
     yaw = rpy_from_rotation(described)[2]
     if by_hand is not None:
         return CorrectedPose(_turned(described, by_hand - yaw), _doubt(found, by_hand))
-    if found is None or found.sigma > TUNING.useful:
+    if found is None or found.sigma > FRONT.useful:
         return CorrectedPose(described)
     gap = math.remainder(found.offset - yaw, math.tau)
-    if abs(gap) > TUNING.far_off:
+    if abs(gap) > FRONT.far_off:
         return CorrectedPose(
             described,
             f"{found.words}, and the robot's description has it at {math.degrees(yaw):.0f}°: "
@@ -297,6 +265,6 @@ def _doubt(found: VehicleYaw | None, by_hand: float) -> str:
     if found is None:
         return ""
     gap = abs(math.remainder(found.offset - by_hand, math.tau))
-    if gap < max(TUNING.clear * found.sigma, TUNING.smallest):
+    if gap < max(FRONT.clear * found.sigma, FRONT.smallest):
         return ""
     return f"{found.words}, and vehicle_yaw_deg says {math.degrees(by_hand):.1f}°, which is used"

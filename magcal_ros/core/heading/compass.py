@@ -63,10 +63,8 @@ class Heading(NamedTuple):
     def covariance(self, north_variance: float = 0.0) -> tuple[float, ...]:
         """Return the row-major 3 x 3 covariance of roll, pitch and yaw, rad².
 
-        Parameters
-        ----------
-        north_variance : float
-            Of the north that yaw counts from: the declination's for true north, rad².
+        `north_variance` is that of the north that yaw counts from, rad²: the declination's for true
+        north.
         """
         t, ry, py = self.tilt_variance, self.roll_yaw, self.pitch_yaw
         roll = t / max(math.cos(self.pitch) ** 2, SMALLEST_FORWARD)
@@ -87,13 +85,7 @@ def quaternion_from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 class Compass:
-    """A calibration made ready to be applied to one message after another.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force.
-    """
+    """A calibration made ready to be applied to one message after another."""
 
     def __init__(self, calibration: Calibration) -> None:
         self.calibration = calibration
@@ -183,7 +175,7 @@ class Compass:
     ) -> Heading | None:
         """Return the attitude for a corrected field and a specific force in body axes.
 
-        None where gravity or the level part of the field is too small to tell a direction.
+        None where gravity or the level part of the field is too small for a direction.
 
         Parameters
         ----------
@@ -271,18 +263,10 @@ def _body_covariance(calibration: Calibration) -> FloatArray:
 class Moment(NamedTuple):
     """A field sample under a calibration.
 
-    Parameters
-    ----------
-    stamp : float
-        Of the field message, seconds.
-    field : tuple of float
-        Corrected, body axes, tesla.
-    up : Up or None
-        Of the same moment; None if no IMU sample is near enough.
-    heading : Heading or None
-        What field and up come to; None where they tell no direction.
-    rate : tuple of float or None
-        Newest angular velocity, rad/s, NaN without a gyro; None before the first IMU message.
+    `stamp` is that of the field message, seconds, and `field` the corrected one, body axes, tesla.
+    `up` belongs to the same moment, None if no IMU sample is near enough. `heading` is None where
+    both show no direction. `rate` is the newest angular velocity, rad/s, NaN without a gyro, None
+    before the first IMU message.
     """
 
     stamp: float
@@ -303,14 +287,8 @@ class Moment(NamedTuple):
     ) -> Moment:
         """Return what a field sample comes to by the compass in force.
 
-        Parameters
-        ----------
-        compass, sample, up, rate
-            The calibration, the sample, and what the IMU says at its stamp.
-        running : Running, optional
-            What the motors do; unless given, they are taken to be off.
-        turning : tuple of float, optional
-            rad/s, body axes, less the gyro's bias; None where no gyro is believed.
+        Unless `running` is given, the motors are taken to be off. `turning` is in rad/s, body axes,
+        less the gyro's bias; None where no gyro is believed.
         """
         field, motors, heading = compass.correct(sample.field), None, None
         if running is not None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import field_variance
-from magcal_ros.core.heading.fusion_tuning import DisturbanceTuning
+from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
 
 PATIENCE = 60.0
-"""Seconds after which a departed field is taken for the expected one, unless told otherwise."""
+"""Seconds after which a deviating field is taken for the expected one, unless a parameter gives
+another time."""
 
 UNKNOWN_YAW = math.pi**2 / 3.0
 """Variance of a yaw of which nothing is known, rad²."""
@@ -33,12 +35,9 @@ class Disturbance:
     since: float
     until: float
     """Stamps, seconds."""
-    yaw: float
-    """Where the robot looked when it began, radians, ENU to magnetic north."""
-    strength: float
-    """Largest departure of the strength, as a share of the expected one."""
-    dip: float
-    """Largest departure of the inclination, radians."""
+    yaw: float  # where the robot looked when it began, radians, ENU to magnetic north
+    strength: float  # largest departure of the strength, as a share of the expected one
+    dip: float  # largest departure of the inclination, radians
     is_accepted: bool = False
     """Whether it lasted for so long that the new field was taken for the expected one."""
 
@@ -53,8 +52,7 @@ class Disturbance:
         return f"{line}; accepted because it lasted" if self.is_accepted else line
 
 
-@dataclass(frozen=True)
-class Expected:
+class Expected(NamedTuple):
     """A field by what is the same at every heading: tesla, and radians below the horizon."""
 
     strength: float
@@ -64,49 +62,22 @@ class Expected:
 class DisturbanceDetector:
     """Compares the corrected field with what the calibration expects.
 
-    Parameters
-    ----------
-    expected : Expected
-        The calibrated field.
-    noise_field : float
-        Tesla per axis of one sample.
-    patience : float
-        Seconds after which a departed field is taken for the expected one.
-    field_variance : float
-        Of the corrected field per axis by the calibration's own uncertainty, tesla².
-    tuning : DisturbanceTuning, optional
-        What is taken for granted.
+    After `patience` seconds a deviating field is taken for the expected one.
 
-    Attributes
-    ----------
-    trust : Trust
-        How the newest sample is to be taken.
-    departure : float
-        Its departure in sigmas.
-    last : Disturbance or None
-        The newest spell of disturbance.
-    amplitude_variance : float
-        Of what places add to the field per axis, over its squared strength, as far as learnt.
+    `departure` is that of the newest sample in sigmas, and `trust` how it is to be taken; `last` is
+    the newest disturbance. `amplitude_variance` is that of what places add to the field per axis,
+    over its squared strength, as far as learnt.
     """
 
-    def __init__(
-        self,
-        expected: Expected,
-        noise_field: float,
-        patience: float,
-        field_variance: float = 0.0,
-        tuning: DisturbanceTuning | None = None,
-    ) -> None:
-        self.tuning = tuning or DisturbanceTuning()
+    def __init__(self, calibration: Calibration, patience: float) -> None:
         self.patience = patience
         self.trust = Trust.GOOD
         self.departure = 0.0
         self.last: Disturbance | None = None
-        self.amplitude_variance = self.tuning.amplitude**2
+        self.amplitude_variance = DISTURBANCE.amplitude**2
+        expected = Expected(calibration.strength, calibration.inclination)
         self._calibrated = self._expected = expected
-        strength = max(expected.strength, 1e-9)
-        self._noise = (self.tuning.noise_share * noise_field / strength) ** 2
-        self._noise += field_variance / strength**2
+        self._noise = _own_variance(calibration) / max(expected.strength, 1e-9) ** 2
         self._mean: tuple[float, float] | None = None
         self._stamp = -math.inf
         self._disturbed_since: float | None = None
@@ -116,23 +87,15 @@ class DisturbanceDetector:
     ) -> bool:
         """Take a corrected field (tesla, body axes); returns whether a new field was accepted.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field, up : tuple of float
-            Tesla, and a unit vector; body axes.
-        tilt_variance : float
-            Of up, rad².
-        yaw : float
-            Radians, for the record.
+        `field` (tesla) and `up`, a unit vector, are in body axes; `tilt_variance` is that of up,
+        rad², and `yaw` is kept for the record.
         """
         size = length(field)
         dip = math.asin(max(-1.0, min(1.0, -dot(field, up) / size))) if size > 0.0 else 0.0
         seconds, self._stamp = stamp - self._stamp, stamp
         if self._mean is None or not 0.0 < seconds < 1.0:
             self._mean = (size, dip)
-        share = 1.0 - math.exp(-min(max(seconds, 0.0), 1.0) / self.tuning.memory)
+        share = 1.0 - math.exp(-min(max(seconds, 0.0), 1.0) / DISTURBANCE.memory)
         old_size, old_dip = self._mean
         self._mean = (old_size + share * (size - old_size), old_dip + share * (dip - old_dip))
         if self._distance(self._calibrated, tilt_variance) < 1.0:
@@ -147,29 +110,24 @@ class DisturbanceDetector:
     def learn(self, seconds: float, tilt_variance: float, across: float) -> float:
         """Learn how much places bend the field; returns how the variance has grown, at least 1.
 
-        Parameters
-        ----------
-        seconds : float
-            Since this was asked for last.
-        tilt_variance : float
-            Of up, rad²: a tilt shows as dip.
-        across : float
-            Squared departure of the level field across north, over the squared strength.
+        `seconds` have passed since this was asked for last. `tilt_variance` is that of up, rad²: a
+        tilt shows as dip. `across` is the squared deviation of the level field across north, over
+        the squared strength.
         """
-        tuning, old = self.tuning, self.amplitude_variance
+        old = self.amplitude_variance
         strength, dip = self._off(self._calibrated)
-        most = tuning.largest_step**2 * old
+        most = DISTURBANCE.gate**2 * old
         seen = min(strength**2, most) + min(max(dip**2 - tilt_variance, 0.0), most)
         seen = (seen + min(across, most)) / 3.0
-        share = min(1.0, seconds / tuning.amplitude_memory)
-        new = max(old + share * (seen - old), tuning.smallest_amplitude**2)
+        share = min(1.0, seconds / DISTURBANCE.amplitude_memory)
+        new = max(old + share * (seen - old), (0.5 * DISTURBANCE.amplitude) ** 2)
         self.amplitude_variance = new
         return max(1.0, new / old)
 
     def _judge(self) -> Trust:
         # A field at the edge must not be heard now and then.
         was_ignored = self.trust is Trust.IGNORED
-        edge = self.tuning.believed_below if was_ignored else self.tuning.ignored_from
+        edge = DISTURBANCE.believed_below if was_ignored else DISTURBANCE.gate
         if self.departure >= edge:
             return Trust.IGNORED
         return Trust.GOOD if self.departure <= 1.0 else Trust.WEIGHED_DOWN
@@ -178,8 +136,8 @@ class DisturbanceDetector:
         """Return how far the mean is from a field, in sigmas."""
         strength, dip = self._off(expected)
         common = self._noise + self.amplitude_variance
-        of_strength = self.tuning.strength**2 + common
-        of_dip = self.tuning.dip**2 + common + tilt_variance
+        of_strength = DISTURBANCE.strength**2 + common
+        of_dip = DISTURBANCE.dip**2 + common + tilt_variance
         return math.sqrt(strength**2 / of_strength + dip**2 / of_dip)
 
     def _off(self, expected: Expected) -> tuple[float, float]:
@@ -189,7 +147,7 @@ class DisturbanceDetector:
         return strength / max(expected.strength, 1e-9) - 1.0, dip - expected.inclination
 
     def _note(self, stamp: float, yaw: float) -> bool:
-        """Write down the disturbance; returns whether it has lasted long enough."""
+        """Record the disturbance; returns whether it has lasted long enough."""
         strength, dip = self._off(self._expected)
         last = self.last
         if self._disturbed_since is None or last is None:
@@ -211,6 +169,12 @@ class DisturbanceDetector:
         return accepts
 
 
+def _own_variance(calibration: Calibration) -> float:
+    """Return what noise and the calibration's own error add to the field per axis, tesla²."""
+    noise = DISTURBANCE.noise_share * calibration.noise_field
+    return noise**2 + field_variance(calibration)
+
+
 class FieldDoubt:
     """By how much a field that contradicts the calibration makes the compass's yaw less certain.
 
@@ -219,28 +183,19 @@ class FieldDoubt:
     headings and hides it at others, so what was seen before counts as well.
     """
 
-    def __init__(self, calibration: Calibration, tuning: DisturbanceTuning | None = None) -> None:
-        tuning = tuning or DisturbanceTuning()
+    def __init__(self, calibration: Calibration) -> None:
         strength, dip = calibration.strength, calibration.inclination
-        self._memory = tuning.amplitude_memory
         self._level, self._rise = strength * math.cos(dip), -strength * math.sin(dip)
-        own = (tuning.noise_share * calibration.noise_field) ** 2 + field_variance(calibration)
-        places = tuning.strength**2 + tuning.dip**2 + 2.0 * tuning.amplitude**2
-        self._usual = strength**2 * places + 2.0 * own
+        places = DISTURBANCE.strength**2 + DISTURBANCE.dip**2 + 2.0 * DISTURBANCE.amplitude**2
+        self._usual = strength**2 * places + 2.0 * _own_variance(calibration)
         self._seen = self._seconds = 0.0
         self._stamp = math.nan
 
     def add(self, stamp: float, field: Triple, up: Triple, tilt_variance: float) -> float:
         """Take a field; returns the variance of the yaw by disturbances, beside its own.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field, up : tuple of float
-            Corrected field, tesla, and a unit vector; body axes.
-        tilt_variance : float
-            Of up, rad².
+        `field` is corrected, tesla, `up` a unit vector, both in body axes; `tilt_variance` is that
+        of up, rad².
         """
         rise, square = dot(field, up), dot(field, field)
         level = math.sqrt(max(square - rise * rise, 0.0))
@@ -250,7 +205,7 @@ class FieldDoubt:
         seconds = stamp - self._stamp
         seconds = seconds if 0.0 < seconds < 1.0 else 1.0
         self._stamp = stamp
-        self._seconds = min(self._seconds + seconds, self._memory)
+        self._seconds = min(self._seconds + seconds, DISTURBANCE.amplitude_memory)
         self._seen += seconds / self._seconds * (excess - self._seen)
         # A wrong field that is larger than the Earth's must not count as a level field that is.
         level = max(min(level, self._level), 1e-9)

@@ -14,12 +14,21 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, cross, dot, length, propagated
-from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading, field_variance
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
-from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    dot,
+    length,
+    minus,
+    propagated,
+    scaled,
+)
+from magcal_ros.core.heading.compass import SMALLEST_LEVEL_SHARE, Heading
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
+from magcal_ros.core.heading.fusion_tuning import DISTURBANCE, FUSION
 from magcal_ros.core.heading.yaw_filter import GyroLoss, YawFilter
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.samples.streams import STREAMS, enclosing
 from magcal_ros.core.up import GyroBias, Up
 
 HISTORY = 512
@@ -39,61 +48,40 @@ class _Moment(NamedTuple):
 class FusedYaw:
     """The gyro-aided yaw of one calibration.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What is in force; tells the field to expect.
-    patience : float
-        Seconds after which a departed field is taken for the expected one.
-    tuning : FusionTuning, optional
-        What is taken for granted.
+    After `patience` seconds a deviating field is taken for that of the calibration.
 
-    Attributes
-    ----------
-    detector : DisturbanceDetector
-        Whether the field of the moment is the calibrated one.
-    last_told_gap : float
-        Radians by which the last told heading (`take_heading`) was ahead.
+    `last_heading_gap` is the angle by which the last heading of another device (`take_heading`) was
+    ahead.
     """
 
-    def __init__(
-        self, calibration: Calibration, patience: float, tuning: FusionTuning | None = None
-    ) -> None:
-        self.tuning = tuning or FusionTuning()
+    def __init__(self, calibration: Calibration, patience: float) -> None:
         self._path: deque[_Moment] = deque(maxlen=HISTORY)
-        self._filter, self._loss = YawFilter(), GyroLoss(self.tuning)
+        self._filter, self._loss = YawFilter(), GyroLoss()
         self._lasting = 0.0
         self.use(calibration, patience)
         self.restart()
 
     def use(self, calibration: Calibration, patience: float) -> None:
         """Go on with another calibration, where another device than the compass gives the yaw."""
-        expected = Expected(calibration.strength, calibration.inclination)
-        self.detector = DisturbanceDetector(
-            expected,
-            calibration.noise_field,
-            patience,
-            field_variance(calibration),
-            self.tuning.disturbance,
-        )
+        self.detector = DisturbanceDetector(calibration, patience)
         self._filter.use_another_calibration(self._lasting)
         level = max(math.cos(calibration.inclination), SMALLEST_LEVEL_SHARE)
         self._level_share = level * level
 
     def restart(self) -> None:
-        """Forget where north is; the next compass sample tells."""
+        """Forget where north is; the next compass sample shows it."""
         self._north: Triple | None = None
         self._up = Up((0.0, 0.0, 1.0), 0.0)
         self._stamp = -math.inf
         self._rate: Triple = (0.0, 0.0, 0.0)
         self._shift = self._lasting = self._unlearnt = self._drift = self._lost = 0.0
         self._known = GyroBias((0.0, 0.0, 0.0), math.inf)
-        self._filter.begin(0.0, self.tuning.bias_sigma**2, 0.0)
+        self._filter.begin(0.0, FUSION.bias_sigma**2, 0.0)
         self._is_at_rest = False
-        self._corrected = self._begun = self._told = self._told_since = -math.inf
-        self.last_told_gap = 0.0
+        self._corrected = self._begun = self._heading_stamp = self._heading_since = -math.inf
+        self.last_heading_gap = 0.0
         self._overruled = 0.0
-        self._told_ahead: list[float] = []
+        self._headings_ahead: list[float] = []
         self._loss.begin()
         self._path.clear()
 
@@ -107,18 +95,8 @@ class FusedYaw:
     ) -> None:
         """Go on to the next IMU message.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        up : Up
-            Up after the message.
-        rate : tuple of float
-            Mean turn rate since the one before, less the bias that is known of it, rad/s.
-        known : GyroBias
-            That bias.
-        is_at_rest : bool
-            Whether the robot stands, so that the field of the place stays.
+        `up` belongs to the message. `rate` is the mean since the one before, rad/s, less the bias
+        `known`. At rest the field of the place stays the same.
         """
         seconds = stamp - self._stamp
         if not 0.0 < seconds <= STREAMS.longest_gyro_step and self._north is not None:
@@ -129,32 +107,25 @@ class FusedYaw:
         if self._north is None:
             return
         x, y, z = up.direction
-        b = self._filter.bias
+        bias = self._filter.bias
         p, q, r = rate
-        north = propagated(
-            self._north,
-            ((p - b * x) * seconds, (q - b * y) * seconds, (r - b * z) * seconds),
-        )
+        turn = ((p - bias * x) * seconds, (q - bias * y) * seconds, (r - bias * z) * seconds)
+        north = propagated(self._north, turn)
         level = levelled(north, up.direction)
         if level is None:
             self.restart()
             return
         self._north = level
         self._path.append(_Moment(stamp, level, self._shift))
-        tuning = self.tuning
-        lost = (tuning.angle_walk**2 + tuning.turn_error**2 * length(rate)) * seconds
+        lost = (FUSION.angle_walk**2 + FUSION.turn_error**2 * length(rate)) * seconds
         self._filter.propagate(seconds, self._loss.share * lost, self._loss.walked * seconds)
-        self._drift += (b + dot(self._known.rate, up.direction)) * seconds
+        self._drift += (bias + dot(self._known.rate, up.direction)) * seconds
         self._lost += lost
 
     def _take_bias(self, known: GyroBias) -> None:
         """Keep what is known of the whole bias when the part taken off the rate has changed."""
-        variance = known.variance + self.tuning.bias_sigma**2
-        change = (
-            known.rate[0] - self._known.rate[0],
-            known.rate[1] - self._known.rate[1],
-            known.rate[2] - self._known.rate[2],
-        )
+        variance = known.variance + FUSION.bias_sigma**2
+        change = minus(known.rate, self._known.rate)
         self._known = known
         self._filter.bias -= dot(change, self._up.direction)
         if variance < self._filter.bias_variance or self._north is None:
@@ -163,16 +134,8 @@ class FusedYaw:
     def correct(self, stamp: float, field: Triple, up: Up, heading: Heading) -> None:
         """Let the compass correct the yaw.
 
-        Parameters
-        ----------
-        stamp : float
-            Of the field, seconds.
-        field : tuple of float
-            Corrected field, tesla, body axes.
-        up : Up
-            Of the field's moment.
-        heading : Heading
-            What the compass makes of both.
+        `field` is corrected, tesla, body axes, `up` belongs to its `stamp`, and `heading` is what
+        the compass makes of both.
         """
         seen = levelled(field, up.direction)
         if seen is None or abs(stamp - self._stamp) > STREAMS.longest_gyro_step:
@@ -192,77 +155,64 @@ class FusedYaw:
         error = self._filter.error * self._lasting
         innovation = wrapped(ahead - (self._shift - then.shift) - error)
         self._unlearnt += since
-        if self._unlearnt >= self.tuning.learning_step:
+        if self._unlearnt >= FUSION.learning_step:
             self._move_on(self._unlearnt, innovation, heading)
             self._unlearnt = 0.0
         if self.has_external_yaw:
-            # A compass that headings calibrate tells nothing beside them.
+            # A compass that headings calibrate adds nothing to them.
             return
         if is_new:
             self._filter.doubt_yaw(innovation**2)
         elif detector.trust is Trust.IGNORED:
             self._overruled = 0.0
-            if stamp - self._begun < self.tuning.start:
+            if stamp - self._begun < FUSION.start:
                 # What turns out to be bent soon after the start was so at the start.
-                missing = self.tuning.unknown**2 - self._filter.yaw_variance
+                missing = FUSION.unknown**2 - self._filter.yaw_variance
                 self._filter.doubt_yaw(max(0.0, missing))
             return
-        self._weigh(self._north, innovation, heading, min(since, self.tuning.noise_tau))
+        self._weigh(self._north, innovation, heading, min(since, FUSION.noise_tau))
 
     def take_heading(
         self, stamp: float, yaw: float, variance: float, forward: Triple
     ) -> float | None:
         """Let a heading correct the yaw that is not measured by the field, as of two antennas.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        yaw : float
-            ENU yaw to magnetic north of `forward`, radians.
-        variance : float
-            Of it, rad².
-        forward : tuple of float
-            Direction in body axes.
-
-        Returns
-        -------
-        float or None
-            Sigmas by which it misses; beyond the gate it is not taken. None while north is not
-            known at its stamp.
+        `yaw` is that of `forward`, a direction in body axes, ENU to magnetic north, radians, with
+        its `variance`, rad². Returns the sigmas by which it misses; beyond the gate it is not used.
+        None while north is not known at its stamp.
         """
         north = self.north_at(stamp)
-        if north is None or stamp <= self._told:
+        if north is None or stamp <= self._heading_stamp:
             return None
-        since = min(stamp - self._told, self.tuning.heading_tau)
-        self._told = stamp
+        since = min(stamp - self._heading_stamp, FUSION.heading_tau)
+        self._heading_stamp = stamp
         assert self._north is not None
         east = cross(north, self._up.direction)
         own = math.atan2(dot(north, forward), dot(east, forward))
-        innovation = self.last_told_gap = wrapped(yaw - own)
+        innovation = self.last_heading_gap = wrapped(yaw - own)
         own = self._filter.own_error_variance(self._lasting)
         missed = abs(innovation) / math.sqrt(self._filter.yaw_variance + own + variance)
-        if missed > self.tuning.told_gate:
+        if missed > FUSION.heading_gate:
             return missed
-        noise = variance * self.tuning.heading_tau / since
+        noise = variance * FUSION.heading_tau / since
         self._learn_loss(stamp, innovation, variance, since)
         self._turn(self._north, self._filter.observe_yaw(innovation, noise, self._lasting))
         return missed
 
     def _learn_loss(self, stamp: float, innovation: float, variance: float, since: float) -> None:
         """Learn what the gyro loses from how far headings are ahead of the gyro alone."""
-        if since >= self.tuning.heading_tau:
-            self._told_ahead, self._told_since = [], -math.inf
-        self._told_ahead.append(innovation + self._shift - self._drift)
-        if stamp - self._told_since >= self.tuning.heading_tau:
-            ahead = sum(self._told_ahead) / len(self._told_ahead)
+        if since >= FUSION.heading_tau:
+            self._headings_ahead, self._heading_since = [], -math.inf
+        self._headings_ahead.append(innovation + self._shift - self._drift)
+        if stamp - self._heading_since >= FUSION.heading_tau:
+            ahead = sum(self._headings_ahead) / len(self._headings_ahead)
             self._loss.add(stamp, ahead, variance, self._lost)
-            self._told_ahead, self._told_since, self._lost = [], stamp, 0.0
+            self._headings_ahead, self._heading_since, self._lost = [], stamp, 0.0
 
     @property
     def has_external_yaw(self) -> bool:
         """Whether a source other than the compass gave the yaw lately."""
-        return self._north is not None and self._stamp - self._told < self.tuning.heading_tau
+        return self._north is not None and self._stamp - self._heading_stamp < FUSION.heading_tau
 
     def heading(self) -> Heading | None:
         """Return the attitude at the newest IMU message; None while north is not known."""
@@ -283,9 +233,7 @@ class FusedYaw:
         if then is None:
             return None
         # What was corrected since holds for then as well.
-        x, y, z = self._up.direction
-        angle = self._shift - then.shift
-        return propagated(then.north, (angle * x, angle * y, angle * z))
+        return propagated(then.north, scaled(self._up.direction, self._shift - then.shift))
 
     @property
     def yaw_variance(self) -> float:
@@ -303,7 +251,7 @@ class FusedYaw:
             return
         self._north = level
         variance = heading.yaw_variance - heading.lasting_variance
-        bias = self._known.variance + self.tuning.bias_sigma**2
+        bias = self._known.variance + FUSION.bias_sigma**2
         self._filter.begin(variance, min(bias, 1.0), self._disturbance_variance)
         self._begun = self._stamp
         self._path.append(_Moment(self._stamp, level, self._shift))
@@ -313,8 +261,7 @@ class FusedYaw:
         known = self._filter.yaw_variance + self._by_tilt(heading)
         across = max(0.0, innovation**2 - known) * self._level_share
         self._filter.widen(self.detector.learn(seconds, self._up.variance, across))
-        tuning = self.tuning
-        tau = tuning.standing_tau if self._is_at_rest else tuning.moving_tau
+        tau = FUSION.standing_tau if self._is_at_rest else FUSION.moving_tau
         self._filter.move_on(max(0.0, 1.0 - seconds / tau), self._disturbance_variance)
 
     @staticmethod
@@ -323,27 +270,27 @@ class FusedYaw:
         return max(0.0, heading.yaw_variance - own)
 
     def _weigh(self, north: Triple, innovation: float, heading: Heading, seconds: float) -> None:
-        """Correct yaw and bias by what the compass says beyond the propagated yaw."""
-        tuning, following = self.tuning, self._filter
+        """Correct yaw and bias by how far the compass is from the propagated yaw."""
+        following = self._filter
         bent = self._disturbance_variance
         by_tilt = self._by_tilt(heading)
-        by_noise = heading.noise_variance + tuning.small_iron * bent
+        by_noise = heading.noise_variance + FUSION.small_iron * bent
         doubt = innovation**2 / (
-            tuning.gate**2 * following.spread(by_tilt + by_noise, self._lasting)
+            DISTURBANCE.gate**2 * following.spread(by_tilt + by_noise, self._lasting)
         )
         is_good = self.detector.trust is Trust.GOOD
-        clear = min(doubt - 1.0, tuning.beyond_doubt) / tuning.beyond_doubt
+        clear = min(doubt - 1.0, FUSION.beyond_doubt) / FUSION.beyond_doubt
         self._overruled = max(0.0, self._overruled + clear * seconds) if is_good else 0.0
-        if self._overruled > tuning.overruled_after:
+        if self._overruled > FUSION.overruled_after:
             following.doubt_yaw(innovation**2)
             self._overruled = doubt = 0.0
         departed = max(1.0, self.detector.departure**4)
-        noise = (by_tilt * tuning.tilt_tau + by_noise * tuning.noise_tau) / seconds
-        noise += bent * (departed - 1.0) * tuning.moving_tau / seconds
+        noise = (by_tilt * FUSION.tilt_tau + by_noise * FUSION.noise_tau) / seconds
+        noise += bent * (departed - 1.0) * FUSION.moving_tau / seconds
         noise *= max(1.0, doubt)
         momentary = (by_tilt + heading.noise_variance + bent) * max(1.0, doubt) * departed
         spread = following.spread(noise)
-        share = min(1.0, seconds / tuning.noise_tau)
+        share = min(1.0, seconds / FUSION.noise_tau)
         if momentary < following.yaw_variance and share * spread > following.yaw_variance:
             # Errors by tilt are common to both: where the compass of the moment is the better
             # one, a mean of both is not.
@@ -354,25 +301,21 @@ class FusedYaw:
         self._turn(north, turned)
 
     def _turn(self, north: Triple, angle: float) -> None:
-        x, y, z = self._up.direction
-        self._north = propagated(north, (angle * x, angle * y, angle * z))
+        self._north = propagated(north, scaled(self._up.direction, angle))
         self._shift += angle
 
     def _at(self, stamp: float) -> _Moment | None:
         """Return north at a stamp; after the newest message the body is taken to turn on."""
-        after = None
-        for moment in reversed(self._path):
-            since = stamp - moment.stamp
-            if since >= 0.0:
-                if after is None:
-                    x, y, z = self._rate
-                    north = propagated(moment.north, (x * since, y * since, z * since))
-                else:
-                    share = since / (after.stamp - moment.stamp)
-                    north = between(moment.north, after.north, share)
-                return moment._replace(north=north)
-            after = moment
-        return None
+        found = enclosing(self._path, stamp)
+        if found is None:
+            return None
+        moment, after = found
+        since = stamp - moment.stamp
+        if after is None:
+            north = propagated(moment.north, scaled(self._rate, since))
+        else:
+            north = between(moment.north, after.north, since / (after.stamp - moment.stamp))
+        return moment._replace(north=north)
 
 
 def yaw_ahead(north: Triple, seen: Triple, up: Triple) -> float:

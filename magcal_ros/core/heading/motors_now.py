@@ -1,9 +1,9 @@
 """Whether motors run, and what field they add at the moment.
 
-Inputs come late and leave out a ripple: a current is told some tenths of a second after it flows,
-and that a robot moves is seen after its motors have started. The field of the place cannot change
-so fast, except as the gyro says. So a Kalman filter on the field of the place and on what is left
-of the motors' field divides each change between the two.
+Inputs come late and leave out a ripple: a current is reported some tenths of a second after it
+flows, and that a robot moves is seen after its motors have started. The field of the place cannot
+change so fast, except by the turn that the gyro measures. So a Kalman filter on the field of the
+place and on what is left of the motors' field divides each change between the two.
 """
 
 from __future__ import annotations
@@ -24,35 +24,29 @@ from magcal_ros.core.geometry.vec3 import Triple, length
 class RunningTuning:
     """When a robot moves."""
 
-    rate: float = 0.03
-    """rad/s from which it turns, as for the smoother (`Lengths.moving`)."""
-    speed: float = 0.01
-    """m/s from which it drives: below a step of a wheel's encoder."""
-    turning: float = 0.1
-    """rad/s at which it surely turns to one side."""
-    slow_rate: float = 0.06
-    slow: float = 0.05
-    """rad/s and m/s below which it is about to stop."""
+    rate: float = 0.03  # rad/s from which it turns, as for the smoother (`Lengths.moving`)
+    speed: float = 0.01  # m/s from which it drives: below a step of a wheel's encoder
+    turning: float = 0.1  # rad/s at which it surely turns to one side
+    slow: float = 0.05  # m/s below which it is about to stop, and twice `rate` likewise
     edge: float = 0.1
     slowing: float = 0.3
-    """Seconds after a start or stop is seen, and after it got slow, in which nobody knows whether
-    the motors run."""
+    """Seconds after a start or stop is seen, and after it got slow, in which it is not known
+    whether the motors run."""
     settles: float = 0.7
     idle: float = 5.0
     """Seconds at rest after which the current is that of rest, and over which that is averaged."""
 
 
+RUNNING = RunningTuning()
+
+
 class MotionSense:
     """Follows whether a robot moves.
 
-    Attributes
-    ----------
-    newest : Running
-        What the motors did when it was asked last.
+    `newest` is what the motors did when it was asked last.
     """
 
-    def __init__(self, tuning: RunningTuning = RunningTuning()) -> None:
-        self.tuning = tuning
+    def __init__(self) -> None:
         self._moves: bool | None = None
         self._is_slow = True
         self._since = self._slow_since = -math.inf
@@ -64,16 +58,10 @@ class MotionSense:
     ) -> Running:
         """Return what the motors do at a stamp, seconds; stamps go on or jump.
 
-        Parameters
-        ----------
-        stamp : float
-        rate : tuple of float or None
-            Turn rate less the gyro's bias, rad/s, body axes; None where there is no gyro.
-        is_at_rest : bool
-            Whether the IMU shows that the robot stands, or rolls on evenly.
-        speed, current : float
-            m/s and amperes; NaN where they are unknown. Of the current only what is beyond that at
-            rest counts: the calibration is that of the robot at rest.
+        `rate` is less the gyro's bias, rad/s, body axes; None without a gyro. `is_at_rest` is
+        whether the IMU shows that the robot stands, or rolls on evenly. `speed` and `current` are
+        in m/s and amperes, NaN where they are unknown. Of the current only what is beyond that at
+        rest counts: the calibration is that of the robot at rest.
         """
         if stamp == self._stamp:
             return self.newest
@@ -87,14 +75,12 @@ class MotionSense:
         if is_slow and not self._is_slow:
             self._slow_since = stamp
         self._is_slow = is_slow
-        is_edge = 0.0 <= stamp - self._since < self.tuning.edge
-        is_edge = is_edge or (
-            moves is True and 0.0 <= stamp - self._slow_since < self.tuning.slowing
-        )
+        is_edge = 0.0 <= stamp - self._since < RUNNING.edge
+        is_edge = is_edge or (moves is True and 0.0 <= stamp - self._slow_since < RUNNING.slowing)
         share = 0.5 if moves is None or is_edge else float(moves)
         turn_rate = math.nan if rate is None else rate[2] * float(moves is not False)
         driven = speed * float(moves is not False)
-        side = max(-1.0, min(1.0, turn_rate / self.tuning.turning))
+        side = max(-1.0, min(1.0, turn_rate / RUNNING.turning))
         if is_edge and moves is False:
             # Motors of a turn that has just ended may still run to its side.
             side = self.newest.side
@@ -104,9 +90,9 @@ class MotionSense:
 
     def _beyond_rest(self, moves: bool | None, seconds: float, current: float) -> float:
         """Return by how much a current is beyond that at rest, and follow the latter."""
-        rests = moves is False and self._stamp - self._since > self.tuning.settles
+        rests = moves is False and self._stamp - self._since > RUNNING.settles
         if rests and not math.isnan(current):
-            share = min(max(seconds, 0.0) / self.tuning.idle, 1.0)
+            share = min(max(seconds, 0.0) / RUNNING.idle, 1.0)
             old = current if math.isnan(self._idle) else self._idle
             self._idle = old + share * (current - old)
         return 0.0 if moves is False else current - self._idle
@@ -114,15 +100,15 @@ class MotionSense:
     def _goes_slowly(self, rate: Triple | None, speed: float) -> bool:
         turns = 0.0 if rate is None else length(rate)
         drives = 0.0 if math.isnan(speed) else abs(speed)
-        return turns < self.tuning.slow_rate and drives < self.tuning.slow
+        return turns < 2.0 * RUNNING.rate and drives < RUNNING.slow
 
     def _judged(self, rate: Triple | None, is_at_rest: bool, speed: float) -> bool | None:
         """Return whether it moves; None where that is not known."""
-        if rate is not None and length(rate) > self.tuning.rate:
+        if rate is not None and length(rate) > RUNNING.rate:
             return True
         if not math.isnan(speed):
             # Wheels that stand do not show a turn on the spot; the gyro would.
-            return abs(speed) > self.tuning.speed or (None if rate is None else False)
+            return abs(speed) > RUNNING.speed or (None if rate is None else False)
         return False if is_at_rest else None
 
 
@@ -139,23 +125,17 @@ class PlaceFieldTuning:
     field: float = 100.0
     """µT of the Earth's field and all around it: what is believed of a place before the first
     sample."""
-    longest: float = 1.0
-    """Seconds without a sample after which the field of the place is unknown."""
+    longest: float = 1.0  # seconds without a sample after which the field of the place is unknown
     street: float = 2.0
     street_length: float = 30.0
     """µT per axis by which places differ, and metres over which they are alike."""
-    passing: float = 0.03
-    """µT per root second by which the field changes while the robot stands."""
-    walk: float = 0.002
-    """rad per root second of the gyro's random walk."""
+    passing: float = 0.03  # µT per root second by which the field changes while the robot stands
+    walk: float = 0.002  # rad per root second of the gyro's random walk
     turn_error: float = 0.01
     """Share of an angle by which the gyro is off, as a random walk over radians."""
-    latency: float = 0.01
-    """Seconds by which gyro and field may be apart."""
-    beside: float = 0.15
-    """Metres of the magnetometer from the pivot."""
-    unknown_speed: float = 0.3
-    """m/s of a robot that moves and does not tell its speed."""
+    latency: float = 0.01  # seconds by which gyro and field may be apart
+    beside: float = 0.15  # metres of the magnetometer from the pivot
+    unknown_speed: float = 0.3  # m/s of a robot that moves and does not tell its speed
 
     def way(self, speed: float, rate: Triple) -> float:
         """Return the metres a second of the magnetometer at a speed (m/s or NaN) and turn rate."""
@@ -167,17 +147,9 @@ class PlaceFieldTuning:
     ) -> FloatArray:
         """Return the covariance that a propagated field of the place gains, µT², shape (3, 3).
 
-        Parameters
-        ----------
-        place : ndarray, shape (3,)
-            µT, body axes.
-        turned : ndarray, shape (3,)
-            Radians by which the robot has turned.
-        faster : ndarray, shape (3,)
-            rad/s by which the turn rate has grown.
-        way : float
-            Metres that the magnetometer has gone; zero at rest.
-        seconds : float
+        `place` (3,) is the field in µT, body axes, `turned` (3,) the radians by which the robot has
+        turned, `faster` (3,) the rad/s by which the turn rate has grown, and `way` the metres that
+        the magnetometer has gone, zero at rest.
         """
         lost = self.turn_error**2 * math.sqrt(float(turned @ turned))
         lost += self.latency**2 * float(faster @ faster)
@@ -193,20 +165,20 @@ PLACE_FIELD = PlaceFieldTuning()
 
 @dataclass(frozen=True)
 class InputTuning:
-    """How well the inputs tell what the motors add."""
+    """How well the inputs show what the motors add."""
 
-    body_length: float = 4.0
-    """Seconds over which what no input tells is alike."""
+    body_length: float = 4.0  # seconds over which what no input tells is alike
     late_share: float = 0.03
     """Of the time in which motors run and nothing shows it yet, or the other way round."""
-    longest: float = 0.5
-    """Seconds that this lasts at most."""
-    latency: float = 0.2
-    """Seconds by which a speed or a current may be late."""
+    longest: float = 0.5  # seconds that this lasts at most
+    latency: float = 0.2  # seconds by which a speed or a current may be late
+
+
+INPUT = InputTuning()
 
 
 class _Answer(NamedTuple):
-    """What a sample says if the motors may add so much that no input tells."""
+    """What a sample shows if the motors may add so much that no input shows."""
 
     likelihood: float
     step: FloatArray
@@ -234,7 +206,6 @@ class MotorsNow:
     def __init__(
         self, motors: MotorField, matrix: FloatArray, iron_variance: float, noise: FloatArray
     ) -> None:
-        self.place, self.input = PLACE_FIELD, InputTuning()
         self._matrix = matrix
         self._iron = iron_variance * MICROTESLA**2
         self._noise = noise * MICROTESLA**2 + 1e-4 * EYE
@@ -258,8 +229,8 @@ class MotorsNow:
         most = self._whole + self._level(Running(1.0), np.array(motors.usual))
         # Motors that a sample's own noise hides are not worth the time.
         self._is_felt = bool(np.trace(most) > np.trace(self._noise))
-        told = (MotorInput.SPEED, MotorInput.CURRENT)
-        self._latency = np.array([self.input.latency * (each in told) for each in motors.inputs])
+        late = (MotorInput.SPEED, MotorInput.CURRENT)
+        self._latency = np.array([INPUT.latency * (each in late) for each in motors.inputs])
         if len(self._values) != count:
             self._values, self._change = np.zeros(count), np.zeros(count)
 
@@ -268,35 +239,20 @@ class MotorsNow:
     ) -> tuple[Triple, FloatArray]:
         """Take a corrected sample; returns it less K u and what is left, and the latter's doubt.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field : tuple of float
-            Tesla, body axes.
-        rate : tuple of float or None
-            rad/s, body axes, less the gyro's bias; None without a gyro.
-        running : Running
-            What the motors do.
-
-        Returns
-        -------
-        field : tuple of float
-            Tesla, body axes.
-        doubt : ndarray, shape (3, 3)
-            Covariance of what was taken off it, tesla².
+        `field` is in tesla, body axes, `rate` in rad/s, less the gyro's bias, None without a gyro.
+        Returns a field likewise, and the covariance (3, 3) of what was subtracted, tesla².
         """
         if running.moving == 0.0 and (not self._is_felt or rate is None):
             return field, np.zeros((3, 3))
         values, doubt = self._motors.known(running)
         if not self._is_felt or rate is None:
-            return self._as_told(field, running, values, doubt)
+            return self._by_inputs(field, running, values, doubt)
         self._predict(stamp, rate, running, values)
-        told = values @ self._gains
-        measured = MICROTESLA * np.array(field) - told
+        known = values @ self._gains
+        measured = MICROTESLA * np.array(field) - known
         change = np.diag(np.square(self._latency * self._change))
         unknown = self._gains.T @ (doubt + change) @ self._gains
-        otherwise = told[:, None] * told if running.moving > 0.0 else self._whole
+        otherwise = known[:, None] * known if running.moving > 0.0 else self._whole
         answers = [self._answer(measured, unknown + each) for each in (0.0, otherwise)]
         late = self._late(stamp, answers[1].likelihood - answers[0].likelihood)
         if late is None:
@@ -311,7 +267,7 @@ class MotorsNow:
         x, y, z = ((measured - left) / MICROTESLA).tolist()
         return (x, y, z), spread / MICROTESLA**2
 
-    def _as_told(
+    def _by_inputs(
         self, field: Triple, running: Running, values: FloatArray, doubt: FloatArray
     ) -> tuple[Triple, FloatArray]:
         """Return a sample less K u alone: what samples cannot show need not be followed."""
@@ -321,18 +277,18 @@ class MotorsNow:
 
     def _level(self, running: Running, values: FloatArray) -> FloatArray:
         """Return the covariance of what motors add beside K u, µT²."""
-        told = (self._by_gains @ values) @ values
-        return np.asarray(running.moving * self._ripple * EYE + told)
+        by_gains = (self._by_gains @ values) @ values
+        return np.asarray(running.moving * self._ripple * EYE + by_gains)
 
     def _late(self, stamp: float, odds: float) -> float | None:
         """Return the probability that motors run otherwise than is seen; None if that lasts."""
-        share = self.input.late_share
+        share = INPUT.late_share
         late = share / (share + (1.0 - share) * math.exp(min(-odds, 300.0)))
         if late < 0.5:
             self._late_since = math.nan
         elif math.isnan(self._late_since):
             self._late_since = stamp
-        elif stamp - self._late_since > self.input.longest:
+        elif stamp - self._late_since > INPUT.longest:
             self._late_since = math.nan
             return None
         return late
@@ -360,26 +316,26 @@ class MotorsNow:
         now = np.array(rate)
         changed, self._values = values - self._values, values
         faster, self._rate, self._before = now - self._rate, now, running
-        if not 0.0 < seconds < self.place.longest:
+        if not 0.0 < seconds < PLACE_FIELD.longest:
             self._forget(PLACE, level)
             self._forget(LEFT, level)
             self._change = np.zeros(len(values))
             return
-        share = min(seconds / self.input.latency, 1.0)
+        share = min(seconds / INPUT.latency, 1.0)
         self._change = self._change + share * (changed / seconds - self._change)
         turned = seconds * moves * (now - 0.5 * faster)
-        keeps = math.exp(-seconds / self.input.body_length) if moves and moved else 0.0
+        keeps = math.exp(-seconds / INPUT.body_length) if moves and moved else 0.0
         step = np.zeros((6, 6))
         step[PLACE, PLACE], step[LEFT, LEFT] = exp_rotation(-turned), keeps * EYE
         self._mean = step @ self._mean
         covariance = step @ self._covariance @ step.T
-        way = seconds * moves * self.place.way(running.speed, rate)
+        way = seconds * moves * PLACE_FIELD.way(running.speed, rate)
         covariance[PLACE, PLACE] += (
-            self.place.change(self._mean[PLACE], turned, faster, way, seconds)
+            PLACE_FIELD.change(self._mean[PLACE], turned, faster, way, seconds)
             + self._iron * math.sqrt(float(turned @ turned)) * EYE
         )
         # So large that in the latency it changes by as much as the inputs do.
-        late = 0.5 * self.input.body_length / self.input.latency * self._latency**2
+        late = 0.5 * INPUT.body_length / INPUT.latency * self._latency**2
         level = level + self._gains.T @ np.diag(late * self._change**2) @ self._gains
         covariance[LEFT, LEFT] += (1.0 - keeps**2) * level
         covariance[LEFT, LEFT] += keeps**2 * (self._by_gains @ changed) @ changed
@@ -389,7 +345,7 @@ class MotorsNow:
         """Begin anew with a place of which nothing is known, or with motors of such a size."""
         self._mean[which] = 0.0
         self._covariance[which] = self._covariance[:, which] = 0.0
-        self._covariance[which, which] = self.place.field**2 * EYE if which is PLACE else level
+        self._covariance[which, which] = PLACE_FIELD.field**2 * EYE if which is PLACE else level
 
 
 def _mixed(share: float, one: FloatArray, other: FloatArray, apart: FloatArray) -> FloatArray:

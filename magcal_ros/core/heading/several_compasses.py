@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.attitude import wrapped
-from magcal_ros.core.geometry.vec3 import Triple, between, minus, propagated
+from magcal_ros.core.geometry.vec3 import Triple, between, minus, plus, propagated, scaled
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.disturbance import FieldDoubt
 from magcal_ros.core.heading.fused_yaw import FusedYaw, levelled, yaw_ahead
-from magcal_ros.core.heading.fusion_tuning import SeveralTuning
+from magcal_ros.core.heading.fusion_tuning import DISTURBANCE
 from magcal_ros.core.heading.yaw_agreement import (
     SMALLEST_VARIANCE,
     CompassYaw,
@@ -25,16 +25,19 @@ from magcal_ros.core.heading.yaw_agreement import (
     excess_variance,
     misfit,
 )
+from magcal_ros.core.samples.streams import STREAMS
 from magcal_ros.core.up import Up
+
+LASTING = 3.0
+"""Seconds over which a disagreement without a reason is averaged, for the time when only one
+magnetometer is left."""
 
 
 class Share(NamedTuple):
     """How one magnetometer takes part in the heading."""
 
-    weight: float
-    """0 to 1."""
-    why: str = ""
-    """What is wrong with it, in words; empty if nothing is."""
+    weight: float  # 0 to 1
+    why: str = ""  # what is wrong with it, in words; empty if nothing is
 
 
 @dataclass
@@ -44,8 +47,8 @@ class _Member:
     `arrived` and `changed` are stamps of the IMU: when a message came, and when one came with
     other values than before. `doubt_variance` is what its field adds to its yaw's variance. `off`
     is how far its yaw is ahead of the origin of all, smoothed, radians; `offset` its field less
-    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` tells whether
-    it did with others since it speaks.
+    the mean of all, tesla in body axes, `learnt` over so many seconds. `has_agreed` is whether it
+    did with others since it sends.
     """
 
     compass: Compass
@@ -73,8 +76,9 @@ class _Member:
         self.moment, self.arrived = moment, now
         if moment.up is not None and moment.heading is not None:
             up = moment.up
-            told = self.doubt.add(moment.stamp, moment.field, up.direction, up.variance)
-            self.doubt_variance = told
+            self.doubt_variance = self.doubt.add(
+                moment.stamp, moment.field, up.direction, up.variance
+            )
 
     @property
     def own_variance(self) -> float:
@@ -93,21 +97,18 @@ class _Member:
 
     @property
     def is_doubted(self) -> bool:
-        """Whether its field departs from the calibrated one by more than is said of it."""
+        """Whether its field departs from the calibrated one by more than its sigma."""
         return self.doubt_variance > self.own_variance
 
 
 class SeveralCompasses:
     """Joins the moments of several magnetometers.
 
-    Attributes
-    ----------
-    disagreement : float
-        Radians between those that disagree while none of them is known to be wrong; else zero.
+    `disagreement` is the angle between those that disagree while none of them is known to be wrong,
+    radians; else zero.
     """
 
-    def __init__(self, tuning: SeveralTuning | None = None) -> None:
-        self.tuning = tuning or SeveralTuning()
+    def __init__(self) -> None:
         self._members: dict[int, _Member] = {}
         self._now = self._stamp = -math.inf
         self._forget()
@@ -134,18 +135,11 @@ class SeveralCompasses:
     ) -> Moment | None:
         """Take a magnetometer's moment; returns that of all if this magnetometer sets the pace.
 
-        The first magnetometer that speaks tells it, so the heading comes at one sensor's rate.
+        The first magnetometer that sends sets it, so the heading comes at one sensor's rate.
 
-        Parameters
-        ----------
-        number : int
-            Whose it is.
-        moment : Moment
-            What its message comes to by its own calibration.
-        now : float
-            Stamp of the newest IMU message, seconds: the clocks of drivers may differ.
-        fused : FusedYaw, optional
-            The gyro's yaw, which tells who is wrong where they disagree.
+        `moment` is what a message of magnetometer `number` comes to by its own calibration, and
+        `now` the stamp of the newest IMU message, seconds, as the clocks of drivers may differ. The
+        gyro's yaw, `fused`, shows which one is wrong where they disagree.
         """
         member = self._members.get(number)
         if member is None:
@@ -156,8 +150,8 @@ class SeveralCompasses:
             self._forget()
         self._now = now
         member.take(moment, now)
-        speaking = [k for k, each in self._members.items() if self._is_new(each.arrived)]
-        if number != min(speaking):
+        sending = [k for k, each in self._members.items() if self._is_new(each.arrived)]
+        if number != min(sending):
             return None
         return self._joined(moment, moment.up, fused)
 
@@ -170,7 +164,7 @@ class SeveralCompasses:
             member.forget()
 
     def _is_new(self, stamp: float) -> bool:
-        return self._now - stamp <= self.tuning.lost
+        return self._now - stamp <= STREAMS.longest_gyro_step
 
     def _joined(self, moment: Moment, up: Up, fused: FusedYaw | None) -> Moment:
         seconds, self._stamp = moment.stamp - self._stamp, moment.stamp
@@ -205,13 +199,13 @@ class SeveralCompasses:
         if not turned:
             return []
         origin = None if fused is None else fused.north_at(moment.stamp)
-        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= self.tuning.lost:
+        if self._is_by_gyro is (origin is None) or not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._is_by_gyro = origin is not None
             for member in self._members.values():
                 member.off = math.nan
         north = levelled(next(iter(turned.values())), up) if origin is None else origin
         assert north is not None
-        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.memory)
+        share = 1.0 - math.exp(-max(seconds, 0.0) / DISTURBANCE.memory)
         return [
             self._compass_yaw(k, seen, yaw_ahead(north, seen, up), share)
             for k, seen in turned.items()
@@ -223,11 +217,11 @@ class SeveralCompasses:
         if then is None or then.heading is None or lead is None:
             return None
         since = moment.stamp - then.stamp
-        if abs(since) > self.tuning.lost:
+        if abs(since) > STREAMS.longest_gyro_step:
             return None
         seen, rate = then.field, moment.rate
         if since and rate is not None and math.isfinite(rate[0]):
-            seen = propagated(seen, (rate[0] * since, rate[1] * since, rate[2] * since))
+            seen = propagated(seen, scaled(rate, since))
         level = levelled(seen, up)
         if level is None:
             return None
@@ -237,18 +231,14 @@ class SeveralCompasses:
         further -= own.strength * math.cos(own.inclination)
         higher = own.strength * math.sin(own.inclination)
         higher -= common.strength * math.sin(common.inclination)
-        return (
-            seen[0] + further * level[0] + higher * up[0],
-            seen[1] + further * level[1] + higher * up[1],
-            seen[2] + further * level[2] + higher * up[2],
-        )
+        return plus(seen, plus(scaled(level, further), scaled(up, higher)))
 
     def _compass_yaw(self, number: int, seen: Triple, ahead: float, share: float) -> CompassYaw:
         member = self._members[number]
         variance = member.own_variance + member.doubt_variance
         change = wrapped(ahead - member.off)
-        # What is too far for noise need not be averaged.
-        leaps = abs(change) > self.tuning.left_out_from * math.sqrt(member.noise_variance)
+        # A step that is too large for noise need not be averaged.
+        leaps = abs(change) > DISTURBANCE.gate * math.sqrt(member.noise_variance)
         if math.isnan(change) or leaps:
             member.off = ahead
         else:
@@ -263,10 +253,10 @@ class SeveralCompasses:
         return "its stamps are far from the others', or its field shows no direction"
 
     def _believed(self, yaws: list[CompassYaw], known: float) -> list[CompassYaw]:
-        """Leave out who is wrong.
+        """Leave out those that are wrong.
 
-        The gyro shows who has changed, so it is no help between those that never agreed. `known`
-        is the variance of its yaw, rad².
+        The gyro shows which one has changed, so it is no help between those that never agreed.
+        `known` is the variance of its yaw, rad².
         """
         gate = self._gate
         if not all(self._members[each.number].has_agreed for each in yaws):
@@ -280,16 +270,15 @@ class SeveralCompasses:
 
     @property
     def _gate(self) -> float:
-        """Squared sigmas; who was left out must come back further."""
-        tuning = self.tuning
-        return (tuning.believed_below if self._left_out else tuning.left_out_from) ** 2
+        """Squared sigmas; those that were left out must agree better."""
+        return (DISTURBANCE.believed_below if self._left_out else DISTURBANCE.gate) ** 2
 
     def _note_disagreement(
         self, yaws: list[CompassYaw], kept: list[CompassYaw], seconds: float
     ) -> None:
         """Learn the variance by which they disagree without a reason.
 
-        Who is left alone because the others are silent keeps what they disagreed by.
+        One that is left because the others are silent keeps their disagreement.
         """
         self.disagreement = 0.0
         if len(yaws) < 2:
@@ -298,7 +287,7 @@ class SeveralCompasses:
         # A field that is seen to be bent is a reason.
         sound = [each for each in kept if not self._members[each.number].is_doubted] or kept
         self._between = excess_variance(sound)
-        share = 1.0 - math.exp(-max(seconds, 0.0) / self.tuning.lasting)
+        share = 1.0 - math.exp(-max(seconds, 0.0) / LASTING)
         self._lasting += share * (self._between - self._lasting)
         if len(sound) > 1 and misfit(sound) > self._gate:
             first = sound[0].ahead
@@ -316,8 +305,8 @@ class SeveralCompasses:
         mean = _mean([each.field for each in kept], shares)
         for each in kept:
             member = self._members[each.number]
-            step = min(seconds, self.tuning.lost)
-            member.learnt = min(member.learnt + step, self.tuning.offset_memory)
+            step = min(seconds, STREAMS.longest_gyro_step)
+            member.learnt = min(member.learnt + step, DISTURBANCE.amplitude_memory)
             new = minus(each.field, mean)
             member.offset = between(member.offset, new, step / member.learnt)
 

@@ -15,14 +15,10 @@ SMALLEST_VARIANCE = 1e-10
 class CompassYaw(NamedTuple):
     """The yaw of one magnetometer at a moment."""
 
-    number: int
-    """Which it is."""
-    field: Triple
-    """In the body axes of the moment, tesla."""
-    ahead: float
-    """Its yaw less that of the origin common to all, radians."""
-    variance: float
-    """Of its yaw, rad²."""
+    number: int  # which it is
+    field: Triple  # in the body axes of the moment, tesla
+    ahead: float  # its yaw less that of the origin common to all, radians
+    variance: float  # of its yaw, rad²
 
 
 def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassYaw]:
@@ -31,13 +27,8 @@ def believed(yaws: list[CompassYaw], known: float, gate: float) -> list[CompassY
     One is left out if the others and the origin agree far better without it, and far better than
     without any other.
 
-    Parameters
-    ----------
-    yaws : list of CompassYaw
-    known : float
-        Variance of the origin's yaw, rad²; infinite if it is unknown.
-    gate : float
-        Squared sigmas that count as far.
+    `known` is the variance of the origin's yaw, rad², infinite if it is unknown; `gate` are the
+    squared sigmas that count as far.
     """
     kept = yaws
     while len(kept) > 1 and misfit(kept) > gate:

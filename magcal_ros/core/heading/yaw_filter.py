@@ -1,7 +1,7 @@
 """Yaw, gyro bias and the field's disturbance, estimated together.
 
-What tells the disturbance from an error of the yaw: it changes with the place within seconds of
-driving, and an error of the propagated yaw stays. Plain floats: this is on the path of every
+The disturbance changes with the place within seconds of driving, while an error of the propagated
+yaw stays: this separates the two. Plain floats: this is on the path of every
 message.
 """
 
@@ -12,25 +12,16 @@ import math
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.heading.fusion_tuning import FUSION
 
 
 class YawFilter:
     """A Kalman filter on the error of a propagated yaw, the gyro's bias about up, and disturbance.
 
-    Attributes
-    ----------
-    bias : float
-        rad/s about up.
-    disturbance : float
-        Radians by which the field of the place turns the compass.
-    yaw_variance : float
-        Of the yaw apart from the calibration's error, rad².
-    share : float
-        Of the calibration's error that is in the yaw.
-    error, error_variance : float
-        Of the calibration's own heading, as far as headings from elsewhere show it, in its
-        sigmas.
+    `bias` is in rad/s about up, and `disturbance` the angle by which the field of the place turns
+    the compass. `yaw_variance` (rad²) is without the calibration's error, of which the `share` is
+    in the yaw. `error` and `error_variance` are those of the calibration's own heading, as far as
+    headings of another device show it, in its sigmas.
     """
 
     def __init__(self) -> None:
@@ -39,14 +30,8 @@ class YawFilter:
     def begin(self, yaw_variance: float, bias_variance: float, disturbance: float) -> None:
         """Start from a compass reading.
 
-        Parameters
-        ----------
-        yaw_variance : float
-            Of the reading, but for the disturbance, rad².
-        bias_variance : float
-            (rad/s)².
-        disturbance : float
-            Variance of the disturbance, rad².
+        The variances are those of the reading but for the disturbance, rad², of the bias, (rad/s)²,
+        and of the disturbance, rad².
         """
         self.bias = self.disturbance = 0.0
         self.yaw_variance = yaw_variance + disturbance
@@ -81,12 +66,7 @@ class YawFilter:
     def move_on(self, share: float, variance: float) -> None:
         """Let the disturbance become another one.
 
-        Parameters
-        ----------
-        share : float
-            What is left of it, 0 to 1.
-        variance : float
-            That a disturbance has, rad².
+        `share` of it is left, 0 to 1, and `variance` is that of a disturbance, rad².
         """
         self.disturbance *= share
         self._yaw_disturbance *= share
@@ -110,7 +90,7 @@ class YawFilter:
         self.yaw_variance += variance
 
     def know_bias(self, variance: float) -> None:
-        """Somebody else knows the bias better, and has taken it off the rate."""
+        """Begin anew with a bias of which another filter has subtracted what it knows."""
         self.bias = self._yaw_bias = self._bias_disturbance = self._bias_share = 0.0
         self._bias = variance
 
@@ -128,14 +108,9 @@ class YawFilter:
     def observe(self, innovation: float, noise: float, lasting: float) -> float:
         """Take compass less propagated yaw; returns by what to correct the yaw, radians.
 
-        Parameters
-        ----------
-        innovation : float
-            Radians, less what is known of the calibration's error.
-        noise : float
-            Its variance beside that of the four, rad².
-        lasting : float
-            Sigma of the calibration's error, radians.
+        `innovation` is in radians, less what is known of the calibration's error, `noise` its
+        variance beside that of the four, rad², and `lasting` the sigma of the calibration's error,
+        radians.
         """
         by_yaw = self.yaw_variance + self._yaw_disturbance
         by_bias = self._yaw_bias + self._bias_disturbance
@@ -200,27 +175,18 @@ class GyroLoss:
     For each pair of sizes on a grid a Kalman filter follows by how much headings are ahead of the
     gyro, and the bias. Their likelihoods and log-normal priors weigh the pairs.
 
-    Parameters
-    ----------
-    tuning : FusionTuning
-        The priors.
-
-    Attributes
-    ----------
-    share : float
-        Of the usual loss of angle, rad², that this gyro has; one on average.
-    walked : float
-        (rad/s)² a second by which its bias walks.
+    `share` is the part of the usual loss of angle, rad², that this gyro has, one on average, and
+    `walked` are the (rad/s)² a second by which its bias walks.
     """
 
-    def __init__(self, tuning: FusionTuning) -> None:
-        walk, spread = tuning.bias_walk, tuning.loss_spread
+    def __init__(self) -> None:
+        walk, spread = FUSION.bias_walk, FUSION.loss_spread
         first, second = np.meshgrid(np.linspace(-3.0, 4.0, 11), np.linspace(-3.0, 3.0, 7))
-        self._walks: FloatArray = (walk * np.exp(tuning.walk_spread * first.ravel())) ** 2
+        self._walks: FloatArray = (walk * np.exp(FUSION.walk_spread * first.ravel())) ** 2
         self._shares: FloatArray = np.exp(spread * second.ravel() - 0.5 * spread**2)
         self._log_odds: FloatArray = -0.5 * (first**2 + second**2).ravel()
-        self._bias_variance = tuning.bias_sigma**2
-        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * tuning.walk_spread**2)
+        self._bias_variance = FUSION.bias_sigma**2
+        self.share, self.walked = 1.0, walk**2 * math.exp(2.0 * FUSION.walk_spread**2)
         self.begin()
 
     def begin(self) -> None:
@@ -231,16 +197,9 @@ class GyroLoss:
     def add(self, stamp: float, ahead: float, variance: float, lost: float) -> None:
         """Take a heading.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        ahead : float
-            Radians by which it is ahead of the yaw of the gyro alone.
-        variance : float
-            Of its error, which is another one than that of the heading before, rad².
-        lost : float
-            rad² that a gyro usually loses since that one, apart from its bias.
+        The heading is `ahead` of the yaw of the gyro alone, radians. `variance` is that of its
+        error, which is independent of that of the heading before, rad²; `lost` are the rad² that a
+        gyro usually loses since that one, apart from its bias.
         """
         seconds, self._stamp = stamp - self._stamp, stamp
         if not seconds > 0.0:

@@ -267,8 +267,8 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
     return {
         **(_of_a_drive(found) if found.mode in DRIVES else {}),
         Figure.LEVEL_SHARE if weakened else Figure.RADIUS_RATIO: share,
-        Figure.STEADY_PULL: _pull(best) / STANDARD_GRAVITY,
-        Figure.POSSIBLE_PULL: found.by_pull,
+        Figure.STEADY_ACCELERATION: _pull(best) / STANDARD_GRAVITY,
+        Figure.POSSIBLE_ACCELERATION: found.by_pull,
         Figure.GYRO_CARRIED: float(gyro_is_usual(best)),
         Figure.NOT_CONVERGED: float(not best.converged),
         Figure.ITERATIONS: float(best.rounds),

@@ -30,8 +30,8 @@ SHOWN_YAW = 0.5
 """Share of its prior's sigma below which the installation's yaw counts as shown."""
 WORST_IS_LARGEST = (
     Figure.GYRO_COMPASS_SWING,
-    Figure.STEADY_PULL,
-    Figure.POSSIBLE_PULL,
+    Figure.STEADY_ACCELERATION,
+    Figure.POSSIBLE_ACCELERATION,
     Figure.MOTOR_FIELD,
 )
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
@@ -149,8 +149,8 @@ def _pulls(estimate: Estimate, knowledge: Knowledge) -> dict[Figure, float]:
     """Return by how many sigmas strength and inclination are off their beliefs."""
     reference = knowledge.reference
     pairs: tuple[tuple[Figure, float, Belief], ...] = (
-        (Figure.STRENGTH_PULL, estimate.strength, reference.strength),
-        (Figure.INCLINATION_PULL, estimate.inclination, reference.inclination),
+        (Figure.STRENGTH_DEVIATION, estimate.strength, reference.strength),
+        (Figure.INCLINATION_DEVIATION, estimate.inclination, reference.inclination),
     )
     return {
         figure: abs(value - belief.value) / belief.sigma

@@ -15,7 +15,7 @@ import numpy as np
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Estimate
-from magcal_ros.core.doctor.refusal import blamed_on_axes, wrong_axes
+from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import check_window

@@ -10,9 +10,7 @@ from magcal_ros.core.samples.streams import (
     StampGuard,
     Streams,
 )
-from magcal_ros.core.samples.window import (
-    Window,
-)
+from magcal_ros.core.samples.window import Window
 
 __all__ = [
     "STREAMS", "Drop", "FieldSample", "ImuSample", "Pair", "Pairer", "StampGuard", "Streams",

@@ -9,7 +9,7 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import signed_permutations
-from magcal_ros.core.samples.alignment_fit import PARAMETERS, TUNING, AlignmentFit, AlignmentTuning
+from magcal_ros.core.samples.alignment_fit import PARAMETERS, WIDE, AlignmentFit
 from magcal_ros.core.samples.window import Stretch
 
 
@@ -27,11 +27,9 @@ class Alignment:
     bias (rad/s) and scale error, and the field's lag (s). Shape (k, 23)."""
     covariance: FloatArray
     """Of the parameters; infinite for candidates that were given up. Shape (k, 23, 23)."""
-    tilt_spread: float
-    """Radians RMS by which the movement was more than a turn about one axis."""
     tilt_seen: float
-    """The same; zero where gravity deviates farther than that, for it may be the gyro's own
-    wandering."""
+    """Radians RMS by which the movement was more than a turn about one axis; zero where gravity
+    deviates farther than that, for it may be the gyro's own wandering."""
 
     @property
     def best(self) -> int:
@@ -40,38 +38,23 @@ class Alignment:
 
 
 def align(
-    stretch: Stretch,
-    axes: FloatArray,
-    tuning: AlignmentTuning = TUNING,
-    gyro: FloatArray | None = None,
-    with_up: bool = True,
+    stretch: Stretch, axes: FloatArray, gyro: FloatArray | None = None, with_up: bool = True
 ) -> Alignment:
     """Fit every candidate and say how much worse than the best it explains the samples.
 
-    Parameters
-    ----------
-    stretch : Stretch
-        Of `stretch_of`.
-    axes : ndarray, shape (k, 3, 3)
-        Candidates; rows are the magnetometer's axes in the body's.
-    tuning : AlignmentTuning, optional
-    gyro : ndarray, shape (k, 3, 3), optional
-        The same of the gyro; the body's by default.
-    with_up : bool
-        Whether gravity takes part.
+    `axes` (k, 3, 3) are the candidates; rows are the magnetometer's axes in the body's. `gyro` (k,
+    3, 3) are the same of the gyro, the body's by default. `with_up` is whether gravity takes part.
     """
     ways = np.broadcast_to(np.eye(3), axes.shape) if gyro is None else gyro
-    problem = AlignmentFit(stretch, axes, tuning, ways, with_up)
-    some = problem.descend(problem.start(), tuning.start_noise, tuning.rounds[0])
-    cost, noise = problem.cost(some, tuning.start_noise), tuning.start_noise
+    problem = AlignmentFit(stretch, axes, WIDE, ways, with_up)
+    some = problem.descend(problem.start(), WIDE.start_noise, WIDE.rounds[0])
+    cost, noise = problem.cost(some, WIDE.start_noise), WIDE.start_noise
     state, rms, misfit = some.copy(), problem.rms(some), cost - cost.min()
     kept = np.arange(len(axes))
-    for limit, steps in zip(
-        (tuning.hopeless, tuning.lost, tuning.lost), tuning.rounds[1:], strict=True
-    ):
+    for limit, steps in zip((WIDE.hopeless, WIDE.lost, WIDE.lost), WIDE.rounds[1:], strict=True):
         left = misfit[kept] <= limit
         kept, some = kept[left], some[left]
-        problem = AlignmentFit(stretch, axes[kept], tuning, ways[kept], with_up)
+        problem = AlignmentFit(stretch, axes[kept], WIDE, ways[kept], with_up)
         best = int(np.argmin(cost[left]))
         noise = problem.noise(some, best)
         problem.share = _shares(problem.residuals(some), best)
@@ -85,7 +68,7 @@ def align(
     attitude = problem.propagate(some)[0][best]
     tilt = _tilt_spread(attitude)
     seen = tilt if tilt > _gravity_spread(attitude, stretch.up) else 0.0
-    return Alignment(misfit, rms, state, covariance, tilt, seen)
+    return Alignment(misfit, rms, state, covariance, seen)
 
 
 def _tilt_spread(attitude: FloatArray) -> float:

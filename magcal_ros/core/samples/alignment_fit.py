@@ -11,7 +11,7 @@ turn.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,43 +22,33 @@ from magcal_ros.core.samples.window import Stretch
 
 @dataclass(frozen=True)
 class AlignmentTuning:
-    """What is taken for granted while the axes are weighed."""
+    """What is assumed while the axes are weighed.
+
+    Wide enough for what is looked for: a bias of 5 °/s, a scale error of a fifth, half a second of
+    latency.
+    """
 
     installation: float = math.radians(5.0)
     """Radians, standard deviation of the installation error about each axis."""
-    soft_iron: float = 0.05
-    """Standard deviation of each element of the soft iron, dimensionless."""
-    bias: float = math.radians(3.0)
-    rested_bias: float = math.radians(0.1)
-    """rad/s, standard deviation of the gyro's bias, and of what it changes by after a rest."""
-    scale: float = 0.05
-    """Standard deviation of the gyro's scale error."""
-    lag: float = 1e-4
-    """Seconds, standard deviation of how late the field is."""
-    hard_iron: float = 4.0
-    """Standard deviation of the hard iron over the field's size."""
+    soft_iron: float = 0.05  # standard deviation of each element of the soft iron, dimensionless
+    bias: float = math.radians(6.0)  # rad/s, standard deviation of the gyro's bias
+    scale: float = 0.2  # standard deviation of the gyro's scale error
+    lag: float = 0.3  # seconds, standard deviation of how late the field is
+    hard_iron: float = 4.0  # standard deviation of the hard iron over the field's size
     field_floor: float = 0.01
     up_floor: float = math.radians(2.0)
     """Least noise that is believed: over the field's size, and radians."""
-    freedom: float = 4.0
-    """Degrees of freedom of the t distribution of the residuals."""
+    freedom: float = 4.0  # degrees of freedom of the t distribution of the residuals
     hopeless: float = 80.0
     """Misfit after the first steps, with wide noise, beyond which a candidate is given up."""
-    lost: float = 400.0
-    """The same later, with the noise that the best one shows."""
-    settled: float = 0.01
-    """Change of chi-square below which all candidates have settled."""
+    lost: float = 400.0  # the same later, with the noise that the best one shows
+    settled: float = 0.01  # change of chi-square below which all candidates have settled
     start_noise: tuple[float, float] = (0.1, 0.1)
     """Of field (over its size) and up (radians) in the first rounds: wide, so that all can move."""
-    rounds: tuple[int, int, int, int] = (5, 4, 4, 4)
-    """Steps between estimates of the noise."""
-
-    def after_rest(self, sigma: float) -> AlignmentTuning:
-        """Return what is known where a rest has shown the bias, by so many rad/s per axis."""
-        return replace(self, bias=min(self.bias, math.hypot(self.rested_bias, sigma)))
+    rounds: tuple[int, int, int, int] = (5, 4, 4, 4)  # steps between estimates of the noise
 
 
-TUNING = AlignmentTuning()
+WIDE = AlignmentTuning()
 PARAMETERS = 23
 SOFT, FIELD, IRON, UP, BIAS = (
     slice(0, 9),

@@ -20,16 +20,13 @@ BINS = 36
 class CoverageTuning:
     """When a turn is seen, and when it is complete."""
 
-    bins_needed: int = 34
-    """Of `BINS`, that are filled on a complete turn."""
+    bins_needed: int = 34  # of `BINS`, that are filled on a complete turn
     largest_gap: float = math.radians(20.0)
     """Radians that a complete turn may leave out at one place."""
-    spacings: float = 4.0
-    """Mean distances between samples that are no gap."""
+    spacings: float = 4.0  # mean distances between samples that are no gap
     spread_over_noise: float = 6.0
     """The field's cloud must be so many times wider than its noise before it shows a phase."""
-    smallest_radius: float = 4e-6
-    """Tesla. A smaller circle is noise, or a robot that stands."""
+    smallest_radius: float = 4e-6  # tesla, a smaller circle is noise, or a robot that stands
     gyro_leads_until: float = math.radians(60.0)
     """Radians. A shorter arc does not show its circle well; a gyro, where there is one, measures
     it."""
@@ -51,12 +48,10 @@ class Coverage:
     arc: float
     """Radians seen: the full turn less the largest gap, which is none where it is a few samples'
     spacing."""
-    gap: float
-    """Radians of the largest gap."""
+    gap: float  # radians of the largest gap
     gap_centre: float
     """Radians from the start to the middle of the largest gap, positive to the left."""
-    turned: float
-    """Radians turned in all, positive counter-clockwise."""
+    turned: float  # radians turned in all, positive counter-clockwise
 
     @classmethod
     def nothing(cls) -> Coverage:
@@ -80,11 +75,6 @@ class Coverage:
         spacing = arc / max(int(np.count_nonzero(gaps)) - 1, 1)
         is_full = gap < min(COVERAGE.spacings * spacing, COVERAGE.largest_gap)
         return cls(filled, 2.0 * math.pi if is_full else arc, gap, centre, turned)
-
-    @property
-    def share(self) -> float:
-        """Share of the bins that are filled, 0 to 1."""
-        return float(self.filled.mean())
 
     @property
     def is_complete(self) -> bool:
@@ -120,24 +110,12 @@ def yaw_progress(
 ) -> FloatArray | None:
     """Return how far the robot has turned since the first sample.
 
-    The field's phase on its circle tells it; the gyro does before the circle can be seen, and
+    The field's phase on its circle shows it; the gyro does before the circle can be seen, and
     where the field is too steep to draw one.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    field : ndarray, shape (n, 3)
-        Field in nominal body axes, hard iron still in it, tesla.
-    force : ndarray, shape (n, 3)
-        Specific force in body axes, m/s².
-    rate : ndarray, shape (n, 3), or None
-        rad/s in body axes.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Unwrapped radians, counter-clockwise positive; None while neither sensor shows a turn.
+    `field` (n, 3) is in nominal body axes, hard iron still in it, tesla, `force` (n, 3) in m/s²,
+    and `rate` (n, 3) in rad/s. Returns unwrapped radians (n,), counter-clockwise positive; None
+    while neither sensor shows a turn.
     """
     if len(time) < 5:
         return None
@@ -188,19 +166,9 @@ def thin_to_equal_angles(
     A bin of headings keeps at most twice the median number of samples of a filled bin, evenly
     spread over the time that was spent in it; fewer if that is still too many in all.
 
-    Parameters
-    ----------
-    progress : ndarray, shape (n,)
-        Yaw of each sample, radians.
-    bins : int
-        Number of bins on the circle.
-    most : int, optional
-        Samples to keep in all; at least one stays of each filled bin.
-
-    Returns
-    -------
-    ndarray of int
-        Increasing row numbers.
+    `progress` (n,) is the yaw of each sample, radians, `bins` their number on the circle, and
+    `most` the samples to keep in all; at least one stays of each filled bin. Returns increasing row
+    numbers.
     """
     where = (np.mod(progress, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
     counts = np.bincount(where, minlength=bins)

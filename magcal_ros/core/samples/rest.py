@@ -23,10 +23,8 @@ whose gyro had 4.5 °/s."""
 class GyroAtRest(NamedTuple):
     """A gyro's bias as a rest has shown it."""
 
-    rate: Triple
-    """rad/s, body axes."""
-    sigma: float
-    """Of it, per axis, rad/s, while the robot stood."""
+    rate: Triple  # rad/s, body axes
+    sigma: float  # of it, per axis, rad/s, while the robot stood
 
     @property
     def later_sigma(self) -> float:
@@ -38,22 +36,18 @@ class GyroAtRest(NamedTuple):
 class BiasAtRestTuning:
     """When a robot is taken to have rested."""
 
-    block: float = 0.5
-    """Seconds of samples that are averaged before anything is compared."""
-    at_least: int = 4
-    """Blocks in a row that make a rest."""
-    clear: float = 4.0
-    """Sigmas of a block's mean by which two blocks at rest may differ."""
+    block: float = 0.5  # seconds of samples that are averaged before anything is compared
+    at_least: int = 4  # blocks in a row that make a rest
+    clear: float = 4.0  # sigmas of a block's mean by which two blocks at rest may differ
     smallest_turn: float = 0.004
     """Share of the field's swing that noise of another kind may move it by during a rest."""
     shown: float = 3.0
     """Times what a rest may move by that a turn at the gyro's rate must have moved the field by."""
     most_moved: float = 0.4
     """Share of that turn's way by which the field may seem to move during a rest."""
-    loose_rate: float = 0.01
-    """rad/s by which an engine or a person may rock a robot at rest."""
+    loose_rate: float = 0.01  # rad/s by which an engine or a person may rock a robot at rest
     next_to_nothing: float = 0.05
-    """Share of a turn's own rate at which nobody turns steadily for seconds beforehand."""
+    """Share of a turn's own rate at which no robot turns steadily for seconds beforehand."""
     turned: float = 5.0
     """Times what a rest may move by that the field must move in all to tell a rest by itself."""
 
@@ -63,24 +57,19 @@ TUNING = BiasAtRestTuning()
 
 @dataclass(frozen=True, eq=False)
 class RestBeside:
-    """What the sensors said while a robot stood right before or after its turn."""
+    """What the sensors measured while a robot stood right before or after its turn."""
 
-    seconds: float
-    """How long."""
-    field: FloatArray
-    """Mean raw field, tesla. Shape (3,)."""
-    field_sigma: float
-    """Of that mean, per axis."""
+    seconds: float  # how long
+    field: FloatArray  # mean raw field, tesla, shape (3,)
+    field_sigma: float  # of that mean, per axis
     force: FloatArray
     """Mean specific force in body axes, m/s². Shape (3,)."""
     rate: FloatArray
     """What the gyro read, rad/s: its bias; zero without a gyro. Shape (3,)."""
-    rate_sigma: float
-    """Of that mean, per axis; infinite without a gyro."""
-    beside: float
-    """Stamp of the turn's sample that is nearest, seconds."""
+    rate_sigma: float  # of that mean, per axis; infinite without a gyro
+    beside: float  # stamp of the turn's sample that is nearest, seconds
     turned: FloatArray
-    """Rotation from the body axes of that sample to those at rest, as the gyro tells. Shape (3,
+    """Rotation from the body axes of that sample to those at rest, by the gyro. Shape (3,
     3)."""
 
     def __post_init__(self) -> None:
@@ -96,14 +85,8 @@ def rests_around(
     It stood if the field did, and turned later, far faster than the gyro then read, if there is
     one.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds, increasing.
-    field : ndarray, shape (n, 3)
-        Raw field in any unit.
-    rate : ndarray, shape (n, 3), or None
-        rad/s; None without a gyro.
+    `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s; None
+    without a gyro.
     """
     blocks = _split(time)
     if len(blocks[0]) <= 2 * TUNING.at_least:
@@ -155,14 +138,9 @@ def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, fl
 def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> FloatArray | None:
     """Return the mean turn rate while the robot did not turn, rad/s.
 
-    None if it never rested, or if the field could not have told a turn at that rate from a rest.
+    None if it never rested, or if a turn at that rate would not have shown in the field.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds, increasing.
-    field, rate : ndarray, shape (n, 3)
-        Raw field in any unit, and rad/s.
+    `time` (n,) is in seconds, `field` (n, 3) raw and in any unit, `rate` (n, 3) in rad/s.
     """
     blocks = _split(time)
     if len(blocks[0]) <= TUNING.at_least:
@@ -176,6 +154,29 @@ def bias_at_rest(time: FloatArray, field: FloatArray, rate: FloatArray) -> Float
         and _would_show(rates.mean[start:end], 0.5 * swing, float(fields.limit[start:end].max()))
     ]
     return np.median(np.concatenate(rests), axis=0) if rests else None
+
+
+def longest_stand(
+    time: FloatArray, field: FloatArray, rate: FloatArray
+) -> tuple[FloatArray, bool] | None:
+    """Return the mean rate (3,) of the longest rest; None if there was none.
+
+    And whether a turn at that rate would have moved the field. Takes the same as `bias_at_rest`.
+    """
+    if not len(time) or time[-1] - time[0] < TUNING.block * (TUNING.at_least + 1):
+        return None
+    fields, rates = _still(field, rate, _split(time))
+    found = _runs(fields.stays & rates.stays)
+    if not found:
+        return None
+    start, end = max(found, key=lambda run: run[1] - run[0])
+    # A robot that stands all the time has not swung its field; its level part is about so large.
+    radius = 0.3 * float(np.median(np.linalg.norm(field, axis=1)))
+    inside = rates.mean[start:end]
+    stood = _stood(inside, fields.mean[start:end], radius)
+    shows = _would_show(inside, radius, float(fields.limit[start:end].max()))
+    # A slow turn passes from block to block.
+    return None if shows and not stood else (inside.mean(axis=0), shows)
 
 
 def _split(time: FloatArray) -> tuple[IntArray, IntArray]:
@@ -221,7 +222,7 @@ class _Blocks:
         return bool((np.ptp(self.mean, axis=0) > times * np.median(self.limit, axis=0)).any())
 
     def is_one(self, rows: slice) -> bool:
-        """Return whether nothing moved over all of these; who creeps passes from one to another."""
+        """Return whether nothing moved over all of these; a robot that creeps does."""
         return bool((np.ptp(self.mean[rows], axis=0) <= self.limit[rows].max(axis=0)).all())
 
 

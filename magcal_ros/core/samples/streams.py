@@ -1,19 +1,21 @@
 """Cleans the two raw streams, and pairs them by stamp.
 
-What is dropped is counted by its reason, so that the user can be told.
+What is dropped is counted by its reason.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from magcal_ros.core.geometry.vec3 import Triple, between, length
 from magcal_ros.core.samples.stamps import BurstWatch
 
+Stamped = TypeVar("Stamped", bound=tuple[object, ...])
 SWAY = 0.22
 """Seconds of about half a period of the fastest sway of a body, of 2 Hz, which is not seen then."""
 
@@ -24,12 +26,10 @@ class StreamTuning:
 
     restart_after: int = 10
     """So many stamps in a row before the newest mean that time itself went back (a looped bag)."""
-    max_gap: float = 0.2
-    """Seconds. IMU samples further apart are usually not interpolated between."""
+    max_gap: float = 0.2  # seconds; IMU samples further apart are usually not interpolated between
     longest_gyro_step: float = 0.5
     """Seconds between two samples over which a gyro still propagates; beyond, its path is lost."""
-    remembered: int = 4096
-    """Samples kept of each stream: four seconds of the fastest sensors."""
+    remembered: int = 4096  # samples kept of each stream: four seconds of the fastest sensors
     smallest_field: float = 1e-9
     largest_field: float = 1e-3
     """Tesla. Less is a sensor that reads nothing; more, twenty times the Earth's field, a unit
@@ -37,8 +37,7 @@ class StreamTuning:
     smallest_force: float = 1e-6
     largest_force: float = 1e5
     """m/s². No accelerometer reads less or more, milli-g published as m/s² included."""
-    largest_rate: float = 1e4
-    """rad/s. No gyro reads more, degrees published as radians included."""
+    largest_rate: float = 1e4  # rad/s, no gyro reads more, degrees published as radians included
 
 
 STREAMS = StreamTuning()
@@ -85,12 +84,7 @@ class Pair(NamedTuple):
 class StampGuard:
     """Lets only increasing stamps pass, and follows time when it is set back for good.
 
-    Attributes
-    ----------
-    newest : float
-        Seconds; minus infinity before the first.
-    bursts : BurstWatch
-        Whether those that passed come in bursts.
+    `newest` is in seconds, minus infinity before the first; `bursts` watches those that passed.
     """
 
     def __init__(self) -> None:
@@ -126,7 +120,7 @@ def slow_words(gap: float) -> str:
 
 
 def slow_field_words(gap: float) -> str:
-    """Say that no drive is told by field samples so many seconds apart; empty where one is."""
+    """Say that field samples so many seconds apart show no drive; empty where one is."""
     if not gap > STREAMS.longest_gyro_step:
         return ""
     return (
@@ -139,23 +133,12 @@ def slow_field_words(gap: float) -> str:
 class Streams:
     """The newest samples of IMU and field, cleaned, and the IMU at any stamp among them.
 
-    Parameters
-    ----------
-    max_gap : float
-        Seconds. IMU samples further apart are not interpolated between, and a field sample that
-        is further from the newest IMU sample has no up vector.
-
-    Attributes
-    ----------
-    imu_drops, field_drops : Counter of Drop
-        How many samples were dropped, by reason.
-    is_repeated : bool
-        Whether the newest field sample has the values of the one before it.
-    lead_at_imu, lead_at_field : float
-        Newest field stamp less newest IMU stamp when the newest IMU sample came, and when the
-        newest field sample came, seconds; infinite while one is missing.
-    largest_field : float
-        Size of the last field that was too large, tesla as published; zero if none was.
+    IMU samples further apart than `max_gap`, seconds, are not interpolated between, and a field
+    sample that is further from the newest IMU sample has no up vector. The drops are counted by
+    reason. `is_repeated` is whether the newest field sample has the values of the one before it.
+    `lead_at_imu` and `lead_at_field` are the newest field stamp less the newest IMU stamp when the
+    newest sample of each came, seconds; infinite while one is missing. `largest_field` is the size
+    of the last field that was too large, tesla as published; zero if none was.
     """
 
     def __init__(self, max_gap: float) -> None:
@@ -193,7 +176,7 @@ class Streams:
         """Take a field sample; returns whether a corrected field may be made of it.
 
         A sample with the values of the one before is counted as repeated, and still usable: a
-        robot that stands still in a quantised field is no fault. `is_repeated` tells.
+        robot that stands still in a quantised field is no fault. `is_repeated` shows it.
         """
         reason = _fault(sample.field, STREAMS.smallest_field, STREAMS.largest_field)
         if reason is Drop.TOO_LARGE:
@@ -211,12 +194,8 @@ class Streams:
 
     def imu_at(self, stamp: float) -> ImuSample | None:
         """Return the IMU interpolated at a stamp; None unless two near samples enclose it."""
-        later = None
-        for sample in reversed(self._imu):
-            if sample.stamp <= stamp:
-                return _interpolate(sample, later, stamp, self.max_gap)
-            later = sample
-        return None
+        found = enclosing(self._imu, stamp)
+        return None if found is None else _interpolate(*found, stamp, self.max_gap)
 
     @property
     def newest_imu(self) -> ImuSample | None:
@@ -231,6 +210,19 @@ class Streams:
     def imu_has_passed(self, stamp: float) -> bool:
         """Whether waiting longer can bring no IMU sample before `stamp`."""
         return bool(self._imu) and self._imu[-1].stamp >= stamp
+
+
+def enclosing(samples: Sequence[Stamped], stamp: float) -> tuple[Stamped, Stamped | None] | None:
+    """Return the newest sample at or before a stamp, and the one after it.
+
+    Samples begin with their stamps, which increase. None where all are later.
+    """
+    after = None
+    for sample in reversed(samples):
+        if sample[0] <= stamp:  # type: ignore[operator]
+            return sample, after
+        after = sample
+    return None
 
 
 def _fault(vector: Triple, smallest: float, largest: float) -> Drop | None:
@@ -321,11 +313,11 @@ class VelocitySample(NamedTuple):
 
 
 TravelSample = SpeedSample | PositionSample | VelocitySample
-"""Whatever tells how a vehicle travels."""
+"""Whatever shows how a vehicle travels."""
 
 
 class HeadingSample(NamedTuple):
-    """ENU yaw (rad) that somebody else measures, with its sigma, at a stamp (s)."""
+    """ENU yaw (rad) of another device, with its sigma, at a stamp (s)."""
 
     stamp: float
     yaw: float

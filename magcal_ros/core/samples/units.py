@@ -60,13 +60,15 @@ def likely_acceleration_unit(size: float) -> str:
 
 
 MISLED_BY_AXES = (
-    Reason.FIELD_TOO_STEEP,
-    Reason.AXIS_ALONG_FIELD,
-    Reason.AXES_DISAGREE,
-    Reason.NO_SOLUTION,
     Reason.AMBIGUOUS,
+    Reason.AXES_DISAGREE,
+    Reason.AXIS_ALONG_FIELD,
+    Reason.AXIS_HORIZONTAL,
+    Reason.FIELD_NOT_ON_A_PLANE,
+    Reason.FIELD_TOO_STEEP,
+    Reason.NO_SOLUTION,
 )
-"""Refusals that axes which point down or sideways can be the cause of."""
+"""Refusals that wrong axes can cause."""
 
 LEAST_UPRIGHT = 0.5
 """Share of gravity on a body's z from which z counts as up: less than 60 degrees of lean."""
@@ -91,12 +93,10 @@ def explained(refusal: Refusal, window: Window) -> Refusal:
 class DiagnosisTuning:
     """When a stream is worth a complaint."""
 
-    worth_a_word: float = 0.02
-    """Share of dropped samples that is said."""
+    worth_a_word: float = 0.02  # share of dropped samples that is said
     most_repeats: float = 0.9
     """Share of repeated field values beyond which the sensor is frozen or the robot at rest."""
-    largest_offset: float = 1.0
-    """Seconds between the two sensors' newest stamps."""
+    largest_offset: float = 1.0  # seconds between the two sensors' newest stamps
     ahead_in_gaps: float = 1.5
     """Gaps (the largest that is bridged) by which a field ahead of the IMU is no jitter any
     more."""
@@ -122,10 +122,8 @@ IMU_WORDS = WORDS | {Drop.TOO_LARGE: "samples are no acceleration in m/s² or no
 class Heard:
     """What came on one topic in the time that is judged."""
 
-    topic: str
-    """Its name."""
-    messages: int
-    """How many came."""
+    topic: str  # its name
+    messages: int  # how many came
     drops: Counter[Drop] = field(default_factory=Counter)
     """How many of them were not used, by reason."""
 

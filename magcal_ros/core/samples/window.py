@@ -42,8 +42,8 @@ class Window:
     angular_rate: FloatArray | None = None
     """rad/s in body axes at the same moments; None without a gyro. Shape (n, 3)."""
     turned: FloatArray | None = None
-    """Rotations from the body axes at one moment to those of each sample, by all that the gyro
-    said, where samples between those of the window were left out. Shape (n, 3, 3)."""
+    """Rotations from the body axes at one moment to those of each sample, by all samples of the
+    gyro, where samples between those of the window were left out. Shape (n, 3, 3)."""
     rests: tuple[RestBeside, ...] = ()
     """What was seen right before and after the turn, where the robot stood there; the gyro's bias
     that they show is taken off `angular_rate`."""
@@ -68,7 +68,7 @@ class Window:
 
     @property
     def bias_sigma(self) -> float:
-        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where nothing told it.
+        """Sigma of the bias that `angular_rate` still has, rad/s; infinite where it is unknown.
 
         It was taken off where a rest has shown it.
         """
@@ -115,14 +115,12 @@ def without_spikes(values: FloatArray) -> BoolArray:
 class SensorLog:
     """Both streams in the order in which they came, nothing cleaned."""
 
-    imu_time: FloatArray
-    """Stamps, seconds. Shape (n,)."""
+    imu_time: FloatArray  # stamps, seconds, shape (n,)
     force: FloatArray
     """Specific force as published, meant as m/s². Shape (n, 3)."""
     rate: FloatArray
     """Angular rate as published, meant as rad/s; NaN without a gyro. Shape (n, 3)."""
-    field_time: FloatArray
-    """Stamps, seconds. Shape (m,)."""
+    field_time: FloatArray  # stamps, seconds, shape (m,)
     field: FloatArray
     """Raw field as published, meant as tesla. Shape (m, 3)."""
     orientation: FloatArray | None = None
@@ -159,8 +157,7 @@ class StretchTuning:
 
     longest: float = 60.0
     """Seconds of the part that is looked at; the field of a drive does not stay the same."""
-    widest_block: float = math.radians(4.0)
-    """Radians of turn that are averaged."""
+    widest_block: float = math.radians(4.0)  # radians of turn that are averaged
     fewest: int = 120
     most: int = 240
     """Averages."""
@@ -173,8 +170,7 @@ TUNING = StretchTuning()
 class Stretch:
     """Averaged samples with the turns between them."""
 
-    field: FloatArray
-    """Over `size`. Shape (n, 3)."""
+    field: FloatArray  # over `size`, shape (n, 3)
     up: FloatArray
     """Specific force over its own usual size. Shape (n, 3)."""
     turn: FloatArray
@@ -182,12 +178,10 @@ class Stretch:
     coning: FloatArray
     """What must be added for rotation vectors, because turns do not commute: second order. Shape (n
     - 1, 3)."""
-    seconds: FloatArray
-    """Shape (n - 1,)."""
+    seconds: FloatArray  # shape (n - 1,)
     rate: FloatArray
     """The gyro's mean rate, rad/s. Shape (n, 3)."""
-    size: float
-    """Of the field's changing part, tesla."""
+    size: float  # of the field's changing part, tesla
     time: FloatArray
     """Stamps of the IMU to which the samples belong, seconds. Shape (n,)."""
 

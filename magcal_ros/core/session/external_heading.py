@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
-from magcal_ros.core.heading.fusion_tuning import FusionTuning
+from magcal_ros.core.heading.fusion_tuning import FUSION
 from magcal_ros.core.samples.streams import STREAMS
 
 DEGREES = 180.0 / math.pi
-_FUSION = FusionTuning()
 
 
 @dataclass(frozen=True)
@@ -105,11 +104,11 @@ class TurnSince:
         if not 0.0 < seconds <= STREAMS.longest_gyro_step:
             self._variance = math.inf
             return
-        tuning, turn = _FUSION, dot(rate, up)
+        turn = dot(rate, up)
         self.angle += turn * seconds
-        self._variance += (tuning.angle_walk**2 + tuning.turn_error**2 * abs(turn)) * seconds
+        self._variance += (FUSION.angle_walk**2 + FUSION.turn_error**2 * abs(turn)) * seconds
         self._seconds += seconds
-        self._bias_sigma = max(self._bias_sigma, math.sqrt(bias_variance), tuning.bias_sigma)
+        self._bias_sigma = max(self._bias_sigma, math.sqrt(bias_variance), FUSION.bias_sigma)
 
     @property
     def sigma(self) -> float:

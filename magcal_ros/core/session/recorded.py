@@ -18,7 +18,7 @@ from magcal_ros.core.calibrate import (
     calibrate_turns,
 )
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.doctor.refusal import blamed_on_sensors
+from magcal_ros.core.doctor.page import blamed_on_sensors
 from magcal_ros.core.driving.travelling import TravelReplay
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.heading.compass import Compass

@@ -8,14 +8,5 @@ from magcal_ros.core.up.follower import (
     unseen_angles,
 )
 from magcal_ros.core.up.propagation import GyroBias
-from magcal_ros.core.up.up_tuning import UpTuning
 
-__all__ = [
-    "GyroBias",
-    "Up",
-    "UpFollower",
-    "UpTuning",
-    "propagated_up",
-    "relative_attitudes",
-    "unseen_angles",
-]
+__all__ = ["GyroBias", "Up", "UpFollower", "propagated_up", "relative_attitudes", "unseen_angles"]

@@ -1,7 +1,7 @@
 """Up, gyro bias and the robot's velocity, estimated together.
 
 The accelerometer of a robot that speeds up, brakes or circles points away from up. The gyro
-propagates up through this, but drifts. What tells them apart: up stays where it is in the world,
+propagates up through this, but drifts. What separates them: up stays where it is in the world,
 the velocity where it is in the body: in a steady circle it is accelerated by turn rate x velocity
 for however long, and what is left is soon over.
 """
@@ -16,7 +16,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.geometry.vec3 import Triple, length
-from magcal_ros.core.up.up_tuning import FilterTuning
+from magcal_ros.core.up.up_tuning import CLEAR, FILTER
 
 IDENTITY: FloatArray = np.eye(3)
 
@@ -37,11 +37,10 @@ class UpFilter:
     `MotionPrior`.
     """
 
-    def __init__(self, tuning: FilterTuning | None = None) -> None:
-        self.tuning = tuning or FilterTuning()
+    def __init__(self) -> None:
         self.state: FloatArray = np.zeros(12)
         self.covariance: FloatArray = np.zeros((12, 12))
-        self.covariance[3:6, 3:6] = IDENTITY * self.tuning.bias_sigma**2
+        self.covariance[3:6, 3:6] = IDENTITY * FILTER.bias_sigma**2
         self._transition = np.eye(12)
         self._reads: FloatArray = np.hstack([IDENTITY, np.zeros((3, 6)), IDENTITY])
 
@@ -54,7 +53,7 @@ class UpFilter:
     def tilt_variance(self) -> float:
         """Variance of the direction of up, rad², the mean of its two directions."""
         _, across, square = self._by_up(0)
-        return max(0.0, across) / (2.0 * square) if square > 0.0 else self.tuning.unknown**2
+        return max(0.0, across) / (2.0 * square) if square > 0.0 else 1.0
 
     @property
     def bias_variance(self) -> float:
@@ -104,20 +103,12 @@ class UpFilter:
     def predict(self, up: Triple, turned: Triple, seconds: float, motion: MotionPrior) -> None:
         """Go on by a block of messages.
 
-        Parameters
-        ----------
-        up : tuple of float
-            Up after the block, propagated by the gyro less its bias.
-        turned : tuple of float
-            Radians that the body turned by, body axes.
-        seconds : float
-            How long the block took.
-        motion : MotionPrior
-            How the robot may move.
+        `up` is up after the block, propagated by the gyro less its bias, `turned` the radians that
+        the body turned by in body axes, and `motion` how the robot may move.
         """
-        tuning, step = self.tuning, self._transition
-        fast = math.exp(-seconds / tuning.speed_lasts)
-        kept = math.exp(-seconds / tuning.acceleration_lasts)
+        step = self._transition
+        fast = math.exp(-seconds / FILTER.speed_lasts)
+        kept = math.exp(-seconds / FILTER.acceleration_lasts)
         step[:3, :3] = exp_rotation(np.array(turned))
         step[:3, :3] = step[:3, :3].T
         x, y, z = (seconds * each for each in up)
@@ -126,12 +117,12 @@ class UpFilter:
         self.state[:3] = up
         self.state[6:9] *= fast
         self.state[9:] *= kept
-        grown = tuning.angle_walk**2 * seconds + tuning.turn_error**2 * length(turned)
+        grown = FILTER.angle_walk**2 * seconds + FILTER.turn_error**2 * length(turned)
         acceleration = length(self.state[9:].tolist())
-        if acceleration > tuning.implausible * math.sqrt(3.0) * motion.acceleration:
-            grown += acceleration**2 * seconds / tuning.regain
+        if acceleration > CLEAR * math.sqrt(3.0) * motion.acceleration:
+            grown += acceleration**2 * seconds / FILTER.regain
         p = step @ self.covariance @ step.T
-        walked = tuning.bias_walk**2 * seconds
+        walked = FILTER.bias_walk**2 * seconds
         sped = motion.speed**2 * (1.0 - fast**2)
         shoved = motion.acceleration**2 * (1.0 - kept**2)
         p.reshape(-1)[::13] += [each for each in (grown, walked, sped, shoved) for _ in range(3)]
@@ -140,20 +131,14 @@ class UpFilter:
     def observe_force(self, innovation: FloatArray, variance: float, rate: float) -> None:
         """Take the mean of accelerometer less propagated up over a block, and its variance.
 
-        Parameters
-        ----------
-        innovation : ndarray, shape (3,)
-            g.
-        variance : float
-            Of its noise, g².
-        rate : float
-            Of the turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than
-            turning, and an engine shakes sensor and seat in one time.
+        `innovation` (3,) and the `variance` of its noise are in g and g². `rate` is that of the
+        turn about up meanwhile, rad/s. Rolling and pitching are shaking rather than turning, and an
+        engine shakes sensor and seat in one time.
         """
         reads = self._reads
         reads[:, 6:9] = _sideways(self.state[:3].tolist(), rate)
         left = innovation - reads[:, 6:] @ self.state[6:]
-        self._correct(reads, variance + self.tuning.floor**2, left)
+        self._correct(reads, variance + FILTER.floor**2, left)
 
     def observe_length(self, size: float, variance: float) -> None:
         """Take what the accelerometer reads at rest, over gravity."""
@@ -168,14 +153,8 @@ class UpFilter:
     def observe_bias(self, rate: FloatArray, variance: float, axis: FloatArray | None) -> None:
         """Take the mean rate of a block of a robot that does not turn.
 
-        Parameters
-        ----------
-        rate : ndarray, shape (3,)
-            rad/s.
-        variance : float
-            Of its noise, (rad/s)².
-        axis : ndarray, shape (3,), or None
-            Unit vector about which the robot may turn all the same, where there is one.
+        `rate` (3,) is in rad/s, `variance` of its noise in (rad/s)². `axis` is the unit vector
+        about which the robot may turn all the same, where there is one.
         """
         shown = IDENTITY if axis is None else IDENTITY - np.outer(axis, axis)
         reads = np.zeros((3, 12))
@@ -185,14 +164,14 @@ class UpFilter:
     def admit_bias(self, rate: FloatArray) -> None:
         """Allow for a bias that lies further off than what was known of it."""
         gap, own = rate - self.state[3:6], self.covariance[3:6, 3:6]
-        if float(gap @ gap) > self.tuning.implausible**2 * float(np.trace(own)):
+        if float(gap @ gap) > CLEAR**2 * float(np.trace(own)):
             own += IDENTITY * float(gap @ gap)
 
     def bound_bias(self) -> None:
         """Keep the bias within what a gyro can have."""
         size = length(self.state[3:6].tolist())
-        if size > self.tuning.largest_bias:
-            self.state[3:6] *= self.tuning.largest_bias / size
+        if size > FILTER.largest_bias:
+            self.state[3:6] *= FILTER.largest_bias / size
 
     def _correct(self, reads: FloatArray, variance: float, innovation: FloatArray) -> None:
         """Take three readings that differ from what was expected, and how they read the state."""

@@ -10,16 +10,23 @@ import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit
-from magcal_ros.core.geometry.rotations import exp_rotations
-from magcal_ros.core.geometry.vec3 import Triple, between, distance, length, propagated, unit_triple
+from magcal_ros.core.geometry.rotations import chained, exp_rotations
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    distance,
+    length,
+    minus,
+    propagated,
+    scaled,
+    unit_triple,
+)
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample
+from magcal_ros.core.samples.streams import STREAMS, SWAY, ImuSample, enclosing
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.up.propagation import GyroBias, GyroPropagation
 from magcal_ros.core.up.stillness import ZERO, LivingAxes
-from magcal_ros.core.up.up_tuning import FilterTuning, LevellingTuning, UpTuning
-
-TUNING = FilterTuning()
+from magcal_ros.core.up.up_tuning import CLEAR, FILTER, PROPAGATION
 
 
 def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
@@ -28,12 +35,7 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
     A body may sway between samples that come slowly as much as from one to the next. If all they
     show is sway too fast for them, as random as white noise, the variance is right.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    rate : ndarray, shape (n, 3)
-        rad/s.
+    `time` (n,) is in seconds, `rate` (n, 3) in rad/s.
     """
     step = np.diff(time)[:, None]
     square = np.zeros_like(rate)
@@ -45,27 +47,17 @@ def unseen_angles(time: FloatArray, rate: FloatArray) -> FloatArray:
 def relative_attitudes(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return rotations from the first sample's body axes to each sample's, shape (n, 3, 3).
 
-    Steps `exp(-[w]x dt)` with the mean rate between both ends, multiplied up by a parallel scan.
-    The trapezoidal rule with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples
-    a second would lose a hundredth by the plain rule.
+    Products of steps `exp(-[w]x dt)` with the mean rate between both ends. The trapezoidal rule
+    with its end correction (Euler-Maclaurin): a wobble of 2 Hz at 30 samples a second would lose a
+    hundredth by the plain rule.
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        Seconds.
-    rate : ndarray, shape (n, 3)
-        rad/s in body axes.
+    `time` (n,) is in seconds, `rate` (n, 3) in rad/s, body axes.
     """
     step = np.diff(time)[:, None]
     turned = 0.5 * step * (rate[1:] + rate[:-1])
     if len(time) > 2:
         turned -= step**2 / 12.0 * np.diff(np.gradient(rate, time, axis=0), axis=0)
-    product = np.concatenate([np.eye(3)[None], exp_rotations(-turned)])
-    reach = 1
-    while reach < len(product):
-        product[reach:] = product[reach:] @ product[:-reach]
-        reach *= 2
-    return np.asarray(product)
+    return np.asarray(chained(exp_rotations(-turned)[None])[0])
 
 
 def propagated_up(window: Window) -> FloatArray:
@@ -78,8 +70,8 @@ def propagated_up(window: Window) -> FloatArray:
     if rate is None or len(window) < 3:
         return unit(window.specific_force)
     past = _followed(window, rate)
-    if length(past.bias) > TUNING.implausible * TUNING.bias_sigma:
-        # Before it was known, it has led up astray by more than the variance says.
+    if length(past.bias) > CLEAR * FILTER.bias_sigma:
+        # Before it was known, up was wrong by more than its variance.
         rate = rate - past.bias
         past = _followed(window, rate)
     future = _followed(window, rate, backwards=True)
@@ -115,21 +107,10 @@ def _followed(window: Window, rate: FloatArray, backwards: bool = False) -> _Fol
 class Levelling:
     """Smooths the direction of the specific force.
 
-    Parameters
-    ----------
-    force : tuple of float
-        First reading of the accelerometer, over gravity; not zero.
-    tuning : LevellingTuning, optional
-        What is taken for granted.
-
-    Attributes
-    ----------
-    up : tuple of float
-        Unit vector, body axes.
+    It begins with a force over gravity that is not zero; `up` is a unit vector, body axes.
     """
 
-    def __init__(self, force: Triple, tuning: LevellingTuning | None = None) -> None:
-        self._tuning = tuning or LevellingTuning()
+    def __init__(self, force: Triple) -> None:
         self.up = unit_triple(force)
         self._mean = self.up
         self._scatter = 0.0
@@ -139,17 +120,17 @@ class Levelling:
     def add(self, force: Triple, seconds: float) -> None:
         """Take the next reading, so many seconds after the one before."""
         seen = unit_triple(force)
-        up = between(self.up, seen, 1.0 - math.exp(-seconds / self._tuning.smoothing))
+        up = between(self.up, seen, 1.0 - math.exp(-seconds / PROPAGATION.smoothing))
         self.up = unit_triple(up) if length(up) > 0.0 else seen
         self._seconds += seconds
-        memory = 1.0 - math.exp(-seconds / self._tuning.memory)
+        memory = 1.0 - math.exp(-seconds / PROPAGATION.memory)
         self._mean = between(self._mean, self.up, memory)
         away = distance(self.up, self._mean)
         self._scatter += memory * (0.5 * away * away - self._scatter)
         size = length(force)
         self._size += memory * (size - self._size)
         self._rest += (
-            seconds / min(self._seconds + seconds, self._tuning.rest_memory) * (size - self._rest)
+            seconds / min(self._seconds + seconds, PROPAGATION.rest_memory) * (size - self._rest)
         )
 
     @property
@@ -159,12 +140,12 @@ class Levelling:
         Up that scatters is not known better than that, and an acceleration of p g across up
         stretches the accelerometer by p²/2.
         """
-        stretch = max(0.0, abs(self._size / self._rest - 1.0) - self._tuning.length_floor)
-        return self._tuning.floor**2 + self._scatter + stretch
+        stretch = max(0.0, abs(self._size / self._rest - 1.0) - PROPAGATION.length_sigma)
+        return FILTER.floor**2 + self._scatter + stretch
 
 
 SMALLEST_FORCE, LARGEST_FORCE = 0.1, 500.0
-"""m/s². Outside, in free fall or a fault of the driver, a reading tells no direction."""
+"""m/s². Outside, in free fall or a fault of the driver, a reading has no direction."""
 LARGEST_RATE = 100.0
 """rad/s, three times what any gyro measures."""
 
@@ -184,10 +165,9 @@ class UpFollower:
     the latter is smoothed.
     """
 
-    def __init__(self, tuning: UpTuning | None = None) -> None:
-        self._tuning = tuning or UpTuning()
-        self._propagation = GyroPropagation(self._tuning)
-        self._axes = LivingAxes(self._tuning.check)
+    def __init__(self) -> None:
+        self._propagation = GyroPropagation()
+        self._axes = LivingAxes()
         self._levelling: Levelling | None = None
         self._last: ImuSample | None = None
         self._ups: deque[tuple[float, Triple, float]] = deque(maxlen=STREAMS.remembered)
@@ -227,7 +207,7 @@ class UpFollower:
         """The same where a rest has shown it; None before any."""
         bias = self.gyro_bias
         sigma = math.sqrt(bias.variance)
-        if sigma > self._tuning.filter.seen_at_rest or not self.is_propagated:
+        if sigma > FILTER.seen_at_rest or not self.is_propagated:
             return None
         return GyroAtRest(bias.rate, sigma)
 
@@ -249,25 +229,16 @@ class UpFollower:
     def add_field(self, stamp: float, field: Triple) -> None:
         """Take a raw field sample: whether it turns separates a slow turn from a gyro's bias.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds, on the clock of the IMU.
-        field : tuple of float
-            As the magnetometer reads it, in any unit, calibrated or not.
+        The stamp is on the clock of the IMU, seconds; the field may be in any unit, calibrated or
+        not.
         """
         self._propagation.field.add(stamp, field)
 
     def add(self, sample: ImuSample, linear_acceleration: Triple | None = None) -> None:
         """Take the next IMU sample; one that does not follow the last starts anew.
 
-        Parameters
-        ----------
-        sample : ImuSample
-            Specific force and turn rate.
-        linear_acceleration : tuple of float, optional
-            m/s², body axes: what the robot itself accelerates by, where somebody measures it, as
-            from a speed v it is (dv/dt, v w_z, 0). It is taken off the specific force.
+        `linear_acceleration` (m/s², body axes) is that of the robot itself, where it is measured,
+        as from a speed v it is (dv/dt, v w_z, 0). It is subtracted from the specific force.
         """
         if not SMALLEST_FORCE < length(sample.force) < LARGEST_FORCE:
             return
@@ -291,43 +262,27 @@ class UpFollower:
         elif self._levelling is not None and follows:
             self._levelling.add(force, seconds)
         else:
-            self._levelling = Levelling(force, self._tuning.levelling)
+            self._levelling = Levelling(force)
         self._note(stamp)
 
     def at(self, stamp: float, max_gap: float) -> Up | None:
         """Return up at a stamp; None if no IMU sample is near enough.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds. Before the newest sample up is interpolated, after it the body is taken to
-            turn on as it does.
-        max_gap : float
-            Seconds between samples that are interpolated between, and after the newest.
+        Before the newest sample up is interpolated, after it the body is taken to turn on as it
+        does. `max_gap` are the seconds between samples that are interpolated between, and after the
+        newest.
         """
-        after = None
-        for moment in reversed(self._ups):
-            since = stamp - moment[0]
-            if since >= 0.0:
-                return self._beside(moment, after, since, max_gap)
-            after = moment
-        return None
-
-    def _beside(
-        self,
-        before: tuple[float, Triple, float],
-        after: tuple[float, Triple, float] | None,
-        since: float,
-        max_gap: float,
-    ) -> Up | None:
-        stamp, up, variance = before
+        found = enclosing(self._ups, stamp)
+        if found is None:
+            return None
+        (begin, up, variance), after = found
+        since = stamp - begin
         if since > 0.0:
-            span = since if after is None else after[0] - stamp
+            span = since if after is None else after[0] - begin
             if span > max_gap:
                 return None
             if after is None:
-                x, y, z = self.rate
-                up = propagated(up, (x * since, y * since, z * since))
+                up = propagated(up, scaled(self.rate, since))
             else:
                 up = between(up, after[1], since / span)
         return Up(unit_triple(up), variance) if length(up) > 0.0 else None
@@ -346,9 +301,5 @@ def has_gyro(sample: ImuSample) -> bool:
 
 def _in_g(force: Triple, acceleration: Triple | None) -> tuple[Triple, bool]:
     """Return the force in g less an acceleration, and whether that was given."""
-    x, y, z = force
-    if acceleration is not None:
-        a, b, c = acceleration
-        x, y, z = x - a, y - b, z - c
-    g = STANDARD_GRAVITY
-    return (x / g, y / g, z / g), acceleration is not None
+    felt = force if acceleration is None else minus(force, acceleration)
+    return scaled(felt, 1.0 / STANDARD_GRAVITY), acceleration is not None

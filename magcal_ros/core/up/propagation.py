@@ -10,11 +10,14 @@ import numpy as np
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.vec3 import (
     Triple,
+    between,
     distance,
     dot,
     length,
     minus,
+    plus,
     propagated,
+    scaled,
     unit_triple,
 )
 from magcal_ros.core.up.filter import MotionPrior, UpFilter
@@ -26,7 +29,7 @@ from magcal_ros.core.up.stillness import (
     ShakenRest,
     SteadySpell,
 )
-from magcal_ros.core.up.up_tuning import UpTuning
+from magcal_ros.core.up.up_tuning import CLEAR, FILTER, PROPAGATION, REST
 
 
 class GyroBias(NamedTuple):
@@ -48,52 +51,33 @@ class Block:
         """Take a message: force and propagated up (g), rate, turn since the one before."""
         self.count += 1
         self.seconds += seconds
-        x, y, z = self.force
-        self.force = (x + force[0], y + force[1], z + force[2])
-        x, y, z = self.up
-        self.up = (x + up[0], y + up[1], z + up[2])
-        x, y, z = self.rate
-        self.rate = (x + rate[0], y + rate[1], z + rate[2])
-        x, y, z = self.turn
-        self.turn = (x + turn[0], y + turn[1], z + turn[2])
+        self.force, self.up = plus(self.force, force), plus(self.up, up)
+        self.rate, self.turn = plus(self.rate, rate), plus(self.turn, turn)
 
     def mean(self, total: Triple) -> Triple:
         """Return a sum over the number of messages."""
-        return (total[0] / self.count, total[1] / self.count, total[2] / self.count)
+        return scaled(total, 1.0 / self.count)
 
 
 class GyroPropagation:
     """Propagates up by the gyro, and corrects it by the accelerometer where the motion allows.
 
-    Attributes
-    ----------
-    up : tuple of float
-        Up in g, body axes; its length is what the accelerometer reads at rest.
-    gyro_bias : GyroBias
-        As far as it is known.
-    mean_rate : tuple of float
-        Turn rate since the message before, less the bias, rad/s.
-    variance : float
-        Of up in either direction, rad².
-    is_settled : bool
-        Whether the accelerometer is believed, because the robot stands or rolls on steadily.
-    check : GyroCheck
-        Whether the gyro is to be believed.
-    field : FieldStillness
-        Takes the raw field, where there is one.
+    `up` is in g, body axes; its length is what the accelerometer reads at rest. `mean_rate` is the
+    turn rate since the message before, less the bias, rad/s, and `variance` that of up in either
+    direction, rad². `is_settled` is whether the accelerometer shows up, because the robot stands or
+    rolls on steadily. `field` takes the raw field, where there is one.
     """
 
-    def __init__(self, tuning: UpTuning) -> None:
-        self.tuning = tuning
+    def __init__(self) -> None:
         self.up = self.bias = ZERO
         self.variance = math.inf
-        self.check = GyroCheck(tuning.check)
-        self.field = FieldStillness(tuning.rest)
-        self._shaken = ShakenRest(tuning.shaken)
-        self._filter = UpFilter(tuning.filter)
-        self._noise = tuning.propagation.starting_noise**2
-        self._rate_noise = tuning.propagation.starting_rate_noise**2
-        self._rest, self._rest_sigma = tuning.filter.rest_length, tuning.filter.rest_length_sigma
+        self.check = GyroCheck()
+        self.field = FieldStillness()
+        self._shaken = ShakenRest()
+        self._filter = UpFilter()
+        self._noise = PROPAGATION.starting_noise**2
+        self._rate_noise = PROPAGATION.starting_rate_noise**2
+        self._rest, self._rest_sigma = 1.0, FILTER.rest_length_sigma
         self._is_rest_seen = False
         self._turning = 0
         self.begin(0.0, (0.0, 0.0, 1.0), ZERO)
@@ -104,7 +88,7 @@ class GyroPropagation:
         self._stamp, self._force, self._rate, self._is_given = stamp, force, rate, is_given
         self.mean_rate = ZERO
         self._block = Block()
-        self._spell = SteadySpell(self.tuning.rest)
+        self._spell = SteadySpell()
         self.field.begin()
         self._shaken.forget()
         self._is_still = self.is_settled = False
@@ -116,15 +100,14 @@ class GyroPropagation:
     @property
     def rate(self) -> Triple:
         """The newest turn rate less the bias, rad/s."""
-        (x, y, z), (p, q, r) = self._rate, self.bias
-        return (x - p, y - q, z - r)
+        return minus(self._rate, self.bias)
 
     def add(
         self, stamp: float, force: Triple, rate: Triple, seconds: float, is_given: bool = False
     ) -> None:
         """Take force (g) and rate so many seconds after the ones before.
 
-        With `is_given` the force is already less a linear acceleration that somebody measured.
+        With `is_given` the force is already less a linear acceleration that was measured.
         """
         before, old = self._rate, self._force
         self._stamp, self._rate, self._force = stamp, rate, force
@@ -132,27 +115,20 @@ class GyroPropagation:
             # Velocity and acceleration are now what is left of them, or the whole again.
             self._is_given = is_given
             self._filter.forget_motion(self._motion(self.is_settled))
-        p, q, r = self.bias
-        mean = (
-            0.5 * (rate[0] + before[0]) - p,
-            0.5 * (rate[1] + before[1]) - q,
-            0.5 * (rate[2] + before[2]) - r,
-        )
-        self.mean_rate = mean
-        turn = (mean[0] * seconds, mean[1] * seconds, mean[2] * seconds)
+        self.mean_rate = minus(between(before, rate, 0.5), self.bias)
+        turn = scaled(self.mean_rate, seconds)
         self.up = propagated(self.up, turn)
         self._block.add(force, self.up, rate, turn, seconds)
-        if self._block.seconds >= self.tuning.propagation.block:
+        if self._block.seconds >= PROPAGATION.block:
             block, self._block = self._block, Block()
             self._measure_noise(distance(force, old), distance(rate, before), block.seconds)
             self._end(block)
 
     def _measure_noise(self, force: float, rate: float, seconds: float) -> None:
         """Take by how much force and rate differ from one message to the next."""
-        tuning = self.tuning.propagation
-        share = min(1.0, seconds / tuning.noise_memory)
+        share = min(1.0, seconds / PROPAGATION.memory)
         # Half the square of a difference is the noise; a jump is none.
-        smallest = tuning.smallest**2
+        smallest = PROPAGATION.smallest**2
         square = min(force * force / 6.0, 10.0 * self._noise + smallest)
         self._noise += share * (square - self._noise)
         square = min(rate * rate / 6.0, 10.0 * self._rate_noise + smallest)
@@ -176,14 +152,12 @@ class GyroPropagation:
         if self.is_settled and (doubt is None or not goes_on):
             self.is_settled = False
             following.forget_acceleration(self._motion().acceleration)
-        x, y, z = means.force
-        p, q, r = block.mean(block.up)
-        # A mean: its noise times the velocity would pass for what tells both apart.
-        share = min(1.0, block.seconds / self.tuning.propagation.turn_lasts)
+        # A mean: its noise times the velocity would look like a turn.
+        share = min(1.0, block.seconds / FILTER.acceleration_lasts)
         newest = self._turn_rate(block.turn) / block.seconds
         self._steady_turn += share * (newest - self._steady_turn)
         turning = 0.0 if doubt == 0.0 else self._steady_turn
-        innovation = np.array((x - p, y - q, z - r))
+        innovation = np.array(minus(means.force, block.mean(block.up)))
         following.observe_force(innovation, self._noise / block.count, turning)
         if self._is_rest_seen:
             # Where up is uncertain, its length along the estimate is, to second order, as well.
@@ -191,7 +165,7 @@ class GyroPropagation:
             following.observe_length(self._rest, self._rest_sigma**2 + tilt**2)
         if not self.is_settled:
             self._settle(doubt, noise)
-        elif self._spell.seconds > self.tuning.rest.known:
+        elif self._spell.seconds > REST.undecided:
             self._learn(means, doubt, noise)
         if not self._is_rest_seen and doubt is None:
             self._guess_rest(means.force, noise, block.count)
@@ -203,15 +177,15 @@ class GyroPropagation:
 
         Zero where the steady spell shows that the robot does not turn.
         """
-        spell, rest = self._spell, self.tuning.rest
-        if length(spell.rate) > self.tuning.filter.largest_bias:
+        spell = self._spell
+        if length(spell.rate) > FILTER.largest_bias:
             return None
         excess = minus(spell.rate, self.bias)
         size = length(spell.force)
         about = abs(dot(excess, spell.force)) / size if size > 0.0 else length(excess)
         if not self.field.is_heard(self._stamp):
-            return 0.0 if about < rest.largest_rate else about
-        if self._is_still or about < rest.doubtful_rate:
+            return 0.0 if about < REST.largest_rate else about
+        if self._is_still or about < REST.doubtful_rate:
             return 0.0
         has_turned = self.field.has_turned(about)
         if has_turned is None:
@@ -226,10 +200,10 @@ class GyroPropagation:
         axis = None if doubt == 0.0 else np.array(unit_triple(spell.force))
         white = self._rate_noise / means.messages
         # A robot that rolls evenly sways, slowly beside a block: blocks do not average that away.
-        sway = max(0.0, spell.sway - white) * self.tuning.rest.sways / means.seconds
+        sway = max(0.0, spell.sway - white) * REST.sways / means.seconds
         self._filter.observe_bias(np.array(means.rate), white + sway, axis)
         self._rest = length(spell.force)
-        floor = self.tuning.rest.length_floor
+        floor = REST.length_floor
         self._rest_sigma = math.hypot(floor, noise / math.sqrt(spell.count))
         self._is_rest_seen = True
 
@@ -239,24 +213,23 @@ class GyroPropagation:
             self._shaken.forget()
             return
         shown = self._shaken.add(means, self.field.mean)
-        following, tuning = self._filter, self.tuning
-        if shown is None or self.is_settled or length(shown.rate) > tuning.filter.largest_bias:
+        following = self._filter
+        if shown is None or self.is_settled or length(shown.rate) > FILTER.largest_bias:
             return
         # A slow turn about up would hardly move the field by more than what passes by does.
         axis, rate = np.array(unit_triple(shown.force)), np.array(shown.rate)
         following.admit_bias(rate)
         following.observe_bias(rate, shown.variance, axis)
-        sigma, up = tuning.shaken.up, following.up.tolist()
-        if distance(unit_triple(shown.force), unit_triple(up)) > tuning.rest.clear * sigma:
+        sigma, up = REST.agrees, following.up.tolist()
+        if distance(unit_triple(shown.force), unit_triple(up)) > CLEAR * sigma:
             following.begin(np.array(shown.force), sigma**2, 0.0, self._motion(True))
             following.forget_acceleration(self._motion().acceleration)
 
     def _guess_rest(self, force: Triple, noise: float, count: int) -> None:
         """Until the robot was seen at rest, take its length while it turns for that at rest."""
-        tuning = self.tuning.propagation
-        self._turning = min(self._turning + count, tuning.most_turning)
+        self._turning = min(self._turning + count, PROPAGATION.most_turning)
         self._rest += count / self._turning * (length(force) - self._rest)
-        self._rest_sigma = math.hypot(tuning.turning_sigma, noise / math.sqrt(self._turning))
+        self._rest_sigma = math.hypot(PROPAGATION.length_sigma, noise / math.sqrt(self._turning))
 
     def _settle(self, doubt: float | None, noise: float) -> None:
         """Use the accelerometer once it is steady for long enough, or its length shows a rest."""
@@ -264,8 +237,8 @@ class GyroPropagation:
         sigma = self._settled_sigma(doubt)
         if sigma is None or (doubt and not self._gains_by(sigma)):
             return
-        if self._is_given and spell.seconds < self.tuning.rest.undecided:
-            # Who gives a wrong acceleration bends the force without stretching it.
+        if self._is_given and spell.seconds < REST.undecided:
+            # A wrong acceleration turns the force without stretching it.
             return
         up: Triple = tuple(following.up.tolist())
         if not spell.shows_up(up, self._rest, self._rest_sigma, noise):
@@ -273,17 +246,17 @@ class GyroPropagation:
         self.is_settled = True
         jump = distance(unit_triple(spell.force), unit_triple(up))
         # A jump that the gyro did not see may still be a long, even acceleration.
-        is_doubtful = spell.seconds >= self.tuning.rest.agreeing
-        if not is_doubtful or jump < self.tuning.rest.clear * math.sqrt(following.tilt_variance):
+        is_doubtful = spell.seconds >= REST.agreeing
+        if not is_doubtful or jump < CLEAR * math.sqrt(following.tilt_variance):
             jump = 0.0
-        variance = self._noise / spell.count + self.tuning.filter.floor**2
+        variance = self._noise / spell.count + FILTER.floor**2
         motion = self._motion(True)
         motion = MotionPrior(motion.speed, math.hypot(motion.acceleration, jump))
         following.begin(np.array(spell.force), variance, doubt or 0.0, motion)
 
     def _gains_by(self, sigma: float) -> bool:
         """Whether a steady spell that may be a turn is still better than what is known of up."""
-        is_long = self._spell.seconds > self.tuning.rest.undecided
+        is_long = self._spell.seconds > REST.undecided
         return is_long and self._filter.tilt_variance > sigma**2
 
     def _turn_rate(self, rate: Triple) -> float:
@@ -300,18 +273,17 @@ class GyroPropagation:
 
     def _motion(self, is_steady: bool = False) -> MotionPrior:
         """Return how the robot may move now."""
-        tuning = self.tuning.filter
-        speed, acceleration = tuning.usual_speed, tuning.usual_acceleration
+        speed, acceleration = FILTER.usual_speed, FILTER.usual_acceleration
         if self._is_given:
-            speed, acceleration = tuning.given_speed, tuning.given_acceleration
+            speed, acceleration = FILTER.given_speed, FILTER.given_acceleration
         if is_steady:
-            acceleration = max(tuning.steady_acceleration, math.sqrt(self._spell.shake))
+            acceleration = max(FILTER.floor, math.sqrt(self._spell.shake))
         return MotionPrior(speed / STANDARD_GRAVITY, acceleration)
 
     def _take_over(self) -> None:
         x, y, z, p, q, r = self._filter.state[:6].tolist()
         self.up, self.bias = (x, y, z), (p, q, r)
-        if length(self.bias) > self.tuning.filter.largest_bias:
+        if length(self.bias) > FILTER.largest_bias:
             self._filter.bound_bias()
-        self.variance = self._filter.tilt_variance + self.tuning.propagation.smallest**2
+        self.variance = self._filter.tilt_variance + PROPAGATION.smallest**2
         self.gyro_bias = GyroBias(self.bias, self._filter.bias_variance)

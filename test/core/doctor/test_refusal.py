@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magcal_ros.core.calibrate import calibrate
-from magcal_ros.core.doctor.refusal import blamed_on_sensors, wrong_axes
+from magcal_ros.core.doctor.page import blamed_on_sensors, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.simulation import Robot, measure, smooth_wobble, turn

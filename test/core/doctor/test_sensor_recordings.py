@@ -3,9 +3,8 @@
 import pytest
 from long_form import first_of
 
-from magcal_ros.core.assessment.axes import find_axes
-from magcal_ros.core.doctor.page import examine
-from magcal_ros.core.knowledge import Mounting, knowledge_of
+from magcal_ros.core.doctor.page import examine, wrong_axes
+from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, fit_gathered
 from magcal_ros.files.sources import open_recording
@@ -35,7 +34,7 @@ def test_the_axes_of_recordings_are_not_called_wrong(recording, name):
     gathering = Gathering(Mounting())
     with open_recording(recording(name)) as source:
         gathering.take(source.readings())
-    assert find_axes(gathering.window()).words == ""
+    assert wrong_axes(gathering.window(), Knowledge()) is None
 
 
 @pytest.mark.parametrize("name", first_of([name for name in GOOD if name != BIASED]))

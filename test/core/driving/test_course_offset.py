@@ -23,10 +23,9 @@ from simulated import (
 
 from magcal_ros.core.driving.chords import Chord
 from magcal_ros.core.driving.course_offset import CourseCells, fit_course_offset
-from magcal_ros.core.driving.driving_tuning import CourseTuning
+from magcal_ros.core.driving.driving_tuning import COURSE
 from magcal_ros.core.monitoring.recorded_course import check_by_course, course_fault
 
-TUNING = CourseTuning()
 LEVEL = 21e-6
 """Tesla of the level field that the streets of these tests bend: by 8 degrees, more than most."""
 
@@ -43,7 +42,7 @@ def fitted(chords):
     cells = CourseCells()
     for each in chords:
         cells.add(each)
-    return fit_course_offset(cells.table(), TUNING)
+    return fit_course_offset(cells.table())
 
 
 def walk(rng, metres, street, offset=0.2, noise=0.05, iid=0.0):
@@ -125,10 +124,10 @@ def test_the_grid_stays_small_on_a_long_way():
     cells = CourseCells()
     for east, north in np.cumsum(rng.normal(0.0, 30.0, (6000, 2)), axis=0).tolist():
         cells.add(chord(east, north, rng.uniform(-3.0, 3.0), 0.1))
-    assert len(cells) <= TUNING.most_cells
+    assert len(cells) <= COURSE.most_cells
     assert cells.table().count.sum() == 6000
-    assert cells.side > TUNING.cell
-    assert fit_course_offset(cells.table(), TUNING).offset == pytest.approx(0.1, abs=0.02)
+    assert cells.side > COURSE.cell
+    assert fit_course_offset(cells.table()).offset == pytest.approx(0.1, abs=0.02)
 
 
 def test_hard_iron_swings_once_around_and_accuses_the_calibration():

@@ -145,7 +145,7 @@ def directions(drive, after):
         if stamp >= moment:
             true.append(np.sign(np.interp(moment - 0.3, drive.time, drive.truth.speed)))
             # Slow parking is left open, and counts as forwards meanwhile.
-            taken.append(travelling.direction if travelling.direction_is_clear else 0.0)
+            taken.append(travelling.own.sign if travelling.own.is_clear else 0.0)
             moment = next(moments, math.inf)
 
     follow(drive, watch=watch)

@@ -116,4 +116,4 @@ def test_time_that_is_set_back_starts_anew():
                 assert own is None or max(map(abs, own)) < 20.0
             elif isinstance(sample, SpeedSample):
                 travelling.add_speed(sample)
-    assert travelling.takes_off
+    assert travelling.own.is_used

@@ -4,13 +4,13 @@ import math
 
 import pytest
 
-from magcal_ros.core.driving.driving_tuning import SpeedSource, SpeedTuning
+from magcal_ros.core.driving.driving_tuning import SPEED, SpeedSource
 from magcal_ros.core.driving.speedometer import Speedometer, SpeedTrack
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 
 
 def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)):
-    track = SpeedTrack(SpeedTuning(), SpeedSource.ODOMETRY)
+    track = SpeedTrack(SpeedSource.ODOMETRY)
     for step in range(1, round(rate * seconds)):
         track.add(step / rate, speed(step / rate))
     return track
@@ -19,7 +19,7 @@ def track_of(rate, seconds=60.0, speed=lambda stamp: 3.0 + math.sin(0.5 * stamp)
 @pytest.mark.parametrize("rate", [10.0, 20.0, 50.0, 200.0])
 def test_a_fast_source_is_thinned_and_tells_the_same_speed(rate):
     track = track_of(rate)
-    assert len(track.record().kept) <= 60.0 / SpeedTuning().spacing + 1
+    assert len(track.record().kept) <= 60.0 / (2.0 * SPEED.shortest) + 1
     for stamp in (40.03, 51.7, 59.71):
         assert track.at(stamp) == pytest.approx(3.0 + math.sin(0.5 * stamp), abs=1e-3)
 
@@ -36,7 +36,7 @@ def test_what_is_passed_over_is_known_by_its_stamp():
 
 
 def test_a_speed_between_samples_too_far_apart_is_not_told():
-    track = SpeedTrack(SpeedTuning(), SpeedSource.ODOMETRY)
+    track = SpeedTrack(SpeedSource.ODOMETRY)
     for stamp in (1.0, 1.1, 3.0):
         track.add(stamp, 2.0)
     assert track.at(1.05) == 2.0

@@ -1,8 +1,11 @@
 import math
 
+import numpy as np
 import pytest
 
-from magcal_ros.core.heading.disturbance import DisturbanceDetector, Expected, Trust
+from magcal_ros.core.calibration.calibration import Calibration, Evidence
+from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.heading.disturbance import DisturbanceDetector, Trust
 
 DIP = math.radians(65.0)
 UP = (0.0, 0.0, 1.0)
@@ -12,8 +15,11 @@ def field(strength=48e-6, dip=DIP):
     return (strength * math.cos(dip), 0.0, -strength * math.sin(dip))
 
 
-def watch(patience=20.0):
-    return DisturbanceDetector(Expected(48e-6, DIP), 0.3e-6, patience)
+def watch(patience=20.0, iron_sigma=0.0):
+    covariance = np.diag([0.0] * 9 + [iron_sigma**2] * 3)
+    noise, nothing = 0.3e-6, Evidence("truth", "", "", "")
+    calibration = Calibration(Correction.identity(), covariance, noise, 0.0, 48e-6, DIP, nothing)
+    return DisturbanceDetector(calibration, patience)
 
 
 def look(found, seconds, start=1.0, **changes):
@@ -86,7 +92,7 @@ def test_places_that_differ_widen_what_is_called_good():
 
 def test_a_poor_calibration_is_no_disturbance():
     sure = watch()
-    unsure = DisturbanceDetector(Expected(48e-6, DIP), 0.3e-6, 20.0, (3e-6) ** 2)
+    unsure = watch(iron_sigma=3e-6)
     for found in (sure, unsure):
         look(found, 5.0, strength=48e-6 * 1.08)
     assert sure.trust is Trust.IGNORED

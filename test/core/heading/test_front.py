@@ -25,9 +25,7 @@ def mounting(yaw_deg, sigma_deg=0.5):
 
 def course(offset_deg, sigma_deg=1.0):
     covariance = np.eye(5) * (sigma_deg * DEGREE) ** 2
-    return CourseOffset(
-        offset_deg * DEGREE, sigma_deg * DEGREE, np.zeros(4), covariance, 0.07, 80, 900.0, 8
-    )
+    return CourseOffset(offset_deg * DEGREE, sigma_deg * DEGREE, np.zeros(4), covariance, 900.0, 8)
 
 
 def test_an_askew_imu_shows_in_both_and_they_are_weighed():
@@ -35,7 +33,7 @@ def test_an_askew_imu_shows_in_both_and_they_are_weighed():
     assert front.suspicion == ""
     assert 5.0 < math.degrees(front.yaw.offset) < 5.5
     assert front.yaw.sigma < 0.5 * DEGREE
-    assert "to the left of the vehicle's front, by accelerations and course" in front.words
+    assert "to the left of the vehicle's front, by accelerations and course" in front.yaw.words
 
 
 def test_a_turned_magnetometer_is_told_from_an_askew_imu():
@@ -64,7 +62,7 @@ def test_course_alone_gives_the_front_where_true_north_is_known():
     front = where_is_the_front(None, course(9.0 - 20.0, 1.2), EAST)
     assert math.degrees(front.yaw.offset) == pytest.approx(-20.0)
     assert math.degrees(front.yaw.sigma) == pytest.approx(1.3)
-    assert "20.0° ± 1.3° to the right" in front.words
+    assert "20.0° ± 1.3° to the right" in front.yaw.words
 
 
 def test_a_course_that_tells_nothing_is_not_asked():

@@ -18,6 +18,7 @@ from magcal_ros.core.geometry import wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.heading.disturbance import PATIENCE, Trust
 from magcal_ros.core.heading.fused_yaw import FusedYaw
+from magcal_ros.core.heading.fusion_tuning import FUSION
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.samples.streams import SpeedSample
 from magcal_ros.core.up import Up, UpFollower
@@ -347,7 +348,7 @@ def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
             fused.correct(stamp, tuple(field), up, heading)
         elif k % 10 == 0 and k < 2500:
             missed = fused.take_heading(stamp, heading.yaw, math.radians(1.0) ** 2, (1.0, 0.0, 0.0))
-            assert missed < fused.tuning.told_gate
+            assert missed < FUSION.heading_gate
         if k in (2500, 2999):
             told[k == 2999] = abs(fused.heading().yaw - heading.yaw)
     assert told[0] < math.radians(1.0)
@@ -357,7 +358,7 @@ def test_a_told_heading_corrects_the_yaw_and_leaves_its_bias_behind():
     last = 100.0 + 0.02 * 3000
     fused.propagate(last, up, (0.0, 0.0, 0.0))
     before = fused.heading().yaw
-    assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > fused.tuning.told_gate
+    assert fused.take_heading(last, before + 1.0, 1e-4, (1.0, 0.0, 0.0)) > FUSION.heading_gate
     assert fused.heading().yaw == before
 
 

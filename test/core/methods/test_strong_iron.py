@@ -110,5 +110,5 @@ def test_there_and_back_is_not_taken_for_a_pull():
     window = measure(robot, motion, np.random.default_rng(4), gyro=True)
     outcome = calibrate(window, known(robot))
     checks = {check.figure: check for check in outcome.verdict.checks}
-    assert checks[Figure.SIDEWAYS_PULL].grade.rank <= Grade.GOOD.rank
+    assert checks[Figure.SIDEWAYS_ACCELERATION].grade.rank <= Grade.GOOD.rank
     assert outcome.verdict.accepted

@@ -24,7 +24,7 @@ def sweep(first_deg, last_deg, step_deg=2.0):
 class TestCoverage:
     def test_nothing_is_covered_before_the_first_samples(self):
         for coverage in (Coverage.nothing(), Coverage.of(np.zeros(0)), Coverage.of(np.zeros(1))):
-            assert coverage.arc == coverage.share == coverage.turned == 0.0
+            assert coverage.arc == coverage.turned == 0.0
             assert coverage.gap == pytest.approx(math.tau)
             assert not coverage.is_complete
             assert coverage.hole_in_words == "the robot has not turned yet"
@@ -58,9 +58,6 @@ class TestCoverage:
         filled = Coverage.of(sweep(1.0, 29.0)).filled
         assert filled.tolist() == [True] * 3 + [False] * (BINS - 3)
         assert Coverage.of(sweep(-29.0, -1.0)).filled.tolist() == [False] * 33 + [True] * 3
-
-    def test_the_share_is_that_of_the_bins(self):
-        assert Coverage.of(sweep(1.0, 179.0)).share == pytest.approx(0.5)
 
     @pytest.mark.parametrize(
         ("last", "step", "complete"),

@@ -8,7 +8,7 @@ import pytest
 from magcal_ros.core.samples import ImuSample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.core.up.stillness import BlockMeans, ShakenRest
-from magcal_ros.core.up.up_tuning import ShakenRestTuning
+from magcal_ros.core.up.up_tuning import REST
 
 STEP = 0.02
 SHAKES = 4.3
@@ -81,7 +81,7 @@ def test_circles_after_it_do_not_tilt_up(seed):
 
 def shown(**changes):
     """What six seconds of blocks show; each second's force, rate and field may be changed."""
-    watch, said = ShakenRest(ShakenRestTuning()), []
+    watch, said = ShakenRest(), []
     for second in range(6):
         values = {"force": (0.1, 0.0, 0.99), "rate": (0.06, -0.03, 0.02), "field": (2.0, 1.0, -4.0)}
         values |= {name: change(second) for name, change in changes.items()}
@@ -96,7 +96,7 @@ def test_four_seconds_that_agree_show_force_and_rate():
     assert len(told) == 1
     assert told[0].force == pytest.approx((0.1, 0.0, 0.99))
     assert told[0].rate == pytest.approx((0.06, -0.03, 0.02))
-    assert math.sqrt(told[0].variance) == pytest.approx(ShakenRestTuning().sigma)
+    assert math.sqrt(told[0].variance) == pytest.approx(REST.shaken_sigma)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,9 @@ import pytest
 from axes_cases import good_case, wrong_case
 from long_form import first_of
 
-from magcal_ros.core.assessment.axes import find_axes, mount_of, parameter_line
 from magcal_ros.core.calibrate import calibrate, calibrate_turns
+from magcal_ros.core.doctor.axes import mount_of, parameter_line
+from magcal_ros.core.doctor.page import examine_window
 from magcal_ros.core.errors import Reason
 from magcal_ros.core.geometry import rotation_from_rpy, signed_permutations
 from magcal_ros.core.knowledge import Knowledge, Mounting
@@ -20,6 +21,10 @@ MIRRORED_Z = np.diag([1.0, 1.0, -1.0])
 
 def named(found, axes):
     return any(np.array_equal(axes, each) for each in found.candidates)
+
+
+def find_axes(window, knowledge=Knowledge()):
+    return examine_window(window, knowledge).axes
 
 
 def of(axes, kind, seed=0):
@@ -121,16 +126,16 @@ def test_a_turn_with_wrong_axes_is_refused_with_these_words(axes, several):
     outcome = calibrate_turns([window], knowledge) if several else calibrate(window, knowledge)
     assert not outcome.verdict.accepted
     assert outcome.reason is Reason.AXES_DISAGREE
-    assert found.said in outcome.verdict.summary
+    assert found.words in outcome.verdict.summary
 
 
 def test_a_gyro_that_belongs_to_nothing_is_said():
     _, window, knowledge = of(np.eye(3), "lift")
     scrambled = np.random.default_rng(2).permutation(window.angular_rate)
     odd = Window(window.time, window.field, window.specific_force, scrambled * 5.0)
-    found = find_axes(odd, knowledge)
-    assert found.meant is None
-    assert "check the gyro" in found.words
+    page = examine_window(odd, knowledge)
+    assert page.axes is None
+    assert any("check whether the gyro answers to turns" in f.remedy for f in page.findings)
 
 
 def test_angles_are_written_within_half_a_turn():
