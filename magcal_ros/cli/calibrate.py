@@ -17,7 +17,7 @@ from magcal_ros.cli.live_view import (
     turns_itself,
 )
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 
 PATIENCE = 5.0
 """Seconds within which a running node is discovered."""
@@ -109,7 +109,7 @@ STATUS_WITHIN = 5.0
 """Seconds within which a running node tells its status, discovery included."""
 
 
-def add_to(commands: Any) -> None:
+def add_calibrate(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "calibrate",

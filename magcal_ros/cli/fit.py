@@ -10,7 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
+from magcal_ros.cli.common import (
+    CALIBRATION,
+    Exit,
+    add_output_option,
+    bullets,
+    document,
+    new_or_named,
+    table,
+)
 from magcal_ros.cli.recorded import (
     Gathered,
     HeardAtHeadings,
@@ -35,12 +43,9 @@ from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.core.session.session import Progress
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.reading import plain, plain_lines
+from magcal_ros.files.disk import FileTrouble, plain, plain_lines
 from magcal_ros.report import Subject, write_report
-
-CALIBRATION = "calibration.yaml"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +75,7 @@ class Fitted:
         return Exit.TOO_LITTLE_DATA if self.outcome.reason in LITTLE_DATA else Exit.REFUSED
 
 
-def add_to(commands: Any) -> None:
+def add_fit(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "fit",

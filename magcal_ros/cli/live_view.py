@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 
 if TYPE_CHECKING:
     from rclpy.node import Node

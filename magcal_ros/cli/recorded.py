@@ -21,13 +21,14 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.samples.streams import HeadingSample, Pair
-from magcal_ros.core.session.antenna import (
+from magcal_ros.core.session.external_heading import ExternalHeading
+from magcal_ros.core.session.recorded import (
+    Gathering,
+    Reading,
     fit_at_headings,
     fit_heading_topic,
     standing_pairs,
 )
-from magcal_ros.core.session.external_heading import ExternalHeading
-from magcal_ros.core.session.recorded import Gathering, Reading
 from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.files.sources import Source, open_recording
 

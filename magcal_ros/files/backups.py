@@ -6,9 +6,8 @@ import os
 from pathlib import Path
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.calibration_file import LARGEST_FILE, is_free_or_ours, read_calibration
-from magcal_ros.files.reading import read_small
+from magcal_ros.files.disk import FileTrouble, read_small, write_atomically
 
 KEPT = 3
 """Former files that are kept."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -27,8 +27,7 @@ from magcal_ros.core.messages import (
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import damage_in_words, plain
+from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
 from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
 
 if TYPE_CHECKING:

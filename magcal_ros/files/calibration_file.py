@@ -16,10 +16,9 @@ from magcal_ros import __version__
 from magcal_ros.core.calibration.calibration import Calibration, Evidence
 from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
 from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.disk import FileTrouble, NotOrdinary, read_small, write_atomically
 from magcal_ros.files.plausibility import require_possible
-from magcal_ros.files.reading import NotOrdinary, read_small
 
 FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1

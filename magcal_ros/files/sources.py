@@ -16,11 +16,10 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files import ardupilot, phone, px4
 from magcal_ros.files.bags import open_bag
-from magcal_ros.files.logs import ardupilot, phone, px4
-from magcal_ros.files.logs.common import Progress
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
 FIRST_STAMP = 1.0

@@ -17,10 +17,10 @@ from pathlib import Path
 from struct import Struct, error
 from typing import Any, NamedTuple, NoReturn
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.messages import fix_from, imu_of, speed_from, velocity_from
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, VelocitySample
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4

@@ -16,8 +16,8 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.jobs import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
-from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.samples import REMEDY
+from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import checks_table, page_head
 from magcal_ros.report.write import PAGE
 

@@ -241,7 +241,7 @@ def recipe(knowledge: Knowledge, method: str) -> str:
 from pathlib import Path
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
-from magcal_ros.files.samples import read_samples
+from magcal_ros.files.recording import read_samples
 
 knowledge = Knowledge(
     ReferenceField(

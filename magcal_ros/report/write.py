@@ -8,8 +8,8 @@ from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from magcal_ros.files.atomic import UNFINISHED, FileTrouble, write_atomically
-from magcal_ros.files.samples import REMEDY, write_samples
+from magcal_ros.files.disk import UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files.recording import REMEDY, write_samples
 from magcal_ros.report.gallery import pictures
 from magcal_ros.report.page import render
 from magcal_ros.report.turn import Subject, Turn

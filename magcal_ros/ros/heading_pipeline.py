@@ -12,8 +12,7 @@ from dataclasses import field as member
 from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.position import Fix, Fixes
-from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, resolve
+from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
@@ -203,12 +202,12 @@ class ReferenceSource:
     def _resolve(self) -> Reference:
         settings = self._settings = self._table.settings
         given = settings.knowledge.reference
-        place = settings.place or self._fixes.place
-        found = resolve(given, settings.local, place, None if place is None else self._year())
+        place = settings.given.place or self._fixes.place
+        found = resolve(given, settings.given.local, place, None if place is None else self._year())
         notes = list(found.complaints)
-        if settings.place is not None or not given.is_known:
-            notes += self._fixes.complaints(settings.place)
-        if settings.half_place:
+        if settings.given.place is not None or not given.is_known:
+            notes += self._fixes.complaints(settings.given.place)
+        if settings.given.half_place:
             notes.append(HALF_A_PLACE)
         if self._calibration is not None:
             notes.append(made_elsewhere(self._calibration, found.field))

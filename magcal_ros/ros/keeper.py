@@ -13,11 +13,10 @@ from magcal_ros.core.calibration.correction import MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.backups import keep_backup
 from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
-from magcal_ros.files.reading import plain, promptly
+from magcal_ros.files.disk import FileTrouble, plain, promptly
 
 T = TypeVar("T")
 Tell = Callable[[Conclusion], None]

@@ -21,14 +21,13 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.self_turn import Around, SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.sensor_loop import SENSOR_DATA
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable, read_field
 
 

@@ -16,20 +16,17 @@ from magcal_ros.core.samples.streams import Drop, FieldSample, Streams
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros.announcer import Announcer, CallbackErrors
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Magnetometers
+from magcal_ros.ros.magnetometers import Magnetometers, Services
 from magcal_ros.ros.outputs import LATCHED, RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.self_keeping import SelfKeeping
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.sensor_loop import SENSOR_DATA, CallbackErrors, SensorGroup, Spinner
-from magcal_ros.ros.services import Services
 from magcal_ros.ros.status import (
     calibration_diagnostic,
     diagnostic_array,
@@ -38,6 +35,12 @@ from magcal_ros.ros.status import (
     inputs_diagnostic,
     status_json,
     watch_diagnostic,
+)
+from magcal_ros.ros.threads import (
+    SENSOR_DATA,
+    BackgroundThread,
+    SensorGroup,
+    Spinner,
 )
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import Unreadable, read_imu
@@ -271,7 +274,10 @@ class Calibrator(Node):
         if news is not None:
             self._keeper.keep_vehicle_yaw(news)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
-        complaints += [*self._known.complaints, *filter(None, [self._pipeline.headings.rivals()])]
+        complaints += [
+            *self._known.antenna.complaints,
+            *filter(None, [self._pipeline.headings.rivals()]),
+        ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         for each in self._magnetometers.heard:

@@ -32,7 +32,7 @@ from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.control import Control
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.wire import (

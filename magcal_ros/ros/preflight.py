@@ -24,7 +24,7 @@ from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.sensor_frames import Description
 
 IMU_TYPE = "sensor_msgs/msg/Imu"

@@ -18,10 +18,10 @@ from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Ver
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
+from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 

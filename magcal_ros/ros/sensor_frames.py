@@ -32,8 +32,8 @@ from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.parameters import Settings
+from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.wire import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

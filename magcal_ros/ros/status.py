@@ -19,7 +19,7 @@ from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings

@@ -16,7 +16,7 @@ from sensor_msgs.msg import NavSatFix
 from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.earth_field.position import Fix, LocalPlane
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.base_view import Declination, Front, VehicleYaw, where_is_the_front
 from magcal_ros.core.heading.compass import Moment
@@ -30,9 +30,8 @@ from magcal_ros.core.monitoring.recorded_course import (
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.sensor_loop import SENSOR_DATA
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import (
     Unreadable,
     diagnostic,

@@ -11,7 +11,7 @@ import pytest
 from long_form import rounds
 from subjects import good
 
-from magcal_ros.files.samples import read_samples
+from magcal_ros.files.recording import read_samples
 
 pytestmark = pytest.mark.faults
 

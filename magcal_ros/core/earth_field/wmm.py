@@ -317,5 +317,6 @@ def _newest_model(year: float) -> int:
 
 @lru_cache(maxsize=len(ERRORS))
 def _load(base: int) -> Harmonics:
+    # As NOAA and BGS publish them (public domain); of 2015 the second edition, WMM2015v2.
     coefficients = files("magcal_ros.core.earth_field") / "coefficients" / f"WMM{base}.COF"
     return Harmonics.parse(coefficients.read_text(encoding="ascii"))

@@ -20,8 +20,7 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
-from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
+from magcal_ros.core.monitoring.watch_fit import Measured, Record, WatchTuning, measure, onset
 from magcal_ros.core.samples.streams import STREAMS
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from magcal_ros.core.calibration.calibration import Calibration
+from magcal_ros.core.calibration.heading_sigma import calibration_sigma
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.fusion_tuning import FusionTuning
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 
 DEGREES = 180.0 / math.pi
 _FUSION = FusionTuning()
@@ -74,6 +78,37 @@ class ExternalHeading:
     """Its standard deviation."""
     is_true: bool
     """Whether it is to true north; otherwise to magnetic north."""
+
+    def to_magnetic(self, reference: ReferenceField) -> float | None:
+        """Return what is added for magnetic north, radians; None where it is not known."""
+        return reference.declination if self.is_true else 0.0
+
+
+def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:
+    """Return the mean heading of a robot at rest; None where none was heard."""
+    if not heard:
+        return None
+    east = sum(math.cos(each.yaw) for each in heard)
+    north = sum(math.sin(each.yaw) for each in heard)
+    # The errors of a receiver's messages are correlated: the mean is no more certain.
+    return ExternalHeading(math.atan2(north, east), max(each.sigma for each in heard), is_true)
+
+
+METHOD = "known_headings"
+ENOUGH = math.radians(5.0)
+"""Heading sigma from which a calibration is no longer called rough."""
+
+
+def is_by_headings(calibration: Calibration) -> bool:
+    """Whether a calibration was made at known headings, not by a turn or a drive."""
+    return calibration.evidence.method == METHOD
+
+
+def replaces(found: Calibration, before: Calibration | None) -> bool:
+    """Whether a calibration by headings replaces the one in force; one of a turn stays."""
+    if before is None:
+        return calibration_sigma(found) < ENOUGH
+    return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
 
 
 class TurnSince:

@@ -30,7 +30,9 @@ from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
     FieldSample,
+    HeadingSample,
     ImuSample,
+    Pair,
     Pairer,
     SpeedSample,
     Streams,
@@ -39,7 +41,15 @@ from magcal_ros.core.samples.streams import (
 )
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.at_known_heading import (
+    CollectedSamples,
+    HeadingCollector,
+    calibrate_standing,
+    fit_log,
+)
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
@@ -311,3 +321,70 @@ class _Newest:
             self._next += 1
         since, value = values[self._next - 1] if self._next else (-math.inf, math.nan)
         return value if stamp - since < SILENT else math.nan
+
+
+FORWARD = np.array([1.0, 0.0, 0.0])
+"""The heading is that of the IMU's x axis."""
+
+
+def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
+    """Return the field samples of a recording, each with the IMU's of its moment."""
+    streams = Streams(STREAMS.max_gap)
+    pairer, found = Pairer(streams), list[Pair]()
+    for reading in readings:
+        if isinstance(reading, ImuSample):
+            streams.add_imu(reading)
+        elif isinstance(reading, FieldSample) and streams.add_field(reading):
+            pairer.offer(reading)
+        found += pairer.take()
+    return tuple(found)
+
+
+def fit_at_headings(
+    recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
+) -> tuple[Outcome, str]:
+    """Calibrate from recordings of a robot that stands; returns the outcome, and its words."""
+    standings: tuple[Standing, ...] = ()
+    outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
+    for pairs, heading in zip(recordings, given, strict=True):
+        result = calibrate_standing(standings, CollectedSamples(pairs, heading, knowledge, FORWARD))
+        standings, outcome, words = result.standings, result.outcome, result.words
+        if outcome.calibration is None:
+            break
+    return outcome, words
+
+
+def fit_heading_topic(
+    readings: Iterable[Reading],
+    headings: Sequence[HeadingSample],
+    is_true: bool,
+    knowledge: Knowledge,
+) -> Outcome:
+    """Calibrate from a recording in which somebody else measures the heading."""
+    reference = knowledge.reference
+    if is_true and reference.declination is None:
+        words = "the headings are to true north, and the declination is not known: give the place"
+        return Outcome.refused(Refusal(Reason.NO_SOLUTION, words))
+    up, waiting = UpFollower(), iter(headings)
+    collector, following = HeadingCollector(up), next(waiting, None)
+    for reading in readings:
+        if isinstance(reading, ImuSample):
+            up.add(reading)
+            collector.on_imu(reading.stamp)
+        elif isinstance(reading, FieldSample):
+            up.add_field(reading.stamp, reading.field)
+            while following is not None and following.stamp <= reading.stamp:
+                collector.on_heading(following)
+                following = next(waiting, None)
+            collector.on_field(reading, FORWARD, is_true, reference, STREAMS.max_gap)
+        if collector.check.fault:
+            refusal = Refusal(Reason.HEADING_CONTRADICTED, collector.check.fault)
+            return Outcome.refused(refusal)
+    if collector.log is None or not collector.log.standings:
+        words = "no field sample came within half a second of a heading, with a gyro"
+        return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
+    outcome, north = fit_log(collector.log.standings, knowledge)
+    if not north:
+        return outcome
+    words = f"{outcome.verdict.summary} But {north}."
+    return replace(outcome, verdict=replace(outcome.verdict, summary=words))

@@ -29,8 +29,8 @@ from magcal_ros.core.errors import MagcalError
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
 from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
-from magcal_ros.files.logs.px4 import rotation_of
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
+from magcal_ros.files.px4 import rotation_of
 
 GAUSS = 1e4
 """Gauss in a tesla."""

@@ -16,18 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
+from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.logs import (
     GRAVITY,
     LogTables,
     Names,
     recording_of,
     velocity,
 )
-from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9

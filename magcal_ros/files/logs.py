@@ -1,4 +1,4 @@
-"""What all logs share: limits, axes, and the choice among several sensors."""
+"""What the logs of autopilots and phones share: limits, axes, the choice among several sensors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.samples.streams import TravelSample, VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import damage_in_words, open_regular, plain
+from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, plain
 from magcal_ros.files.recording import Recording
 
 GIGABYTE = 1 << 30

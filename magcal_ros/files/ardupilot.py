@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
+from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.logs import (
     FLU_FROM_FRD,
     GRAVITY,
     Deadline,
@@ -33,7 +33,6 @@ from magcal_ros.files.logs.common import (
     recording_of,
     velocity,
 )
-from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")

@@ -1,4 +1,7 @@
-"""Calibrations for other ROS nodes, for a sensor that corrects itself, and for firmware.
+"""A calibration in the formats of other programs, one function for each.
+
+Each returns the text that its consumer reads. What the consumer cannot store is said in a comment;
+what would make its heading wrong is refused. Those for autopilots are in `autopilots.py`.
 
 ctu-vras compass stack: magnetometer_bias_remover and magnetometer_compass.
 
@@ -36,21 +39,24 @@ from __future__ import annotations
 import functools
 import math
 import operator
+from collections.abc import Callable
 
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.rotations import rotation_angle
-from magcal_ros.files.exporters.autopilots import (
+from magcal_ros.files.autopilots import (
     DECIMALS,
     GAUSS,
     OF_TESLA,
     NotExportable,
+    ardupilot,
     commented,
     in_forward_right_down,
     number,
     numbers,
     provenance,
+    px4,
 )
 
 
@@ -198,3 +204,21 @@ def c_header(calibration: Calibration) -> str:
         f"static const double MAGCAL_MATRIX[3][3] = {{\n{rows}}};\n\n"
         "#endif\n"
     )
+
+
+EXPORTERS: dict[str, Callable[..., str]] = {
+    "ctu-vras": ctu_vras,
+    "imu_filter_madgwick": imu_filter_madgwick,
+    "fusioncore": fusioncore,
+    "ardupilot": ardupilot,
+    "px4": px4,
+    "vectornav": vectornav,
+    "c-header": c_header,
+}
+"""By the name that users give; each takes the calibration."""
+
+OF_LOGS = {"ardupilot", "px4"}
+"""Those that also take the magnetometer's frame, which names the sensor of a log."""
+
+NOTES = {"vectornav": VECTORNAV_NOTES}
+"""What a format without comments cannot say itself, by the same names."""

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
+from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.logs import (
     FLU_FROM_FRD,
     Deadline,
     LogTables,
@@ -32,7 +32,6 @@ from magcal_ros.files.logs.common import (
     quietly,
     recording_of,
 )
-from magcal_ros.files.reading import plain
 from magcal_ros.files.recording import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
