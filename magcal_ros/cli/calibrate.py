@@ -48,12 +48,7 @@ def node_name(text: str) -> str:
 def find_calibrator(node: Any, wanted: str | None) -> str:
     """Return the full name of the calibrator that is meant.
 
-    Raises
-    ------
-    Misuse
-        If there are several and none is named.
-    MagcalError
-        If it is not there; the text lists those that are.
+    Misuse if there are several and none is named; a MagcalError that lists those that are there.
     """
     begin = first_seen = time.monotonic()
     seen: list[str] = []

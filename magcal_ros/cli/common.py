@@ -22,11 +22,7 @@ CALIBRATION = "calibration.yaml"
 
 
 class Exit(IntEnum):
-    """What the shell sees.
-
-    FAULT is an error of this package itself; the last two are the shell's own for SIGINT and
-    SIGPIPE.
-    """
+    """The exit status. FAULT is an error of this package; the last two are the shell's own."""
 
     GOOD = 0
     FAILED = 1
@@ -61,13 +57,7 @@ def add_output_option(parser: argparse.ArgumentParser, content: str, prefix: str
 
 
 def new_or_named(chosen: Path | None, prefix: str) -> Path:
-    """Return the folder the user named, or a new dated one in the working directory.
-
-    Raises
-    ------
-    FileTrouble
-        If the name belongs to a file.
-    """
+    """Return the folder the user named, or a new dated one in the working directory."""
     if chosen is None:
         name = datetime.now().strftime(f"{prefix}_%Y%m%d_%H%M%S")
         names = [name, *(f"{name}_{k}" for k in range(2, 100))]

@@ -254,13 +254,7 @@ CROWD = (
 
 
 def listen(options: argparse.Namespace) -> Heard:
-    """Guide a person through the half minute and gather what the sensors say.
-
-    Raises
-    ------
-    MagcalError
-        If a sensor is not there or says nothing.
-    """
+    """Guide a person through the half minute and collect what the sensors send."""
     with joined("magcal_doctor", []) as node:
         from rclpy.executors import SingleThreadedExecutor
 

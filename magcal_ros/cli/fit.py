@@ -50,7 +50,7 @@ from magcal_ros.report import Subject, write_report
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A recording, or several that were joined, and what came of it.
+    """A recording, or several that were joined, and the result.
 
     Of several, `gathered` and `progress` are those of the last that joined.
     """
@@ -63,7 +63,7 @@ class Fitted:
 
     @property
     def complaints(self) -> list[str]:
-        """What is wrong with what was recorded, in words."""
+        """What is wrong with the recordings, in words."""
         found = [words for each in self.everything for words in each.complaints()]
         return list(dict.fromkeys(found))
 
@@ -97,7 +97,7 @@ def add_fit(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, fit, leave the files, and say what came of it."""
+    """Read, fit, write the files, and print the result."""
     folder = _folder(options.output)
     _check_use(options)
     mounting = mounting_from(options)
@@ -171,7 +171,7 @@ def _folder(chosen: Path | None) -> Path:
 
 
 def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
-    """Leave what was found in the folder; returns the files."""
+    """Write the result into the folder; returns the files."""
     files = []
     outcome, gathered = fitted.outcome, fitted.gathered
     if outcome.calibration is not None and outcome.verdict.accepted:
@@ -304,7 +304,7 @@ HEADER = (
 
 
 def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
-    """Return a table of what each method makes of a window, and why some make nothing."""
+    """Return a table of the results of each method on a window, and why some have none."""
     if window is None:
         return "no method has anything to work on: the recording holds no usable turn"
     outcomes = {method: calibrate(window, knowledge, method) for method in METHODS}

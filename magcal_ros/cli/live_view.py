@@ -30,12 +30,7 @@ class NoRos(MagcalError):
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     """Yield a node of this name, and leave the graph afterwards.
 
-    Raises
-    ------
-    NoRos
-        If there is no rclpy.
-    Misuse
-        If ROS refuses the arguments or the environment.
+    NoRos if there is no rclpy, Misuse if ROS refuses the arguments or the environment.
     """
     try:
         import rclpy
@@ -112,8 +107,8 @@ class View:
 def progress_of(status: str) -> dict[str, Any] | None:
     """Return how far a turn is from the text of `~/status`; None if none is under way.
 
-    Whoever is in the graph may publish there: what is no status is passed over, and no text of it
-    steers the terminal.
+    Anybody in the graph may publish there: what is no status is ignored, and control characters are
+    replaced.
     """
     try:
         content = json.loads(status)
@@ -198,13 +193,7 @@ class Lines(View):
 
 
 class Panel(View):
-    """A panel that rich draws again and again.
-
-    Raises
-    ------
-    ImportError
-        If rich is not installed.
-    """
+    """A panel that rich draws again and again; ImportError where rich is not installed."""
 
     def __init__(self) -> None:
         from rich.live import Live

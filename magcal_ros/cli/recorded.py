@@ -144,15 +144,7 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
-    """Open a recording: those topics and that part of it which the options name.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    Misuse
-        If the topics or the span are not clear.
-    """
+    """Open the topics and the part of a recording that the options name."""
     if not options.start < options.stop:
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
@@ -179,14 +171,8 @@ def gather(
 ) -> Gathered:
     """Read a recording, with progress on stderr, and find its reference field.
 
-    What the motors of a known calibration add is taken off.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    Refusal
-        If its IMU is too slow.
+    The field of the motors, if a calibration knows it, is subtracted. A Refusal if the IMU is too
+    slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
@@ -204,16 +190,10 @@ def gather(
 
 
 class StatusLine:
-    """Says now and then how far a long work is.
+    """Shows the progress of a long operation.
 
-    On a terminal one line is drawn again and removed at the end; elsewhere a line comes now and
-    then, so that a short work says nothing.
-
-    Parameters
-    ----------
-    out : TextIO
-    clock : callable
-        Seconds.
+    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
+    then, so that a short operation prints nothing.
     """
 
     def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
@@ -262,7 +242,7 @@ def watched(
 
 @contextmanager
 def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Say every now and then that a long work goes on, and for how long."""
+    """Say every now and then that a long operation goes on, and for how long."""
     line, begun, done = StatusLine(out), time.monotonic(), threading.Event()
 
     def tell() -> None:
@@ -281,7 +261,7 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class HeardAtHeadings:
-    """What a recording says at known headings: of a robot that stands, or on the way."""
+    """What a recording holds on known headings: of a robot at rest, or along a drive."""
 
     pairs: tuple[Pair, ...]
     readings: tuple[Reading, ...] = ()
@@ -320,12 +300,7 @@ def add_heading_options(parser: Any) -> None:
 
 
 def check_heading_options(options: argparse.Namespace) -> None:
-    """Refuse options that do not fit together.
-
-    Raises
-    ------
-    Misuse
-    """
+    """Raise a Misuse for options that do not fit together."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
@@ -347,7 +322,7 @@ def check_heading_options(options: argparse.Namespace) -> None:
 
 
 def heard_at_headings(options: argparse.Namespace, path: Path) -> HeardAtHeadings | None:
-    """Return what a recording says at known headings; None where none are given."""
+    """Return what a recording holds on known headings; None where none are given."""
     if not (options.heading_deg or options.heading_topic):
         return None
     with opened(options, path) as source:
@@ -360,7 +335,7 @@ def heard_at_headings(options: argparse.Namespace, path: Path) -> HeardAtHeading
 def fit_known(
     heard: tuple[HeardAtHeadings | None, ...], knowledge: Knowledge, options: argparse.Namespace
 ) -> Outcome | None:
-    """Return what known headings come to; None where none are given."""
+    """Calibrate at known headings; None where none are given."""
     known, is_true = [each for each in heard if each is not None], options.north == "true"
     if not known:
         return None

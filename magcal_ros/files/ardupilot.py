@@ -71,22 +71,7 @@ EVERY = 1000
 def read_ardupilot(
     path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
 ) -> Recording:
-    """Read a DataFlash or telemetry log.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in .BIN, .log or .tlog.
-    imu, mag : str
-        Which sensors, as "IMU[1]", "MAG[1]"; empty for the first that lives.
-    progress : callable, optional
-        Is given the share that has been read.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or has no living sensors; the text says what to do.
-    """
+    """Read a DataFlash or telemetry log; arguments and errors as of `open_recording`."""
     begun = begun_with(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
     if not telemetry:

@@ -19,17 +19,12 @@ def backup_files(path: Path) -> list[Path]:
 
 
 def keep_backup(path: Path, successor: Calibration) -> None:
-    """Copy what a file holds to the newest of its former files; older ones move on.
+    """Copy what a file holds to the newest of its backups; older ones move on.
 
-    Nothing is done where the file holds no calibration that can be loaded, the successor's
-    numbers, or what was kept last. What was kept earlier comes to the front and is not kept
-    twice: two calibrations that take turns do not push out a third. Former files that do not say
-    that they are ours stay where they are, and are not counted.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be kept; the former files are as they were.
+    Nothing is done if the file holds no usable calibration, the successor's numbers, or what was
+    kept last. A calibration that was kept earlier moves to the front and is not kept twice: two
+    that alternate do not push out a third. Files of these names that do not say that they are ours
+    stay where they are, and are not counted. After a FileTrouble the backups are as they were.
     """
     try:
         content = read_small(path, LARGEST_FILE)

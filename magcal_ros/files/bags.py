@@ -67,16 +67,8 @@ REMEDIES = {
 class Bag:
     """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
 
-    Parameters
-    ----------
-    path : Path
-        For words.
-    reader : AnyReader or RosReader
-        Open.
-    imu, field : str
-        Topics; empty to take the only one of the right type.
-    start, stop : float
-        Seconds from the bag's beginning, by its own clock.
+    Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
+    bag's beginning, by its own clock.
     """
 
     notes: tuple[str, ...] = ()
@@ -178,12 +170,7 @@ class Bag:
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, by stamp.
 
-        Raises
-        ------
-        Misuse
-            If there is no such topic.
-        FileTrouble
-            If the bag is damaged, or the topic tells no heading.
+        Misuse if there is no such topic, FileTrouble if it gives no heading.
         """
         heard, found, why = _named(self._path, self._reader, IMU_TYPE, topic), [], ""
         with _damage_in_words(self._path):
@@ -229,16 +216,7 @@ class Bag:
 
 @contextlib.contextmanager
 def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Iterator[Bag]:
-    """Open a bag; arguments as in `open_recording`.
-
-    Raises
-    ------
-    FileTrouble
-        If there is neither ROS nor the library rosbags, or if the bag cannot be read or has no
-        such topics.
-    Misuse
-        If it has several topics of the right type.
-    """
+    """Open a bag; arguments and errors as of `open_recording`."""
     _refuse_other_files(path)
     with contextlib.ExitStack() as stack:
         with _damage_in_words(path):

@@ -106,24 +106,10 @@ def write_calibration(
     origin: Origin,
     when_written: Callable[[], object] | None = None,
 ) -> None:
-    """Write a calibration in one step.
+    """Write a calibration in one step, at full precision.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    calibration : Calibration
-        What to store, at full precision.
-    origin : Origin
-        Frames and time.
-    when_written : callable, optional
-        As of `write_atomically`.
-
-    Raises
-    ------
-    FileTrouble
-        If the file cannot be written, or if there is a file that is no calibration of this
-        package; what was there before still is.
+    After a FileTrouble the file is as it was: it cannot be written, or it is no calibration of this
+    package. `when_written` is as of `write_atomically`.
     """
     require_ours(path)
     document = _document(calibration, origin)
@@ -149,13 +135,7 @@ def is_free_or_ours(path: Path) -> bool:
 
 
 def require_ours(path: Path) -> None:
-    """Refuse to replace what belongs to somebody else.
-
-    Raises
-    ------
-    FileTrouble
-        If `path` is neither free nor ours.
-    """
+    """Raise a FileTrouble if `path` is neither free nor ours."""
     if not is_free_or_ours(path):
         raise FileTrouble(
             f"{path} is not a calibration of magcal_ros, and stays as it is; choose another name"
@@ -163,18 +143,10 @@ def require_ours(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
-    """Read a calibration back.
+    """Return the numbers that were written, to the last bit.
 
-    Returns
-    -------
-    Calibration, Origin
-        The same numbers that were written, to the last bit.
-
-    Raises
-    ------
-    FileTrouble
-        If the file is missing, damaged, something else than a calibration of this version, or
-        claims what cannot be.
+    A FileTrouble if the file is missing, damaged, no calibration of this version, or claims what is
+    impossible.
     """
     document = _parse(path)
     try:

@@ -1,7 +1,4 @@
-"""Paths of files that the user has not named.
-
-Where there is no home for one it is a FileTrouble; the text says what to do.
-"""
+"""Paths of files that the user has not named; a FileTrouble where there is no home for one."""
 
 from __future__ import annotations
 
@@ -123,10 +120,10 @@ class SensorFile:
         return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
 
     def find(self) -> Path:
-        """Return the file to load: the sensor's own, or else the former one if it is surely its.
+        """Return the file to load: the sensor's own, else the former one if it is surely its.
 
         A former file is the default node's. That of a node by another name may be its neighbour's
-        and is not taken: that is a FileTrouble, too.
+        and is not taken: a FileTrouble says how to move it.
         """
         own, former = self.path, self.former
         if not is_missing(own) or is_missing(former):

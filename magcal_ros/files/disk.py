@@ -33,28 +33,12 @@ REMEDY = "Choose a writable place with the parameter calibration_file, or correc
 def write_atomically(
     path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
 ) -> None:
-    """Replace the content of a file in one step.
+    """Replace the content of a file in one step; a FileTrouble leaves the old file as it is.
 
     A symbolic link stays one: what it points to is replaced. A file that was there passes on its
-    mode, and its owner as far as that is allowed; a new one has what the umask leaves.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is made if it is missing.
-    text : str
-        The whole new content.
-    remedy : str
-        What the user should do when it fails.
-    when_written : callable, optional
-        Called when the new content is safely on the disk, right before it takes the old one's
-        place.
-
-    Raises
-    ------
-    FileTrouble
-        If the folder cannot be made or written to, or the disk is full; the old file stays.
-        Also if there is something else than a file.
+    mode, and its owner as far as that is allowed; a new one has what the umask leaves. The folder
+    is made if it is missing. `remedy` says what the user should do on failure. `when_written` is
+    called once the new content is safely on the disk, right before it takes the old one's place.
     """
     try:
         target = Path(os.path.realpath(path))
@@ -139,11 +123,10 @@ LONGEST = 200
 
 
 def plain(text: str, longest: int = LONGEST) -> str:
-    """Return `text` in which nothing can steer a terminal.
+    """Return `text` without characters that could control a terminal, and cut to a length.
 
-    Topics and frames of a bag, and what comes from the network, are whatever their writer liked.
-    Every character that is not printable (control characters, escapes, direction marks, line
-    breaks) becomes "?", and a very long text is cut.
+    Topics and frames of a bag, and texts from the network, may hold anything. Each character that
+    is not printable (control characters, direction marks, line breaks) becomes "?".
     """
     shown = "".join(letter if letter.isprintable() else "?" for letter in text[:longest])
     return shown if len(text) <= longest else shown + "…"
@@ -165,15 +148,7 @@ class NotOrdinary(ValueError):
 
 
 def read_small(path: Path, largest: int) -> bytes:
-    """Return the content of a regular file; nothing else is waited for.
-
-    Raises
-    ------
-    NotOrdinary
-        If it is a pipe, a device, a socket, or too large.
-    OSError
-        If it cannot be read.
-    """
+    """Return the content of a regular file; NotOrdinary for anything else or a larger one."""
     with open_regular(path) as handle:
         about = os.fstat(handle.fileno())
         # The size may be wrong where a file is made as it is read (/proc), so both are looked at.
@@ -184,15 +159,7 @@ def read_small(path: Path, largest: int) -> bytes:
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file for reading; nothing else is waited for.
-
-    Raises
-    ------
-    NotOrdinary
-        If it is a pipe, a device or a socket.
-    OSError
-        If it cannot be read.
-    """
+    """Open a regular file for reading; NotOrdinary for a pipe, a device or a socket."""
     # Without O_NONBLOCK, opening a pipe waits for somebody who writes into it.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode
@@ -221,24 +188,10 @@ def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Itera
 
 
 def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
-    """Do what touches a disk, and give up waiting for a disk that does not answer.
+    """Do what touches a disk; a FileTrouble if it takes longer than `patience`, seconds.
 
-    A mount whose server is gone holds whoever touches it, for hours and beyond every signal: the
-    thread that does so stays behind.
-
-    Parameters
-    ----------
-    work : callable
-        What to do.
-    path : Path
-        For words.
-    patience : float
-        Seconds.
-
-    Raises
-    ------
-    FileTrouble
-        If it takes longer.
+    A mount whose server is gone blocks whoever touches it, for hours and beyond every signal: the
+    thread that does so stays behind. `path` is for the message.
     """
     done: list[Result] = []
     failed: list[BaseException] = []

@@ -61,13 +61,7 @@ from magcal_ros.files.autopilots import (
 
 
 def ctu_vras(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`.
-
-    Returns
-    -------
-    str
-        YAML for ROS 2, matching nodes of every name.
-    """
+    """Return a parameter file for `--params-file`, matching nodes of every name."""
     correction = calibration.correction
     matrix = f"[{numbers(correction.matrix)}]"
     lines = ["/**:", "  ros__parameters:"]
@@ -86,13 +80,7 @@ def ctu_vras(calibration: Calibration) -> str:
 
 
 def fusioncore(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`.
-
-    Returns
-    -------
-    str
-        YAML for ROS 2. The field's strength is the one that the corrected field has.
-    """
+    """Return a parameter file for `--params-file`; field_strength is the corrected field's."""
     correction = calibration.correction
     header = commented(
         "#",
@@ -114,13 +102,7 @@ UNCHANGED = 1e-9
 
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`.
-
-    Returns
-    -------
-    str
-        YAML for ROS 2.
-    """
+    """Return a parameter file for `--params-file`."""
     comments = [provenance(calibration), "compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
@@ -147,23 +129,11 @@ VECTORNAV_NOTES = (
 
 
 def vectornav(calibration: Calibration) -> str:
-    """Return the command that writes register 23.
+    """Return the command that writes register 23, in one line; `$VNWNV` stores it for good.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export; made from fields in forward-left-up axes.
-
-    Returns
-    -------
-    str
-        One line; `$VNWNV` stores it for good. The serial line knows no comments;
-        `VECTORNAV_NOTES` says what the command assumes.
-
-    Raises
-    ------
-    NotExportable
-        If a number does not fit the command's fixed notation.
+    The calibration is of fields in forward-left-up axes. The serial line knows no comments:
+    `VECTORNAV_NOTES` says what the command assumes. NotExportable if a number does not fit the
+    fixed notation.
     """
     held = in_forward_right_down(calibration.correction)
     twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
@@ -184,13 +154,7 @@ def checksum(body: str) -> int:
 
 
 def c_header(calibration: Calibration) -> str:
-    """Return a header that any C or C++ compiler takes.
-
-    Returns
-    -------
-    str
-        With an include guard.
-    """
+    """Return a header with an include guard that any C or C++ compiler accepts."""
     correction = calibration.correction
     iron = numbers(correction.hard_iron, OF_TESLA)
     rows = ",\n".join(f"    {{{numbers(row)}}}" for row in correction.matrix)

@@ -37,13 +37,7 @@ Progress = Callable[[float], None]
 
 
 class Deadline:
-    """Ends a reading that takes too long.
-
-    Parameters
-    ----------
-    path : Path
-        For words.
-    """
+    """Ends a reading that takes too long."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -88,13 +82,7 @@ class Names:
 def recording_of(
     path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
 ) -> Recording:
-    """Choose the sensors and return what they recorded.
-
-    Raises
-    ------
-    FileTrouble
-        If there is no such sensor, or none that lives.
-    """
+    """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
     notes = list(tables.notes)
     one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
     other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
@@ -177,13 +165,7 @@ def velocity(stamp: float, speed: float, course: float, sigma: float) -> Velocit
 
 
 def begun_with(path: Path, count: int) -> bytes:
-    """Return the first bytes of a log.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or is larger than can be held.
-    """
+    """Return the first bytes of a log; a FileTrouble if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
             size = handle.seek(0, io.SEEK_END)

@@ -56,10 +56,7 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    Raises
-    ------
-    FileTrouble
-        If a sensor is missing, or gravity was taken off; the text says what to record.
+    A FileTrouble if a sensor is missing, or gravity was taken off, says what to record.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))

@@ -84,22 +84,7 @@ RIGHT_ANGLES = (
 def read_px4(
     path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
 ) -> Recording:
-    """Read a ULog.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in .ulg.
-    imu, mag : str
-        Which sensors, as "sensor_mag[1]"; empty for the first that lives.
-    progress : callable, optional
-        Is given the share that has been read.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or has no living sensors; the text says what to do.
-    """
+    """Read a ULog; arguments and errors as of `open_recording`."""
     if begun_with(path, len(MAGIC)) != MAGIC:
         raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
     try:
@@ -133,13 +118,7 @@ class _Watched(io.BufferedReader):
 
 
 def rotation_of(number: int) -> FloatArray:
-    """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down.
-
-    Raises
-    ------
-    FileTrouble
-        If the number is not one of MAV_SENSOR_ORIENTATION.
-    """
+    """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down."""
     if not 0 <= number < len(RIGHT_ANGLES):
         raise FileTrouble(
             f"the rotation {number} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not "

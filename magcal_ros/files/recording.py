@@ -66,13 +66,7 @@ class Recording:
             yield _imu_sample(row)
 
     def turned(self, pose: FloatArray) -> Recording:
-        """Return what sensors in the parent's axes would have recorded.
-
-        Parameters
-        ----------
-        pose : ndarray, shape (3, 3)
-            Of the recorder in the vehicle.
-        """
+        """Return the recording in the vehicle's axes, for a recorder of this pose (3, 3) in it."""
         imu, raw = self.imu.copy(), self.field.copy()
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
@@ -85,13 +79,7 @@ def _imu_sample(row: list[float]) -> ImuSample:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
-
-    Raises
-    ------
-    FileTrouble
-        If a file or a column is missing, or a line is not numbers.
-    """
+    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
     _, imu = read_columns(folder / "imu.csv", IMU_COLUMNS)
     _, field = read_columns(folder / "mag.csv", FIELD_COLUMNS)
     return Recording(imu, field)
@@ -107,17 +95,8 @@ LATEST_STAMP = 2.0**33
 def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
     """Return the first choice of columns that a file has, and its rows, one column each.
 
-    Parameters
-    ----------
-    path : Path
-        Has a header line; columns may come in any order, and others beside them.
-    choices : tuple of str
-        Names of columns; the first is stamps in seconds.
-
-    Raises
-    ------
-    FileTrouble
-        If a column is missing, or a line is not numbers.
+    The file has a header line; columns may come in any order, with others beside them. The first
+    name of a choice is that of the stamps, seconds.
     """
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
@@ -131,34 +110,17 @@ def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...]
 
 
 def read_header(path: Path) -> list[str]:
-    """Return the names in a file's first line.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    """
+    """Return the names in a file's first line."""
     with _opened(path) as handle:
         first = next(_lines(handle), "")
     return [name.strip().strip('"') for name in first.split(_separator(first))]
 
 
 def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> FloatArray:
-    """Return some columns below a header line.
+    """Return some columns below a header line; the first are stamps, returned in seconds.
 
-    Parameters
-    ----------
-    path : Path
-        Separated by commas, tabs or semicolons; in the last two numbers may have a decimal comma.
-    columns : sequence of int
-        The first is stamps.
-    second : float
-        What a second is in the first column; it is returned in seconds.
-
-    Raises
-    ------
-    FileTrouble
-        If a line is not numbers.
+    They are separated by commas, tabs or semicolons; with the last two, numbers may have a decimal
+    comma. `second` is the length of a second in the first column.
     """
     with _opened(path) as handle:
         lines = _lines(handle)
@@ -222,16 +184,8 @@ class Tables:
 def read_travel(folder: Path) -> Tables:
     """Read `odom.csv` (t,speed) and `gps.csv` (t,latitude,longitude or t,east,north) of a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        May hold the two files, each with a header line; seconds, m/s (negative backwards), degrees
-        and metres. A row that is not finite is no sample.
-
-    Raises
-    ------
-    FileTrouble
-        If a column is missing, or a line is not numbers.
+    Both are optional, each with a header line: seconds, m/s (negative backwards), degrees, metres.
+    A row that is not finite is no sample.
     """
     found, place = list[TravelSample](), None
     if (folder / "odom.csv").exists():
@@ -276,21 +230,10 @@ GYRO = ("gx", "gy", "gz")
 
 
 def write_samples(path: Path, window: Window, believed: BoolArray | None = None) -> None:
-    """Write a window, every number in full precision.
+    """Write a window, every number at full precision.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    window : Window
-        The samples; without a gyro its columns hold `nan`.
-    believed : ndarray of bool, shape (n,), optional
-        Which samples the fit believed; without it none, because there was no fit.
-
-    Raises
-    ------
-    FileTrouble
-        If the file cannot be written.
+    Without a gyro its columns hold `nan`. `believed` (n,) tells the inliers of the fit; without a
+    fit there are none.
     """
     n = len(window)
     rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
@@ -304,23 +247,10 @@ def write_samples(path: Path, window: Window, believed: BoolArray | None = None)
 
 
 def read_samples(path: Path) -> Window:
-    """Read the window of a turn back, believed or not.
+    """Read the window of a turn back, outliers included.
 
-    Parameters
-    ----------
-    path : Path
-        Has a header line with at least t, mx, my, mz, ax, ay and az, their order and the units
-        in brackets at will; SI units.
-
-    Returns
-    -------
-    Window
-        The same numbers that were written, to the last bit.
-
-    Raises
-    ------
-    FileTrouble
-        If the file or a column is missing, or a line is not numbers.
+    The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
+    brackets; SI units.
     """
     try:
         with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:

@@ -35,13 +35,9 @@ TURN_WITHIN = math.radians(20.0)
 class RepairedReadings:
     """The readings of a recording, with even stamps in place of those in bursts.
 
-    A recording is read once, and twice more where its stamps come in bursts. An IMU of 1 to 5 Hz,
-    whose samples are too far apart to be joined, is interpolated where it turns slowly.
-
-    Attributes
-    ----------
-    notes : list of str
-        What was repaired, in words; complete when everything has been read.
+    A recording is read once, and twice more if its stamps come in bursts. An IMU of 1 to 5 Hz,
+    whose samples are too far apart to be joined, is interpolated where it turns slowly. `notes`
+    says what was repaired, and is complete when everything has been read.
     """
 
     def __init__(

@@ -22,17 +22,9 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Read the joints of a URDF.
+    """Return the joints of a URDF in their order; whatever else it holds is skipped.
 
-    Returns
-    -------
-    tuple of FrameJoint
-        In the order of the text; what else is in it is passed over.
-
-    Raises
-    ------
-    DescriptionTrouble
-        If it is no URDF, is damaged, or declares entities, which no URDF needs.
+    A DescriptionTrouble if it is no URDF, is damaged, or declares entities, which no URDF needs.
     """
     if len(text) > LARGEST:
         raise DescriptionTrouble(

@@ -27,16 +27,10 @@ FIRST_STAMP = 1.0
 
 
 class Source(Protocol):
-    """A recording to be read once.
+    """A recording of any kind, opened, to be read once.
 
-    Attributes
-    ----------
-    imu_topic, field_topic : str
-        What to call the two streams, as recorded.
-    imu_frame, field_frame : str
-        Newest `frame_id` of each; empty while unknown.
-    share : float
-        How much of it has been read, 0 to 1.
+    The two topics are what to call the streams; the frames are the newest `frame_id` of each, empty
+    while unknown.
     """
 
     imu_topic: str
@@ -75,14 +69,7 @@ class Source(Protocol):
 
 
 class HeldDrive:
-    """A recording in memory as a source.
-
-    Parameters
-    ----------
-    recording : Recording
-    start, stop : float
-        Seconds from the recording's first sample.
-    """
+    """A recording in memory as a source; `start` and `stop` are seconds from its first sample."""
 
     imu_frame = ""
 
@@ -115,12 +102,7 @@ class HeldDrive:
         return []
 
     def headings(self, topic: str) -> list[HeadingSample]:
-        """Refuse: only bags have topics.
-
-        Raises
-        ------
-        Misuse
-        """
+        """Refuse: only bags have topics."""
         raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
 
     def yaw(self) -> FloatArray:
@@ -147,28 +129,11 @@ def open_recording(
 ) -> AbstractContextManager[Source]:
     """Open a bag, a CSV folder, an autopilot's log or a phone's folder.
 
-    Parameters
-    ----------
-    path : Path
-        The recording: a rosbag2 (folder, .mcap, .db3), a ROS 1 bag, a folder with imu.csv and
-        mag.csv, .BIN, .log and .tlog of ArduPilot, .ulg of PX4, or what a phone's Sensor Logger
-        or phyphox exports.
-    imu, field : str
-        Topics of a bag, sensors of a log; empty to take the only one of the right type, and of a
-        log the first that lives.
-    start, stop : float
-        Seconds from the recording's beginning, by the bag's own clock.
-    imu_pose : ndarray, shape (3, 3), optional
-        Pose of the sensors in the vehicle, of all but a bag.
-    progress : callable, optional
-        Is given the share that has been read of what is read whole.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read; the text says what to do.
-    Misuse
-        If a bag has several topics that would do.
+    `imu` and `field` are topics of a bag or sensors of a log; empty for the only one of the right
+    type, and of a log for the first that gives data. `start` and `stop` are seconds from the
+    beginning. `imu_pose` (3, 3) is the pose of the sensors in the vehicle, of all but a bag.
+    `progress` takes the share that is read. FileTrouble if it cannot be read, Misuse if the topics
+    are ambiguous.
     """
     if not path.exists():
         raise FileTrouble(f"cannot read {path}: there is no such file or folder")

@@ -50,13 +50,7 @@ VERBS = {
 
 
 def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
-    """Write `report.html` on a drive into a folder; returns it.
-
-    Raises
-    ------
-    FileTrouble
-        If the folder already holds a report, or cannot be written to.
-    """
+    """Write `report.html` on a drive into a folder; returns it. A report that is there stays."""
     page = folder / PAGE
     if page.exists():
         raise FileTrouble(f"{page} is there already and stays; choose another folder")
@@ -87,7 +81,7 @@ def _summary(story: DriveStory) -> str:
 
 
 def summary_of(story: DriveStory) -> str:
-    """Return in two sentences what became of a drive."""
+    """Return the result of a drive in two sentences."""
     changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
     back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"

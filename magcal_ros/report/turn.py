@@ -54,7 +54,7 @@ class Subject:
 
     @property
     def answered_by(self) -> str:
-        """Name of the method that gave the answer: a turn may have been told better as a drive."""
+        """Name of the method that gave the result: a turn may have been fitted as a drive."""
         estimate = self.outcome.estimate
         return self.method if estimate is None else estimate.method
 

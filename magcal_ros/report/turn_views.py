@@ -58,18 +58,7 @@ _DRAWING = threading.Lock()
 
 
 def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
-    """Draw a picture.
-
-    Returns
-    -------
-    str
-        An `svg` element that refers to nothing outside of itself.
-
-    Raises
-    ------
-    ImportError
-        If there is no matplotlib.
-    """
+    """Draw a picture as an `svg` element that refers to nothing outside of itself."""
     import matplotlib
     from matplotlib.figure import Figure
 

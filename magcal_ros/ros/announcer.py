@@ -61,10 +61,10 @@ class Announcer:
         self._answer: object = None
 
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
-        """Say something on a subject, if it differs from what was said last.
+        """Log something on a subject, if it differs from what was logged last.
 
         What comes sooner than ten seconds after the last line waits for `catch_up`, and only the
-        newest of it is said.
+        newest of it is logged.
         """
         line = self._lines.setdefault(subject, _Line())
         line.text, line.wrong = text, wrong
@@ -76,9 +76,9 @@ class Announcer:
             self._say_if_due(line)
 
     def complain(self, complaints: Iterable[str]) -> None:
-        """Say what is wrong: once it has lasted, and again when it comes back.
+        """Log what is wrong: once it has lasted, and again when it comes back.
 
-        Numbers that go on do not make a complaint a new one.
+        A complaint in which only numbers change is the same one.
         """
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
@@ -115,10 +115,7 @@ LONGEST = 300
 
 
 class CallbackErrors:
-    """Counts the errors of all callbacks and logs each kind of them once.
-
-    A kind is a type of error at a line of code.
-    """
+    """Counts the errors of all callbacks and logs each kind, a type at a line of code, once."""
 
     def __init__(self, log: Callable[[str], object]) -> None:
         self._log = log

@@ -1,7 +1,7 @@
-"""A turn in the running node: tells the state machine what happens, and does what it says.
+"""A turn in the running node: reports events to the state machine and carries out its commands.
 
-Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
-its own and the disk a thread, so the corrected field and the yaw keep flowing.
+Collecting happens in the executor's thread, a few microseconds a sample. The fit has a process of
+its own and the disk a thread, so the corrected field and the yaw are not interrupted.
 """
 
 from __future__ import annotations
@@ -62,13 +62,7 @@ class House(Protocol):
 
 
 class Control:
-    """Runs one turn at a time.
-
-    Attributes
-    ----------
-    turn : TurnMachine
-        The state machine, to be looked at.
-    """
+    """Runs one turn at a time; `turn` is the state machine, to be read."""
 
     def __init__(
         self,
@@ -134,7 +128,7 @@ class Control:
     def finish(self) -> ev.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way.
 
-        The verdict on a turn that ended by itself, and that nobody waited for, is told once.
+        The verdict on a turn that ended by itself, and that nobody waited for, is returned once.
         """
         self._collect()
         unreported, self._unreported = self._unreported, None
@@ -176,7 +170,7 @@ class Control:
                 self._tell(self.turn.take, pair, now())
 
     def _tell(self, happened: Callable[..., T], *facts: Any) -> T:
-        """Tell the turn what happened and do what it says; returns its answer."""
+        """Report an event to the turn and carry out its commands; returns its answer."""
         before = self.state
         try:
             answer = happened(*facts)

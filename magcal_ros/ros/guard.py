@@ -1,10 +1,10 @@
 """A second process that stops the robot when the node no longer can.
 
-Nothing that the node does helps against SIGKILL, SIGSTOP, a fault in the interpreter, or a disk
-or terminal that blocks it. So the node tells a small process twenty times a second that it is
-alive; when that falls silent, or the line to it breaks, this process publishes zeros. It is there
-only while the robot turns itself. It has to answer each time what it would publish and where:
-a guard that is stopped, or that does something else, is no guard.
+Nothing that the node does helps against SIGKILL, SIGSTOP, a fault in the interpreter, or a disk or
+terminal that blocks it. So the node reports twenty times a second to a small process; when the
+reports stop, or the line breaks, this process publishes zeros. It exists only while the robot turns
+itself. Each time it has to answer what it would publish and where: a guard that is stopped, or that
+does something else, is no guard.
 """
 
 from __future__ import annotations

@@ -233,16 +233,9 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    Attributes
-    ----------
-    motors : Motors
-        Follows what the motors do.
-    several : SeveralCompasses
-        Joins the magnetometers.
-    are_several : bool
-        Whether a calibration of a further one is in force, so that there is something to join.
-    lead : Calibration or None
-        In whose terms the heading is: that of the first magnetometer that has one.
+    `motors` follows the motors, and `several` joins the magnetometers. `are_several` tells whether
+    a calibration of a further one is in force. `lead` is the calibration that the heading is based
+    on: that of the first magnetometer that has one.
     """
 
     def __init__(
@@ -297,7 +290,7 @@ class HeadingPipeline:
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
     def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
-        """Return what a field sample comes to by a compass."""
+        """Return the corrected field, up and heading of a field sample."""
         up = self.up.at(sample.stamp, self.streams.max_gap)
         running = self.motors.as_used(compass, sample.stamp)
         turning = self.up.rate if self.up.is_propagated else None

@@ -64,11 +64,10 @@ class Loaded(NamedTuple):
 class Keeper:
     """Holds the calibration in force and moves it to and from its file.
 
-    `name` is the node's namespace and name, part of the default path; a `number` above 1, of a
-    further magnetometer, stands in the file's name. `chosen` returns the parameter
-    calibration_file. Of any file that is named there after the start the network is not told what
-    it is. `apply` is called with the calibration (or None) and the magnetometer's frame whenever
-    it changes.
+    `name` is the node's namespace and name, part of the default path; a `number` above 1 stands in
+    the file's name. `chosen` returns the parameter calibration_file; of a file that is named there
+    after the start nothing is revealed to the network. `apply` is called with the calibration (or
+    None) and the magnetometer's frame whenever it changes.
     """
 
     def __init__(
@@ -116,7 +115,7 @@ class Keeper:
     def keep_motors(self, motors: MotorField) -> None:
         """Store what was learnt of the motors with the calibration in force, if there is one.
 
-        Nothing is applied anew: whoever learnt it uses it already.
+        Nothing is applied: the caller uses it already.
         """
         if self.calibration is not None:
             self.calibration = replace(self.calibration, motors=motors)
@@ -130,12 +129,8 @@ class Keeper:
     def store(self, with_backup: bool = True) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread.
 
-        With a backup another calibration that the file holds is kept beside it.
-
-        Raises
-        ------
-        FileTrouble
-            If nothing is in force.
+        With a backup, another calibration that the file holds is kept beside it. A FileTrouble if
+        nothing is in force.
         """
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
@@ -191,10 +186,7 @@ class Keeper:
     def read(self, chosen: str, frame: str) -> Loaded:
         """Read the file of a sensor, in any thread; one that has not changed is not read again.
 
-        Raises
-        ------
-        FileTrouble
-            If the file is missing, damaged, foreign, or made for another sensor.
+        A FileTrouble if it is missing, damaged, foreign, or made for another sensor.
         """
         try:
             path = self._path_to_load(chosen, frame)
@@ -336,7 +328,7 @@ def _key_of(path: Path) -> object:
 
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
-    """Refuse a calibration that was made for another sensor: both frames are known and differ."""
+    """Raise a FileTrouble for a calibration of another sensor: both frames are known and differ."""
     made_for, there = origin.magnetometer_frame, known_as(frame)
     if made_for and there and made_for != there:
         raise FileTrouble(

@@ -27,7 +27,7 @@ Ask = Callable[[Tell], object]
 
 
 class Magnetometers:
-    """All magnetometers of the node: who is there, the heading of all, and turns of all at once."""
+    """All magnetometers of the node: which send, the heading of all, and turns of all at once."""
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
         self._several = several
@@ -217,10 +217,10 @@ CALLS = QoSProfile(depth=100)
 
 
 class Services:
-    """Offers the calibration to the graph.
+    """Offers the services.
 
-    `short` services answer at once, one of them is `start`; `slow` ones tell when they are done.
-    `note` is given each error in a service; its caller is told as well.
+    `short` ones answer at once, one of them is `start`; `slow` ones answer when they are done.
+    `note` is given each error in a service, of which its caller is informed as well.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """The executable `ros2 run magcal_ros calibrator`.
 
-Signals that end the process come from a person, a supervisor or a terminal that goes away. rclpy's
-own handlers take the context down first, and then nothing can be published any more: a robot that
-turns would turn on. Here the process is left as it is and a listener is called in a thread of its
-own, so that a callback that does not return cannot stand in the way.
+Signals that end the process come from a person, a supervisor or a closed terminal. rclpy's own
+handlers take the context down first, and then nothing can be published any more: a robot that turns
+would not be stopped. Here a signal calls a listener in a thread of its own, so that a callback that
+does not return cannot delay it.
 """
 
 from __future__ import annotations
@@ -38,10 +38,7 @@ SIGNALS = (
 
 
 class EndSignals:
-    """Notes that the process was told to end.
-
-    To be made in the main thread, before the middleware starts threads.
-    """
+    """Notes that the process was told to end; to be made before the middleware starts threads."""
 
     def __init__(self) -> None:
         self._told = threading.Event()

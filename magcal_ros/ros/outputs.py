@@ -98,10 +98,7 @@ class FieldOutput:
 
 
 class HeadingOutput:
-    """Publishes the heading that follows from each field message.
-
-    What nobody listens to is not filled in.
-    """
+    """Publishes the heading of each field message; what nobody subscribes to is not filled in."""
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
@@ -188,7 +185,7 @@ TOPIC = "compass/fused/enu/imu"
 
 
 class FusedOutput:
-    """Publishes the fused yaw while a calibration is in force and somebody listens."""
+    """Publishes the fused yaw while a calibration is in force and something subscribes."""
 
     def __init__(self, node: Node, follower: UpFollower, frames: SensorFrames) -> None:
         self._frames = frames
@@ -204,7 +201,7 @@ class FusedOutput:
     def begin_anew(self, calibration: Calibration | None) -> None:
         """Forget the yaw: another calibration is in force, or none.
 
-        While two antennas tell it, no compass is needed to know it.
+        While two antennas measure it, no compass is needed.
         """
         self._calibration = calibration
         if calibration is not None and self._fused is not None and self._fused.has_external_yaw:
@@ -252,7 +249,7 @@ class FusedOutput:
         return self._fused
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
-        """Say whether the yaw is published, and whether the field is believed."""
+        """Say whether the yaw is published, and whether the field corrects it."""
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
             level = level if self._fused is None else DiagnosticStatus.WARN
@@ -333,14 +330,9 @@ class TurnMarkers:
 def turn_markers(
     window: Window, to_body: FloatArray, estimate: Estimate | None, frame: str
 ) -> MarkerArray:
-    """Draw a turn under way (without an estimate), or a fitted one.
+    """Draw a turn under way (without an estimate), or a fitted one, in place of what was drawn.
 
     `to_body` (3, 3) turns the magnetometer's axes to nominal body axes; all is in the IMU's frame.
-
-    Returns
-    -------
-    MarkerArray
-        Replaces what was drawn before.
     """
     every = max(1, len(window) // MOST_POINTS)
     raw = window.field @ to_body.T
@@ -384,7 +376,7 @@ def _marker(
     width: float,
     height: float = 0.0,
 ) -> Marker:
-    """Draw points of the field; what width and height are of depends on the kind."""
+    """Draw points of the field; the meaning of width and height depends on the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     marker.scale.x, marker.scale.y = width, height

@@ -1,4 +1,4 @@
-"""What a calibration and `doctor` need from the graph, and what is heard there."""
+"""What a calibration and `doctor` need from the graph, and what is received there."""
 
 from __future__ import annotations
 
@@ -209,12 +209,7 @@ USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """Return the topic of a sensor: as wanted, else the only one of this type, or the usual one.
 
-    Raises
-    ------
-    Misuse
-        If several would do.
-    MagcalError
-        If there is none.
+    Misuse if several would do, a MagcalError if there is none.
     """
     if wanted:
         return node.resolve_topic_name(wanted)
@@ -238,13 +233,7 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
 
 
 class Listener:
-    """Subscribes to both sensors and hands on what they say.
-
-    Attributes
-    ----------
-    heard : list of int
-        Messages of the IMU and of the field.
-    """
+    """Subscribes to both sensors and passes on their samples; `heard` counts messages of each."""
 
     def __init__(
         self,

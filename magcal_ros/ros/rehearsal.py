@@ -89,11 +89,7 @@ def replay(
     """Publish a recording under its own stamps, in its own time or `rate` times faster.
 
     `between` is called with the seconds to wait before the next sample; it may spin or sleep.
-
-    Returns
-    -------
-    int
-        Number of samples published.
+    Returns the number of samples.
     """
     clock_out = node.create_publisher(Clock, "/clock", 10) if clock else None
     shift = max(0.0, FIRST_STAMP - float(min(recording.imu[0, 0], recording.field[0, 0])))
@@ -254,8 +250,8 @@ class Rehearsal:
     ) -> list[float]:
         """Stand at all headings and tilts (degrees) and compare the published yaw, radians.
 
-        The yaw is that of `compass/mag/enu/imu`: its stamp says of which pose it is, however
-        late it comes on a busy machine.
+        The yaw is that of `compass/mag/enu/imu`: its stamp identifies the pose, however late it
+        comes.
         """
         if self._attitudes is None:
             self._attitudes = self.node.create_subscription(

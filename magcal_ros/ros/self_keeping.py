@@ -35,7 +35,7 @@ IDLE_LOOKS = 300
 
 
 class SelfKeeping:
-    """Lets a calibration keep itself."""
+    """Runs self-calibration for one magnetometer."""
 
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info

@@ -44,7 +44,7 @@ MOST_FRAMES = 10_000
 
 
 class Description:
-    """Keeps what `robot_description` and the static transforms tell, once somebody asks for it.
+    """Keeps what `robot_description` and the static transforms contain, once `listen` is called.
 
     Both are whatever the network sends. They are read in a thread of their own, and no more than
     `LARGEST` bytes at a time.

@@ -41,15 +41,10 @@ FOR_EVER = -1
 
 
 class SensorGroup(CallbackGroup):
-    """Keeps subscriptions from rclpy's executor for as long as somebody else serves them.
+    """Keeps subscriptions from rclpy's executor for as long as a `SensorLoop` serves them.
 
     Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
-    they are woken by each message.
-
-    Attributes
-    ----------
-    is_open : bool
-        Whether rclpy's executor serves them, as it does until a `SensorLoop` takes over.
+    they are woken by each message. While `is_open`, as at first, rclpy's executor serves them.
     """
 
     def __init__(self) -> None:
@@ -72,8 +67,8 @@ class SensorLoop:
     """A thread that takes the messages of chosen subscriptions and calls back, under a lock.
 
     `note` is given what a callback raised; the loop goes on. `give_up` is called in the loop's
-    thread, with the group open again, where a call of rclpy has failed. Messages of `unhurried`
-    subscriptions wake nobody and are taken with the next of the others.
+    thread, with the group open again, if a call of rclpy has failed. Messages of `unhurried`
+    subscriptions wake nothing and are taken with the next of the others.
     """
 
     def __init__(
@@ -175,10 +170,10 @@ class SensorLoop:
 
 
 class FairLock:
-    """A lock that two threads have by turns whenever both want it.
+    """A lock that two threads get in turn whenever both want it.
 
-    With a plain one, who releases it and wants it again at once usually gets it again, and under a
-    flood of messages a service would never be answered.
+    With a plain one, the thread that releases it and wants it again at once usually gets it again,
+    and under a flood of messages a service would never be answered.
     """
 
     def __init__(self) -> None:
@@ -195,9 +190,9 @@ class FairLock:
 class Spinner:
     """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
 
-    rclpy's executor finds what is ready and the handlers it returns are called here, under a lock
-    that is shared with the loop of the subscriptions. An error in a callback is noted and does not
-    end anything.
+    rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
+    that is shared with the loop of the subscriptions. An error in a callback is noted and ends
+    nothing.
     """
 
     def __init__(
@@ -220,13 +215,7 @@ class Spinner:
         )
 
     def spin(self) -> None:
-        """Serve the node until `end` is called or the context ends.
-
-        Raises
-        ------
-        rclpy.executors.ExternalShutdownException
-            If the context has ended.
-        """
+        """Serve the node until `end` is called; ExternalShutdownException if the context ends."""
         while self._node.context.ok() and not self._is_over:
             self.spin_once()
 
@@ -234,11 +223,6 @@ class Spinner:
         """Wait until something is ready, at most so many seconds, and serve it.
 
         From the first call on the chosen subscriptions are served too, until the shutdown.
-
-        Raises
-        ------
-        rclpy.executors.ExternalShutdownException
-            If the context has ended.
         """
         if not self._is_started:
             self._is_started = True
@@ -319,9 +303,8 @@ Done = Callable[[], object]
 class BackgroundThread:
     """Runs one job after another in a thread; what follows runs in the executor.
 
-    The thread is started with the first job. It does not delay the end of the process: a disk that
-    does not answer may block it for ever. If no thread can be started, the work fails as if it had
-    raised that error itself.
+    The thread starts with the first job. It does not delay the end of the process: a disk that does
+    not answer may block it for ever. If no thread can be started, the job fails with that error.
     """
 
     def __init__(self, node: Node, name: str) -> None:

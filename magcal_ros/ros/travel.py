@@ -48,12 +48,9 @@ BETTER = 0.7
 
 
 class Travel:
-    """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
+    """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
 
-    Attributes
-    ----------
-    subscriptions : list of Subscription
-        Of wheels, velocity and fixes; their callbacks take bytes.
+    `subscriptions` are those of wheels, velocity and fixes; their callbacks take bytes.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """The node's messages as bytes: read on arrival, filled before sending.
 
-rclpy turns each message into Python objects and back, which costs more than everything that is
-computed with it. The few messages of the node have fixed places for all their numbers, so these
-are read and written where they lie: a template is serialized once by rclpy and then filled. What
-is laid out otherwise goes through rclpy.
+rclpy turns each message into Python objects and back, which costs more than all computation on it.
+The few messages of the node have fixed places for all their numbers, so these are read and written
+in place: a template is serialized once by rclpy and then filled. Anything laid out otherwise goes
+through rclpy.
 """
 
 from __future__ import annotations
@@ -74,13 +74,7 @@ class FieldArrival(NamedTuple):
 
 
 def read_imu(data: bytes) -> ImuArrival:
-    """Return what a serialized sensor_msgs/Imu says.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
+    """Return the content of a serialized sensor_msgs/Imu; Unreadable if it is none."""
     if wire.is_plain_cdr(data):
         try:
             frame, sample = _parse_imu(data)
@@ -93,13 +87,7 @@ def read_imu(data: bytes) -> ImuArrival:
 
 
 def read_field(data: bytes) -> FieldArrival:
-    """Return what a serialized sensor_msgs/MagneticField says.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
+    """Return the content of a serialized sensor_msgs/MagneticField; Unreadable if it is none."""
     if wire.is_plain_cdr(data):
         try:
             frame, sample, covariance = _parse_field(data)
@@ -133,7 +121,7 @@ def _travel_reader(
 
 
 def read_stamp(data: bytes) -> float:
-    """Return the stamp of a message with a header, seconds; NaN where a look does not tell it."""
+    """Return the stamp of a message with a header, seconds; NaN if it is laid out otherwise."""
     if wire.is_plain_cdr(data):
         with suppress(struct.error):
             return stamp_in(data)
@@ -150,13 +138,7 @@ def _packed(stamp: Time) -> bytes:
 
 
 def by_rclpy(data: bytes, kind: type) -> Any:
-    """Return a message of any kind.
-
-    Raises
-    ------
-    Unreadable
-        If the bytes are none.
-    """
+    """Return a message of any kind; Unreadable if the bytes are none."""
     try:
         return deserialize_message(data, kind)
     except Exception as error:  # rclpy has several roots, and a message from outside no manners

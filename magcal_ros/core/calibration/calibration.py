@@ -98,17 +98,9 @@ class Estimate:
         return self.strength * math.cos(self.inclination)
 
     def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
-        """Return the yaw's standard deviation from the twelve numbers' covariance alone.
+        """Return the yaw's sigma by the covariance of the twelve numbers alone, radians.
 
-        Parameters
-        ----------
-        up, field_body : ndarray, shape (..., 3)
-            The pose: up and the true field in body axes, any length for up, tesla for the field.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Radians.
+        `up` and the true field (tesla), both (..., 3), are in body axes; the result is (...).
         """
         jacobian = yaw_jacobian(self.correction, up, field_body)
         variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
@@ -127,13 +119,9 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
 
 
 def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Return the derivative by the twelve numbers of what has this gradient by the field.
+    """Return the derivative by the twelve numbers of a quantity with this gradient by the field.
 
-    Parameters
-    ----------
-    correction : Correction
-    field_body, gradient : ndarray, shape (..., 3)
-        Corrected field, and the gradient there, body axes.
+    The corrected field and the gradient are (..., 3) in body axes.
     """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]

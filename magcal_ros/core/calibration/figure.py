@@ -216,11 +216,5 @@ class Figure(str, Enum):
 
 
 def along(name: str, values: FloatArray) -> dict[Figure, float]:
-    """Return the three figures of a quantity along x, y and z, from its values (3,).
-
-    Raises
-    ------
-    ValueError
-        If there are none of that name.
-    """
+    """Return the three figures of a quantity along x, y and z, from its values (3,)."""
     return {Figure(f"{name}_{axis}"): float(v) for axis, v in zip("xyz", values, strict=True)}

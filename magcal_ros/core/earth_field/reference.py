@@ -83,14 +83,10 @@ def place_of(fix: Fix) -> Place | str:
 
 
 class Fixes:
-    """Follows a receiver.
+    """Follows the position by a receiver's fixes.
 
-    Attributes
-    ----------
-    place : Place or None
-        Where the robot is; None before the first good fix.
-    stamp : float
-        Of the newest good fix, seconds; zero before it.
+    `place` is None before the first good fix; `stamp` (s) is that of the newest good one, zero
+    before it.
     """
 
     def __init__(self) -> None:
@@ -245,7 +241,7 @@ class Reference:
 
     @property
     def north(self) -> str:
-        """Which north a yaw can be counted from: true or magnetic."""
+        """Which north a yaw is counted from: true or magnetic."""
         return "magnetic" if self.field.declination is None else "true"
 
     @property
@@ -276,21 +272,8 @@ def resolve(
 ) -> Reference:
     """Take what was given by hand, number by number, and the rest from the model.
 
-    Parameters
-    ----------
-    given : ReferenceField
-        By hand; each number that is known wins over the model.
-    local : Local
-        Adds to the model's own uncertainty, in quadrature.
-    place : Place or None
-        Where the robot is; None if not known.
-    year : float or None
-        Decimal year; None if not known.
-
-    Returns
-    -------
-    Reference
-        Never raises: what the model cannot give is a complaint.
+    The local part adds to the model's own uncertainty, in quadrature. `place` and `year` (decimal)
+    are None where unknown. Nothing is raised: what the model cannot give is a complaint.
     """
     lacking = [name for name, belief in _beliefs(given) if belief.is_unknown]
     source = "unknown" if len(lacking) == len(UNITS) else "given"
@@ -336,7 +319,7 @@ def _widened(belief: Belief, sigma: float) -> Belief:
 def _contradictions(
     given: ReferenceField, local: Local, model: ModelField, spot: str
 ) -> Iterator[str]:
-    """Say which number given by hand the model does not believe: a wrong sign is easily given."""
+    """Say which number given by hand contradicts the model: a wrong sign is easily given."""
     by_model = (model.strength, model.inclination, model.declination)
     around = (local.strength, local.inclination, local.declination)
     for (name, by_hand), theirs, sigma in zip(_beliefs(given), by_model, around, strict=True):
@@ -373,15 +356,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 
 
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
-    """Say that a calibration was made in another field than the reference; empty if not.
+    """Say that a calibration was made in another field than here; empty if not.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Its strength and dip are those of the place where it was made. One that was made without a
-        reference says nothing about them.
-    reference : ReferenceField
-        Of the place where the robot is.
+    A calibration that was made without a reference says nothing about its place.
     """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""

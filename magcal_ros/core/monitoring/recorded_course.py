@@ -71,15 +71,7 @@ def recorded_course(
 ) -> RecordedCourse | None:
     """Compare a calibration's compass with course; None where nothing was driven straight.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    readings : iterable
-        What the sensors said, in its order.
-    travel : iterable
-        What receiver and wheels said, by stamp.
-    declination : float or None
-        Radians, of the place.
+    Readings are in their order, travel by stamp; `declination` (rad) is that of the place.
     """
     replay, compass = TravelReplay(travel, Streams(STREAMS.max_gap)), Compass(calibration)
     travelling = replay.travelling
@@ -98,7 +90,7 @@ def recorded_course(
 
 
 def _north(offset: float, declination: float | None) -> str:
-    """Say what part of an offset against true north is declination."""
+    """Say which part of an offset against true north is declination."""
     if declination is None:
         return "this includes the declination, which is not known: give the place"
     rest = math.degrees(math.remainder(offset - declination, math.tau))
@@ -137,17 +129,9 @@ def against_own_yaw(
     yaw: FloatArray,
     declination: float | None = None,
 ) -> AgainstOwnYaw | None:
-    """Compare a calibration's compass with an autopilot's yaw; None where it has none.
+    """Compare a calibration's compass with an autopilot's own yaw; None where it has none.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    readings : iterable
-        What the sensors said, in its order.
-    yaw : ndarray, shape (n, 2)
-        Stamp (s) and yaw (rad, ENU, true north).
-    declination : float or None
-        Radians, of the place.
+    `yaw` (n, 2) holds stamps (s) and yaws (rad, ENU, true north); `declination` is in radians.
     """
     if len(yaw) < 2:
         return None

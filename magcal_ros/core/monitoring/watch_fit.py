@@ -1,12 +1,12 @@
 """What the corrected field of a drive shows of the calibration.
 
-On records of many headings three patterns part what may have changed. With n the level direction
-of magnetic north in body axes, B, H and V the strength and its level and downward parts:
+On records of many headings three patterns separate what may have changed. With n the level
+direction of magnetic north in body axes, B, H and V the strength and its level and downward parts:
 
 - hard iron b swings the strength by (H/B) b.n, once a turn, and not the field's rise above level;
 - a mounting that moved by a small rotation d swings the rise by H (d_x n_y - d_y n_x), once a
-  turn, and not the strength; a robot that drives curves leans its accelerometer outwards, which
-  swings the rise by the yaw rate times n_y: the fit knows of that, too;
+  turn, and not the strength; in curves the accelerometer leans outwards, which swings the rise by
+  the yaw rate times n_y: the fit contains that term, too;
 - soft iron e swings the strength by e H²/B, twice a turn;
 - another place, or another reference, shifts both alike at all headings, and so does hard iron
   along the vertical.
@@ -161,9 +161,9 @@ class Record(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Findings on a set of records, the hard iron's change (tesla, body x and y), and doubts.
+    """Findings on a set of records, and the hard iron's change (tesla, body x and y).
 
-    `lacking` says what more would have to be seen; empty if everything could be judged.
+    `lacking` says what has not been seen yet; empty if everything could be judged.
     """
 
     findings: tuple[Check, ...]
@@ -172,22 +172,16 @@ class Measured(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Whether anything is not as the calibration promised."""
+        """Whether anything differs from what the calibration predicts."""
         return any(finding.grade.rank >= Grade.WARN.rank for finding in self.findings)
 
 
 def measure(
     records: FloatArray, calibration: Calibration, tuning: WatchTuning = WatchTuning()
 ) -> Measured:
-    """Look at the records of a drive through what the calibration promised.
+    """Compare the records of a drive with what the calibration predicts.
 
-    Parameters
-    ----------
-    records : ndarray, shape (n, 7)
-        Columns as in `Record`, in the order of their stamps.
-    calibration : Calibration
-        What is in force.
-    tuning : WatchTuning
+    The records (n, 7) have the columns of `Record`, in the order of their stamps.
     """
     lacking = what_lacks(records, tuning)
     enough = len(records) >= tuning.fewest_records
@@ -218,8 +212,9 @@ def what_lacks(records: FloatArray, tuning: WatchTuning) -> str:
 def onset(records: FloatArray, calibration: Calibration, tuning: WatchTuning) -> float:
     """Return the stamp from which the records contradict the calibration.
 
-    The one change point that best parts records that fit the promise from records that fit what
-    was measured, by the sum of their squared misfits, each cut off so that no single one rules.
+    It is the change point that best separates records that fit the prediction from records that fit
+    what was measured, by the sum of their squared misfits, each limited so that no single one
+    decides.
     """
     design, strength, rise = _equations(records, calibration)
     promised = np.stack([strength - 1.0, rise + math.sin(calibration.inclination)])
@@ -298,9 +293,9 @@ def _robust_fit(
 ) -> tuple[FloatArray, FloatArray]:
     """Return coefficients by Huber's weights, and their standard deviations.
 
-    Neighbours err alike, for steel is passed slowly: the covariance is that of Newey and West
-    (1987) with the weights of `correlations`, and never smaller than that of independent records.
-    `prior` names a column and the standard deviation of its coefficient about zero.
+    Errors of neighbours are correlated, because steel is passed slowly: the covariance is that of
+    Newey and West (1987) with the weights of `correlations`, and never smaller than for independent
+    records. `prior` names a column and the standard deviation of its coefficient about zero.
     """
     weight = np.ones(len(values))
     for _ in range(tuning.rounds):
@@ -319,7 +314,7 @@ def _robust_fit(
 
 
 def _correlations(stamp: FloatArray, tuning: WatchTuning) -> FloatArray:
-    """Return how alike the errors of each two records are taken to be, 0 to 1."""
+    """Return the correlation that is assumed between the errors of each two records, 0 to 1."""
     apart = np.abs(stamp[:, None] - stamp) / tuning.correlation_time
     return np.asarray(np.maximum(1.0 - apart, 0.0, out=apart))
 
@@ -327,7 +322,7 @@ def _correlations(stamp: FloatArray, tuning: WatchTuning) -> FloatArray:
 def _gyro_figure(records: FloatArray, is_round: bool, tuning: WatchTuning) -> dict[Figure, float]:
     """Return by how much compass less gyro swings with the heading, root mean square.
 
-    Where the compass has hardly come round, there is no swing to see: then all of it counts.
+    If the compass has hardly turned, no swing can be seen: then its median deviation counts.
     """
     pieces = _pieces(records, tuning)
     rows = np.concatenate([np.arange(0), *pieces])

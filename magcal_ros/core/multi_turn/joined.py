@@ -64,16 +64,9 @@ def yaw_sigma(covariance: FloatArray) -> float:
 
 
 def shown_by(information: FloatArray, fit: Fit, mounting: FloatArray) -> Shown:
-    """Say what is shown.
+    """Return the standard deviations that an information matrix (SHARED, SHARED) implies at a fit.
 
-    Parameters
-    ----------
-    information : ndarray, shape (SHARED, SHARED)
-        On the unknowns that turns share, priors included; zero on others.
-    fit : Fit
-        Where.
-    mounting : ndarray, shape (3, 3)
-        From nominal body axes to sensor axes.
+    It includes the priors. `mounting` (3, 3) is from nominal body axes to sensor axes.
     """
     covariance = _inverse(information)
     found = posterior_at(fit.state, covariance, mounting)
@@ -115,16 +108,8 @@ def _inverse(information: FloatArray) -> FloatArray:
 def advise(information: FloatArray, fit: Fit, mounting: FloatArray) -> tuple[Advice, ...]:
     """Return further turns, the one first that leaves the smallest absolute heading error.
 
-    Each is imagined as one of the turns that were made, about another axis; what it is expected to
-    say at the present estimate is added to what is there.
-
-    Parameters
-    ----------
-    information : ndarray, shape (SHARED, SHARED)
-        On the unknowns that turns share, priors included.
-    fit : Fit
-        Of the turn that is imagined once more.
-    mounting : ndarray, shape (3, 3)
+    Each is imagined as the turn of `fit` about another axis; its expected information is added to
+    what there is. `information` (SHARED, SHARED) includes the priors.
     """
     # What all attitudes keep is the axis of the turn, in the body and in the world.
     inside, _, outside = np.linalg.svd(fit.state.attitude.mean(axis=0))
@@ -172,12 +157,10 @@ class Met:
 
 
 def those_that_agree(turns: list[Turn], knowledge: Knowledge) -> tuple[list[Turn], Met | None]:
-    """Leave out one turn after another until the rest shows one calibration.
+    """Leave out one turn after another until the rest agrees on one calibration.
 
-    Returns
-    -------
-    list of Turn, Met or None
-        All turns, those left out with the reason; the others together, None if there are none.
+    Returns all turns, those left out with the reason, and the joint fit of the others; None if none
+    is left.
     """
     sigma = knowledge.mounting.yaw_sigma
     while members := [turn for turn in turns if not turn.unfit]:
@@ -209,21 +192,12 @@ def _contradiction(misfit: float, count: int) -> str:
 
 
 def joint_estimate(met: Met, turns: Sequence[Turn], knowledge: Knowledge) -> Estimate:
-    """Put a joint fit into the form that every method returns.
+    """Return a joint fit in the form that every method returns.
 
-    Parameters
-    ----------
-    met : Met
-    turns : sequence of Turn
-        In the order of the fits. Inliers and residuals are those of the last.
-    knowledge : Knowledge
-
-    Returns
-    -------
-    Estimate
-        `figures[Figure.HEADING_SIGMA]` and its tilted twin leave out the offset that all headings
-        have in common, as one turn's do; `installation_yaw_sigma` is that offset's. Until the turns
-        show the yaw it is zero by convention.
+    The turns are in the order of the fits; inliers and residuals are those of the last.
+    `Figure.HEADING_SIGMA` and its tilted twin leave out the offset that all headings have in
+    common, as for one turn; `installation_yaw_sigma` is that of the offset. The yaw is zero by
+    convention until the turns show it.
     """
     together, prior_sigma = met.together, knowledge.mounting.yaw_sigma
     is_shown = yaw_sigma(together.fits[-1].covariance) < SHOWN_YAW * prior_sigma

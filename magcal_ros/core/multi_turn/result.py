@@ -72,8 +72,8 @@ it does so for the absolute heading."""
 class Shown:
     """Standard deviations of what one turn cannot show, and of the heading.
 
-    Soft iron and the yaw of the installation count as unknown up to their priors, which are known
-    beforehand, so that the numbers after one turn and after several can be compared.
+    Soft iron and the installation's yaw are unknown up to their priors, so that the numbers after
+    one turn and after several can be compared.
     """
 
     installation_yaw: float
@@ -132,7 +132,7 @@ class Shown:
 
 
 def changes(before: Shown, after: Shown) -> list[str]:
-    """Name what is better known than before, the weightiest first."""
+    """Name what is better known than before, the most important first."""
     micro = 1e6
     iron = (max(before.soft_iron), max(after.soft_iron))
     rows = [

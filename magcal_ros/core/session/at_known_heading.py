@@ -64,7 +64,7 @@ def _noise(values: FloatArray) -> float:
 
 @dataclass(frozen=True, eq=False)
 class HeadingResult:
-    """What came of a standing at a known heading."""
+    """The result of standing at a known heading."""
 
     standings: tuple[Standing, ...]
     """All that count from now on."""
@@ -77,7 +77,7 @@ class HeadingResult:
 
 @dataclass(frozen=True, eq=False)
 class CollectedSamples:
-    """What was collected where a robot stood at a known heading."""
+    """The samples of a robot that stands at a known heading."""
 
     pairs: tuple[Pair, ...]
     given: ExternalHeading
@@ -132,7 +132,7 @@ def calibrate_standing(
     collected: CollectedSamples,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Make a standing of what was collected, and calibrate with those before."""
+    """Calibrate with the standings so far and what was collected now."""
     try:
         new = collected.standing()
     except Refusal as refusal:
@@ -152,10 +152,10 @@ def add_standing(
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Join a standing to those before, fit, and judge.
+    """Add a standing to those before, fit, and judge.
 
-    A calibration in force that is not of known headings stays where it is the more certain one,
-    and refuses a heading that contradicts it. Bad data raise nothing: those before stay.
+    A calibration in force that is not of known headings stays if it is more certain, and a heading
+    that contradicts it is refused. Bad data raise nothing: the standings before stay.
     """
     other = None if in_force is None or is_by_headings(in_force) else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
@@ -191,7 +191,7 @@ def _judged(estimate: Estimate, knowledge: Knowledge) -> Outcome:
 
 
 def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:
-    """Return the standings that do not say the same as a new one."""
+    """Return the standings that a new one does not repeat."""
     kept: list[Standing] = []
     lost = False
     for each in before:
@@ -205,7 +205,7 @@ def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, 
 
 
 def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
-    """Return by how much a calibration misses a known heading, and the sigma of that, radians."""
+    """Return a calibration's heading less the known one, and the sigma of that, radians."""
     field, up = calibration.correction.apply(new.field), unit(new.force)
     east = unit(np.cross(field, up))
     north = np.cross(up, east)
@@ -238,12 +238,9 @@ def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
 
 
 class HeadingLog:
-    """Keeps means of the field at known headings, a few of each direction.
+    """Keeps means of the field at known headings, a few for each direction.
 
-    Parameters
-    ----------
-    forward : ndarray, shape (3,)
-        Direction in the IMU's axes whose heading is given.
+    `forward` (3,) is the direction in the IMU's axes whose heading is given.
     """
 
     def __init__(self, forward: FloatArray) -> None:
@@ -329,7 +326,7 @@ class HeadingLog:
 def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
     """Calibrate from headings that were measured on the way, and judge the result.
 
-    The words say whether they seem to be to the other north; empty where nothing points to it.
+    The text says whether they seem to be to the other north; it is empty if they do not.
     """
     try:
         estimate = fit(standings, knowledge, SIZES["street"])

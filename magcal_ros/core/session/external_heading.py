@@ -120,18 +120,10 @@ class TurnSince:
         self._stamp = math.nan
 
     def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
-        """Go on to the next IMU message.
+        """Integrate the gyro up to an IMU message at a stamp, seconds.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        up : tuple of float
-            Unit, body axes.
-        rate : tuple of float
-            Mean turn rate since the message before, rad/s, less the known bias.
-        bias_variance : float
-            Of that bias about up, (rad/s)².
+        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
+        axes. The variance is of that bias about up, (rad/s)².
         """
         seconds = stamp - self._stamp
         self._stamp = stamp
@@ -148,19 +140,16 @@ class TurnSince:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation, radians; infinite where a gap is in it or nothing came."""
+        """Standard deviation, radians; infinite after a gap or before the first message."""
         if math.isnan(self._stamp):
             return math.inf
         return math.sqrt(self._variance) + self._bias_sigma * self._seconds
 
 
 class HeadingAgainstGyro:
-    """Whether a stream of external headings turns as the gyro does.
+    """Whether the headings of a device turn as the gyro does.
 
-    Attributes
-    ----------
-    fault : str
-        How it turns otherwise, in words; empty while it does not.
+    `fault` says in words how they differ; it is empty while they agree.
     """
 
     def __init__(self) -> None:

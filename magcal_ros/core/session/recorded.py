@@ -68,14 +68,8 @@ LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 class Gathering:
     """Takes a whole recording into one session, which does not end by itself.
 
-    Memory stays bounded: the session thins what it holds, whatever the recording's length.
-
-    Parameters
-    ----------
-    mounting : Mounting
-        How the magnetometer is meant to sit; kept as `mounting`.
-    imu_topic, field_topic : str
-        What to call the two streams in words.
+    Memory is bounded: the session thins its samples, whatever the recording's length. The topics
+    are names for messages.
     """
 
     def __init__(
@@ -144,13 +138,7 @@ class Gathering:
         return self._session.progress(0.0)
 
     def window(self) -> Window:
-        """Return what was gathered, if it is enough of a turn.
-
-        Raises
-        ------
-        Refusal
-            If it is not; the text says what was seen and what is wrong with the input.
-        """
+        """Return what was gathered; a Refusal if it is not enough of a turn."""
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
@@ -190,17 +178,9 @@ def fit_gathered(
     method: str = METHODS[0],
     progress: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Calibrate from what was gathered.
+    """Calibrate from what was gathered; bad data are a refused outcome, perhaps without a window.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
-
-    Returns
-    -------
-    Outcome
-        Never raises for bad data: a refusal is a verdict, and then there may be no window.
+    `progress` takes the share of the work that is done, 0 to 1, of a fit that takes long.
     """
     log = gathering.drive()
     if method == DRIVES:
@@ -224,16 +204,8 @@ def fit_several(
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
 
-    Returns
-    -------
-    Outcome, int
-        The latter tells which recording holds the outcome's window. Never raises for bad data: a
-        recording that is no turn is left out, with the reason.
-
-    Raises
-    ------
-    Misuse
-        If the method cannot join several turns.
+    Returns the outcome, and which recording its window is from. A recording without a turn is left
+    out, with the reason. Misuse if the method cannot join turns.
     """
     looked = [_window_or_refusal(gathering) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
@@ -274,16 +246,7 @@ def without_motors(
 ) -> Iterator[AnyReading | FieldSample]:
     """Yield the readings; raw fields are those of the robot with its motors off.
 
-    Parameters
-    ----------
-    readings : iterable
-        In the order in which they were recorded.
-    calibration : Calibration
-        Where it knows no motors, nothing changes.
-    travel : iterable of TravelSample
-        By stamp; the wheels' speeds are used.
-    currents : sequence of (float, float)
-        Stamps, seconds, and amperes of the battery, by stamp.
+    Speeds of the wheels in `travel`, and `currents` (stamps in s, battery in A), are by stamp.
     """
     if calibration.motors is None:
         yield from readings
@@ -315,7 +278,7 @@ class _Newest:
         self._values, self._next = values, 0
 
     def at(self, stamp: float) -> float:
-        """Return the value at a stamp, seconds; NaN where it is unknown. Stamps must increase."""
+        """Return the value at a stamp, seconds; NaN if it is unknown. Stamps must increase."""
         values = self._values
         while self._next < len(values) and values[self._next][0] <= stamp:
             self._next += 1
@@ -343,7 +306,7 @@ def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
 def fit_at_headings(
     recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
 ) -> tuple[Outcome, str]:
-    """Calibrate from recordings of a robot that stands; returns the outcome, and its words."""
+    """Calibrate from recordings of a robot at rest; returns the outcome, and its summary."""
     standings: tuple[Standing, ...] = ()
     outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
     for pairs, heading in zip(recordings, given, strict=True):
@@ -360,7 +323,7 @@ def fit_heading_topic(
     is_true: bool,
     knowledge: Knowledge,
 ) -> Outcome:
-    """Calibrate from a recording in which somebody else measures the heading."""
+    """Calibrate from a recording in which another device measures the heading."""
     reference = knowledge.reference
     if is_true and reference.declination is None:
         words = "the headings are to true north, and the declination is not known: give the place"

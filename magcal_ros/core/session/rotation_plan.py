@@ -79,7 +79,7 @@ class Patience:
 
     @classmethod
     def of(cls, by_gyro: bool, speed: float) -> Patience:
-        """Return the patience with either sensor; the compass shows nothing before an arc."""
+        """Return the times for a sensor; the compass shows nothing before an arc."""
         if by_gyro:
             return cls(2.5, 0.5, 0.5)
         return cls(max(5.0, 1.5 / speed), 4.0, 3.0)
@@ -93,21 +93,8 @@ def planned_duration(speed: float) -> float:
 class RotationPlan:
     """A turn to the left until every heading was seen or the turn is full, and as far back.
 
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    now : float
-        Seconds on a steady clock.
-
-    Attributes
-    ----------
-    phase : Phase
-        Where it stands.
-    fault : Fault or None
-        Why it was broken off, if it was.
-    command : float
-        rad/s that were commanded last.
+    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` says why the
+    plan was broken off, if it was.
     """
 
     def __init__(self, speed: float, now: float) -> None:
@@ -128,15 +115,7 @@ class RotationPlan:
         return -1.0 if self.phase is Phase.BACK else 1.0
 
     def step(self, now: float, seen: Seen) -> float:
-        """Return the yaw rate to command, rad/s, left positive.
-
-        Parameters
-        ----------
-        now : float
-            Seconds on the same clock.
-        seen : Seen
-            What the sensors show.
-        """
+        """Return the yaw rate to command at `now`, rad/s, left positive."""
         elapsed, self._last = min(now - self._last, TUNING.longest_step), now
         if self.phase is not Phase.ENDED:
             self.fault = self._find_fault(now, seen)
@@ -168,7 +147,7 @@ class RotationPlan:
             self._paused_at = now
 
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
-        """Return the fault that has lasted for longer than patience has."""
+        """Return a fault that has lasted longer than is tolerated."""
         along = self.direction * seen.rate
         commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
@@ -186,23 +165,11 @@ class RotationPlan:
 
 
 class RotationLimits:
-    """Measures a robot's turn by the gyro, and by the commands times their time.
+    """Limits of a robot's turn by the gyro, by the commanded angle, and by time.
 
-    Whichever of the two reaches its end first ends the motion.
-
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    now : float
-        Seconds on a steady clock, as the robot sets off.
-    longest : float
-        Seconds that it may take at most.
-
-    Attributes
-    ----------
-    objection : str
-        Why it must not turn on; empty while it may.
+    The first of them that is reached ends the motion. The robot starts at `now` (steady clock, s)
+    and may take `longest` seconds. `objection` says why it must not turn on; it is empty while it
+    may.
     """
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:

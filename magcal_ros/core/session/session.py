@@ -133,13 +133,7 @@ class Progress:
         return f"{line}; {hole}" if hole else line
 
     def require_arc(self, smallest: float) -> None:
-        """Refuse a turn of less than `smallest` radians.
-
-        Raises
-        ------
-        Refusal
-            With what was seen of the turn.
-        """
+        """Raise a Refusal for a turn of less than `smallest` radians."""
         if self.coverage.arc < smallest:
             stood = self.coverage.arc < TUNING.no_turn
             raise Refusal(
@@ -152,23 +146,9 @@ class Progress:
 class Session:
     """Collects one turn.
 
-    Parameters
-    ----------
-    limits : Limits
-        When it ends by itself.
-    mounting : Mounting
-        How the magnetometer is meant to sit: a phase about the up vector needs it.
-    now : float
-        Seconds on a steady clock.
-    gyro : GyroAtRest, optional
-        What a rest before it has shown of the gyro.
-    longer : int
-        Times that the buffer may be as large as that of a turn.
-
-    Attributes
-    ----------
-    was_set_back : bool
-        Whether stamps went back, and what came before was left out.
+    `mounting` is needed for the phase about the up vector, `now` is in seconds on a steady clock,
+    `gyro` is from a rest before it. The buffer may be `longer` times that of a turn. `was_set_back`
+    tells whether stamps went back, and what came before was left out.
     """
 
     def __init__(
@@ -204,9 +184,9 @@ class Session:
     def add(self, pair: Pair, now: float) -> None:
         """Take a pair.
 
-        A stamp that stands still is left out. One before the newest means that time was set back,
-        by a clock or by a bag that loops; the robot may have moved meanwhile, so the
-        turn starts again.
+        One with the stamp of the newest is left out. An older stamp means that time was set back,
+        by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
+        again.
         """
         rows = self._buffer
         newest = self.newest
@@ -254,13 +234,7 @@ class Session:
         return Progress(stage, coverage, self._size, elapsed, rate, sigma)
 
     def window(self) -> Window:
-        """Return what was collected of the turn, thinned to equal angles, and its rests.
-
-        Raises
-        ------
-        Refusal
-            If nothing was collected.
-        """
+        """Return what was collected of the turn, thinned to equal angles, and its rests."""
         if not self._size:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
@@ -318,7 +292,7 @@ class Session:
         )
 
     def _is_within(self, sigma: float) -> bool:
-        """Whether the newest fit says so: another costs the robot a good part of a turn."""
+        """Whether the newest fit is within a sigma; another would cost a good part of a turn."""
         return bool(self._glances) and self._glances[-1].sigma <= sigma
 
     def _thin_out(self) -> None:

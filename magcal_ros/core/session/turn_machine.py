@@ -1,7 +1,7 @@
 """The state machine of a turn: calls in, commands out, time passed in.
 
-Its owner (a node, or a test in virtual time) tells it what happens and carries out the commands;
-fits, files and messages belong to the owner.
+Its owner (a node, or a test in virtual time) reports events and carries out the commands; fits,
+files and messages belong to the owner.
 """
 
 from __future__ import annotations
@@ -53,12 +53,8 @@ UNCHANGED = "the calibration in force is unchanged"
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
-    Attributes
-    ----------
-    progress : Progress or None
-        How far the newest turn is, or was.
-    last_window, last_outcome, last_conclusion : Window, Outcome, Conclusion or None
-        The newest of each.
+    `progress`, `last_window`, `last_outcome` and `last_conclusion` are the newest of each; None
+    before the first.
     """
 
     def __init__(self, robot: SelfTurn | None = None) -> None:
