@@ -114,11 +114,7 @@ def write_calibration(
     require_ours(path)
     document = _document(calibration, origin)
     body = yaml.dump(
-        document,
-        Dumper=_PlainDumper,
-        sort_keys=False,
-        allow_unicode=True,
-        default_flow_style=None,
+        document, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True, default_flow_style=None
     )
     write_atomically(path, HEADER + body, when_written=when_written)
 

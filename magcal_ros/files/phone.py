@@ -20,13 +20,7 @@ from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.files.disk import FileTrouble, plain
-from magcal_ros.files.logs import (
-    GRAVITY,
-    LogTables,
-    Names,
-    recording_of,
-    velocity,
-)
+from magcal_ros.files.logs import GRAVITY, LogTables, Names, recording_of, velocity
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9

@@ -158,11 +158,7 @@ def _sensors(page: Page) -> str:
 def _lines(findings: Sequence[Finding]) -> str:
     ordered = sorted(findings, key=lambda finding: -finding.grade.rank)
     rows = [
-        (
-            "not shown" if f.grade is Grade.GOOD else _chip(f.grade),
-            escape(f.name),
-            escape(_said(f)),
-        )
+        ("not shown" if f.grade is Grade.GOOD else _chip(f.grade), escape(f.name), escape(_said(f)))
         for f in ordered
     ]
     return checks_table(("grade", "what", "evidence, and what to change"), rows)

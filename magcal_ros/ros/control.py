@@ -65,12 +65,7 @@ class Control:
     """Runs one turn at a time; `turn` is the state machine, to be read."""
 
     def __init__(
-        self,
-        streams: Streams,
-        house: House,
-        robot: SelfTurn,
-        fits: Runner,
-        files: Runner,
+        self, streams: Streams, house: House, robot: SelfTurn, fits: Runner, files: Runner
     ) -> None:
         self._house, self._fits, self._files = house, fits, files
         self._streams = streams

@@ -35,11 +35,7 @@ from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
     from magcal_ros.core.calibrate import Outcome
-    from magcal_ros.core.session.at_known_heading import (
-        HeadingCollector,
-        HeadingLog,
-        HeadingResult,
-    )
+    from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
     from magcal_ros.core.smoother.standings import Standing
 
 TOPIC = "heading"

@@ -87,12 +87,7 @@ class Magnetometer:
         """Watches the calibration of the first magnetometer."""
         self._out = FieldOutput(node, self._topic) if number == FIRST else None
         self.subscription = node.create_subscription(
-            MagneticField,
-            self._topic,
-            self._on_field,
-            SENSOR_DATA,
-            raw=True,
-            callback_group=group,
+            MagneticField, self._topic, self._on_field, SENSOR_DATA, raw=True, callback_group=group
         )
 
     @property

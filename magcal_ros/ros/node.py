@@ -36,12 +36,7 @@ from magcal_ros.ros.status import (
     status_json,
     watch_diagnostic,
 )
-from magcal_ros.ros.threads import (
-    SENSOR_DATA,
-    BackgroundThread,
-    SensorGroup,
-    Spinner,
-)
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread, SensorGroup, Spinner
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import Unreadable, read_imu
 

@@ -249,9 +249,7 @@ class Parameters:
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     # Dynamic typing lets `-p reference.strength_ut:=48` and `[0, 0, 0]` pass as numbers.
     return ParameterDescriptor(
-        description=spec.description,
-        additional_constraints=spec.constraints,
-        dynamic_typing=True,
+        description=spec.description, additional_constraints=spec.constraints, dynamic_typing=True
     )
 
 

@@ -82,11 +82,7 @@ class Description:
             self._node.create_subscription(kind, topic, take, quality, raw=True)
 
     def _take(
-        self,
-        topic: str,
-        kind: type,
-        joints_in: Callable[[Any], Iterable[FrameJoint]],
-        data: bytes,
+        self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
             self._complain(f"{topic} brings more than {LARGEST} bytes at a time, and is not read")

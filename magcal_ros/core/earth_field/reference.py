@@ -9,13 +9,7 @@ from typing import Any, NamedTuple
 
 from magcal_ros.core.assessment.verdict import NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.wmm import (
-    VALIDITY,
-    ModelField,
-    NoModel,
-    Place,
-    model_field,
-)
+from magcal_ros.core.earth_field.wmm import VALIDITY, ModelField, NoModel, Place, model_field
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,

@@ -25,13 +25,7 @@ from magcal_ros.core.samples.window import Window
 MOVED = "the hard iron has changed, or the field is distorted here"
 
 RECHECK_BOUNDS: tuple[Bound, ...] = (
-    Bound(
-        Figure.HEADING_SWING,
-        4.0,
-        7.0,
-        "heading swing that the level field shows",
-        MOVED,
-    ),
+    Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
     Bound(
         Figure.GYRO_COMPASS_DIFFERENCE,
         4.0,
@@ -40,20 +34,9 @@ RECHECK_BOUNDS: tuple[Bound, ...] = (
         "the compass does not turn as the robot does",
     ),
     Bound(
-        Figure.STRENGTH_SPREAD,
-        3.0,
-        6.0,
-        "field strength varies with heading by",
-        MOVED,
-        unit="%",
+        Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
     ),
-    Bound(
-        Figure.DIP_SPREAD,
-        2.0,
-        4.0,
-        "angle between field and up varies with heading by",
-        MOVED,
-    ),
+    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "angle between field and up varies with heading by", MOVED),
     Bound(
         Figure.STRENGTH_OFFSET,
         5.0,

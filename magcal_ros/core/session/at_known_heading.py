@@ -20,12 +20,7 @@ from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
-from magcal_ros.core.samples.streams import (
-    STREAMS,
-    FieldSample,
-    HeadingSample,
-    Pair,
-)
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample, Pair
 from magcal_ros.core.session.external_heading import (
     DEGREES,
     LOG,
@@ -128,9 +123,7 @@ class CollectedSamples:
 
 
 def calibrate_standing(
-    before: tuple[Standing, ...],
-    collected: CollectedSamples,
-    in_force: Calibration | None = None,
+    before: tuple[Standing, ...], collected: CollectedSamples, in_force: Calibration | None = None
 ) -> HeadingResult:
     """Calibrate with the standings so far and what was collected now."""
     try:

@@ -73,10 +73,7 @@ class Gathering:
     """
 
     def __init__(
-        self,
-        mounting: Mounting,
-        imu_topic: str = "the IMU",
-        field_topic: str = "the field",
+        self, mounting: Mounting, imu_topic: str = "the IMU", field_topic: str = "the field"
     ) -> None:
         self.mounting = mounting
         self.streams = Streams(STREAMS.max_gap)

@@ -106,10 +106,7 @@ def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, f
     cosine, sine = np.cos(turned), np.sin(turned)
     one, none = np.ones_like(turned), np.zeros_like(turned)
     design = np.concatenate(
-        [
-            np.column_stack([cosine, sine, one, none]),
-            np.column_stack([-sine, cosine, none, one]),
-        ]
+        [np.column_stack([cosine, sine, one, none]), np.column_stack([-sine, cosine, none, one])]
     )
     observed = np.concatenate([level[:, 0], level[:, 1]])
     found = np.linalg.lstsq(design, observed, rcond=None)[0]
