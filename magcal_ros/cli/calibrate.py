@@ -7,15 +7,8 @@ import re
 import time
 from typing import Any
 
+from magcal_ros.cli import live_view
 from magcal_ros.cli.common import Exit
-from magcal_ros.cli.live_view import (
-    View,
-    best_view,
-    interrupts_noted,
-    joined,
-    progress_of,
-    turns_itself,
-)
 from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.files.disk import plain
 
@@ -125,7 +118,7 @@ def add_calibrate(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate; the exit status says whether the calibration is in force."""
-    with joined("magcal_calibrate", []) as node:
+    with live_view.joined("magcal_calibrate", []) as node:
         from magcal_ros.ros.preflight import inspect
 
         calibrator = find_calibrator(node, options.node)
@@ -135,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
             print("\n".join(findings.lines), flush=True)
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
-        answer = _Turn(node, calibrator).run(best_view())
+        answer = _Turn(node, calibrator).run(live_view.best_view())
     print(f"\n{plain(answer.message, LONGEST_ANSWER)}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
@@ -149,7 +142,7 @@ class _Turn:
         from std_msgs.msg import String
         from std_srvs.srv import Trigger
 
-        from magcal_ros.ros.outputs import LATCHED
+        from magcal_ros.ros.sensor_frames import LATCHED
 
         self._calibrator = calibrator
         self._status: str | None = None
@@ -165,7 +158,7 @@ class _Turn:
         }
         self._request = Trigger.Request()
 
-    def run(self, view: View) -> Any:
+    def run(self, view: live_view.View) -> Any:
         self._warn_if_it_moves()
         if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
             raise MagcalError(
@@ -173,7 +166,7 @@ class _Turn:
                 "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
             )
         future = self._clients["calibrate"].call_async(self._request)
-        with interrupts_noted() as interrupted:
+        with live_view.interrupts_noted() as interrupted:
             with view:
                 while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
@@ -198,7 +191,7 @@ class _Turn:
                 "tell: keep clear.",
                 flush=True,
             )
-        elif turns_itself(self._status):
+        elif live_view.turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _require_life(self) -> None:
@@ -212,7 +205,7 @@ class _Turn:
     def _on_status(self, message: Any) -> None:
         self._heard = time.monotonic()
         self._status = message.data
-        self._progress = progress_of(message.data)
+        self._progress = live_view.progress_of(message.data)
 
     def _on_diagnostics(self, message: Any) -> None:
         begin = f"{self._calibrator.lstrip('/')}: "

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from magcal_ros.cli import recorded
 from magcal_ros.cli.common import (
     CALIBRATION,
     Exit,
@@ -19,15 +20,7 @@ from magcal_ros.cli.common import (
     reference_in_use,
     table,
 )
-from magcal_ros.cli.recorded import (
-    Gathered,
-    add_knowledge_options,
-    add_recording_options,
-    at_work,
-    gather,
-    mounting_from,
-    opened,
-)
+from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
@@ -53,7 +46,7 @@ def add_check(commands: Any) -> None:
         "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
         "little data, 4 stale, 5 file trouble.",
     )
-    add_recording_options(parser)
+    recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
@@ -65,8 +58,8 @@ def add_check(commands: Any) -> None:
 def run_check(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
-    with opened(options, options.recording) as source:
-        gathered = gather(options, Mounting(), source, calibration)
+    with recorded.opened(options, options.recording) as source:
+        gathered = recorded.gather(options, Mounting(), source, calibration)
         north = gathered.reference.field.declination
         travel, readings = source.travel(), RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
@@ -108,13 +101,13 @@ def _subject(
         f"{plain(str(options.calibration))}",
         method=outcome.estimate.method,
         title="Compass check",
-        magnetometer_frame=gathered.field_frame,
-        imu_frame=gathered.imu_frame,
+        magnetometer_frame=gathered.source.field_frame,
+        imu_frame=gathered.source.imu_frame,
     )
 
 
 def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
-    made_for, heard = origin.magnetometer_frame, gathered.field_frame
+    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
     if made_for and heard and made_for != heard:
         return [
             f"the calibration was made for the magnetometer {plain(made_for)}, "
@@ -168,12 +161,12 @@ def add_drive(commands: Any) -> None:
         "why, and a map of where the field is bent. Exit status: 0 a calibration is in force at "
         "the end, 2 usage, 3 none is, 5 file trouble.",
     )
-    add_recording_options(parser)
+    recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
     )
     add_output_option(parser, "the report", "magcal_drive")
-    add_knowledge_options(parser)
+    recorded.add_knowledge_options(parser)
     parser.set_defaults(run=run_drive)
 
 
@@ -181,12 +174,12 @@ def run_drive(options: argparse.Namespace) -> int:
     """Read, decide again, write the page."""
     begun = None if options.calibration is None else read_calibration(options.calibration)[0]
     folder = new_or_named(options.output, "magcal_drive")
-    with opened(options, options.recording) as source:
+    with recorded.opened(options, options.recording) as source:
         reference = reference_in_use(options, source.place(), source.begun())
-        replay = DriveReplay(Knowledge(reference.field, mounting_from(options)), begun)
+        replay = DriveReplay(Knowledge(reference.field, recorded.mounting_from(options)), begun)
         repaired = RepairedReadings(source, for_drive=True, known=begun)
         travel = source.travel()
-        with at_work(
+        with recorded.at_work(
             lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
         ):
             replay.take(repaired, travel)

@@ -14,15 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from magcal_ros.cli import recorded
 from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
 from magcal_ros.cli.live_view import interrupts_noted, joined
-from magcal_ros.cli.recorded import (
-    add_knowledge_options,
-    add_recording_options,
-    mounting_from,
-    opened,
-    watched,
-)
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import CourseSeen
@@ -60,7 +54,7 @@ def add_doctor(commands: Any) -> None:
         "status: 0 nothing is wrong (but lines may be worth a look), 2 usage, 3 too little data, "
         "4 something is wrong, 5 file trouble.",
     )
-    add_recording_options(parser, optional=True)
+    recorded.add_recording_options(parser, optional=True)
     parser.add_argument(
         "--live", action="store_true", help="listen to the running sensors (without a recording)"
     )
@@ -72,7 +66,7 @@ def add_doctor(commands: Any) -> None:
     parser.add_argument(
         "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
     )
-    add_knowledge_options(parser)
+    recorded.add_knowledge_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -143,10 +137,10 @@ def _recorded(options: argparse.Namespace) -> Heard:
                 samples.append(reading)
             yield reading
 
-    mounting = mounting_from(options)
-    with opened(options, options.recording) as source:
+    mounting = recorded.mounting_from(options)
+    with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(kept(watched(source, source.readings(), sys.stderr)))
+        gathering.take(kept(recorded.watched(source, source.readings(), sys.stderr)))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()
@@ -375,7 +369,7 @@ def gathered(
     """Return what was heard, with what the graph and the user say beside it."""
     newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
     reference = reference_in_use(options, None, newest)
-    mounting, described, pose = mounting_from(options), "", listener.described_pose
+    mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
     # A pose that the user gives takes precedence over the description.
     if pose is not None and not any(options.mount_rpy_deg):
         mounting, described = Mounting(mounting.gains, pose), pose_in_words(pose)

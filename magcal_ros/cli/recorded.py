@@ -29,8 +29,9 @@ from magcal_ros.core.session.recorded import (
     fit_heading_topic,
     standing_pairs,
 )
+from magcal_ros.files.bags import Source
 from magcal_ros.files.repaired_readings import RepairedReadings
-from magcal_ros.files.sources import Source, open_recording
+from magcal_ros.files.sources import open_recording
 
 LOOK_EVERY = 2000
 """Messages between two looks at the clock."""
@@ -45,28 +46,17 @@ class Gathered:
     """A recording that was read."""
 
     gathering: Gathering
-    """Everything it held."""
-    imu_topic: str
-    field_topic: str
-    """As recorded, fit to be shown."""
-    imu_frame: str
-    field_frame: str
-    """`frame_id` of the two sensors; empty if there is none."""
+    source: Source
+    """Closed; its names and frames are of use."""
     reference: Reference
     """The reference field at its place and date."""
     repaired: list[str]
     """What was corrected in it, in words."""
-    notes: tuple[str, ...] = ()
-    """What the recording's own kind says of it."""
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
-        return [
-            *self.notes,
-            *self.repaired,
-            *self.gathering.complaints(),
-            *self.reference.complaints,
-        ]
+        found = [*self.source.notes, *self.repaired, *self.gathering.complaints()]
+        return [*found, *self.reference.complaints]
 
 
 def add_recording_options(
@@ -177,16 +167,9 @@ def gather(
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     gathering.take(watched(repaired, repaired, sys.stderr), source.travel())
-    return Gathered(
-        gathering,
-        source.imu_topic,
-        source.field_topic,
-        source.imu_frame,
-        source.field_frame,
-        reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
-        repaired.notes,
-        tuple(source.notes),
-    )
+    newest = gathering.streams.field_stamps.newest
+    reference = reference_in_use(options, source.place(), newest)
+    return Gathered(gathering, source, reference, repaired.notes)
 
 
 class StatusLine:

@@ -19,33 +19,21 @@ import numpy as np
 
 from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
+from magcal_ros.files import logs
 from magcal_ros.files.disk import FileTrouble, plain
-from magcal_ros.files.logs import (
-    FLU_FROM_FRD,
-    GRAVITY,
-    Deadline,
-    LogTables,
-    Names,
-    Progress,
-    begun_with,
-    quietly,
-    recording_of,
-    velocity,
-)
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
 TESLA = 1e-7
 """In a milligauss."""
 
-NAMES = Names(
+NAMES = logs.Names(
     "IMU",
     "MAG",
     "let LOG_BITMASK log IMU, and record again",
     "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
 )
-TELEMETRY_NAMES = Names(
+TELEMETRY_NAMES = logs.Names(
     "IMU",
     "MAG",
     "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's card",
@@ -69,15 +57,15 @@ EVERY = 1000
 
 
 def read_ardupilot(
-    path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
+    path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
     """Read a DataFlash or telemetry log; arguments and errors as of `open_recording`."""
-    begun = begun_with(path, 8000)
+    begun = logs.begun_with(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
     if not telemetry:
         _require_dataflash(path, begun)
-    deadline = Deadline(path)
-    with quietly(path, deadline):
+    deadline = logs.Deadline(path)
+    with logs.quietly(path, deadline):
         messages = _telemetry(path) if telemetry else _dataflash(path, begun, deadline)
         read = _Rows(telemetry)
         for count, (message, share) in enumerate(messages):
@@ -88,7 +76,7 @@ def read_ardupilot(
             if message is not None:
                 read.take(message)
         tables = read.tables()
-    return recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
+    return logs.recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
 
 
 def _require_dataflash(path: Path, begun: bytes) -> None:
@@ -111,7 +99,7 @@ def _library(path: Path) -> Any:
     return mavutil
 
 
-def _dataflash(path: Path, begun: bytes, deadline: Deadline) -> Iterator[tuple[Any, float]]:
+def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
     """Yield the wanted messages of a log and the share that has been read."""
     _library(path)
     from pymavlink import DFReader
@@ -156,7 +144,7 @@ class _Rows:
         self._mags: dict[int, array[float]] = defaultdict(_numbers)
         self._yaw = _numbers()
         self._parameters: dict[str, float] = {}
-        self._tables = LogTables()
+        self._tables = logs.LogTables()
         self._system: int | None = None
         self._booted: float | None = None
 
@@ -190,7 +178,13 @@ class _Rows:
             return
         if kind in RAW_KINDS:
             stamp = self._by_own_clock(m)
-            milli = [m.xacc * GRAVITY, m.yacc * GRAVITY, m.zacc * GRAVITY, m.xgyro, m.ygyro]
+            milli = [
+                m.xacc * logs.GRAVITY,
+                m.yacc * logs.GRAVITY,
+                m.zacc * logs.GRAVITY,
+                m.xgyro,
+                m.ygyro,
+            ]
             row = [1e-3 * value for value in (*milli, m.zgyro)]
             self._imus[RAW_KINDS[kind]].extend((stamp, *row))
             self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag, *NO_OFFSETS))
@@ -221,21 +215,21 @@ class _Rows:
     ) -> None:
         self._tables.fixes.append(Fix(has_fix, *place, stamp))
         if has_fix and math.isfinite(speed + course):
-            self._tables.velocities.append(velocity(stamp, speed, course, RECEIVER_SPEED_SIGMA))
+            self._tables.velocities.append(logs.velocity(stamp, speed, course))
 
-    def tables(self) -> LogTables:
+    def tables(self) -> logs.LogTables:
         """Return everything in SI units, forward-left-up axes, calibrations taken off."""
         tables = self._tables
         tables.yaw = np.array(self._yaw).reshape(-1, 2)
         for number, rows in self._imus.items():
             table = np.array(rows).reshape(-1, 7)
-            table[:, 1:4] *= FLU_FROM_FRD
-            table[:, 4:7] *= FLU_FROM_FRD
+            table[:, 1:4] *= logs.FLU_FROM_FRD
+            table[:, 4:7] *= logs.FLU_FROM_FRD
             tables.imus[number] = table
         for number, rows in self._mags.items():
             table = np.array(rows).reshape(-1, 7)
             slot = _slot(number, table[-1, 4:7], self._parameters)
-            raw = _without_calibration(table, slot, self._parameters) * FLU_FROM_FRD * TESLA
+            raw = _without_calibration(table, slot, self._parameters) * logs.FLU_FROM_FRD * TESLA
             tables.fields[number] = np.column_stack([table[:, 0], raw])
             tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
         if self._telemetry and "COMPASS_OFS_X" not in self._parameters:

@@ -64,14 +64,57 @@ REMEDIES = {
 }
 
 
-class Bag:
+class Source:
+    """A recording of any kind, opened, to be read once.
+
+    The topics are names for the two streams; the frames are the newest `frame_id` of each, empty
+    while unknown.
+    """
+
+    imu_topic = field_topic = imu_frame = field_frame = ""
+    notes: tuple[str, ...] = ()
+    """What is to be said of the recording itself."""
+
+    @property
+    def share(self) -> float:
+        """How much of it has been read, 0 to 1."""
+        raise NotImplementedError
+
+    def readings(self) -> Iterator[Reading]:
+        """Yield the samples of the sensors in the order in which they were recorded."""
+        raise NotImplementedError
+
+    def place(self) -> Place | None:
+        """Return where it was recorded, by its first good fix; None if it holds none."""
+        raise NotImplementedError
+
+    def begun(self) -> float:
+        """Return when it was recorded, seconds: its beginning."""
+        raise NotImplementedError
+
+    def travel(self) -> list[TravelSample]:
+        """Return the samples of receiver and wheels, by stamp; empty if there are none."""
+        raise NotImplementedError
+
+    def yaw(self) -> FloatArray:
+        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
+        return np.empty((0, 2))
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return stamps, seconds, and currents of the battery, A; empty if it has none."""
+        return []
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Return the headings that another device measured, by stamp; only of a bag."""
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
+
+
+class Bag(Source):
     """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
 
     Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
     bag's beginning, by its own clock.
     """
-
-    notes: tuple[str, ...] = ()
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -82,7 +125,6 @@ class Bag:
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
-        self.imu_frame = self.field_frame = ""
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         self._reached: int = self._first
@@ -127,10 +169,6 @@ class Bag:
                 if isinstance(found, Place):
                     return found
         return None
-
-    def yaw(self) -> FloatArray:
-        """Return no yaw: a bag holds none of an autopilot's own."""
-        return np.empty((0, 2))
 
     def begun(self) -> float:
         """Return when the span begins by the bag's own clock, seconds."""

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import glob
 import os
-import secrets
 import stat
 import threading
 import time
@@ -45,7 +44,7 @@ def write_atomically(
         before = _looked_at(target)
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target)
-        name = target.with_name(f".{target.name}.{secrets.token_hex(4)}{UNFINISHED}")
+        name = target.with_name(f".{target.name}.{os.urandom(4).hex()}{UNFINISHED}")
         mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
         descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     except OSError as error:

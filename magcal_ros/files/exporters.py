@@ -2,36 +2,6 @@
 
 Each returns the text that its consumer reads. What the consumer cannot store is said in a comment;
 what would make its heading wrong is refused. Those for autopilots are in `autopilots.py`.
-
-ctu-vras compass stack: magnetometer_bias_remover and magnetometer_compass.
-
-`unbiased = M (mag - bias)`, bias in tesla, M row by row (documentation of magnetometer_pipeline,
-docs.ros.org/en/jazzy/p/magnetometer_pipeline). The documentation names the matrix
-`initial_scaling_matrix`; the node reads `initial_mag_scaling_matrix`. Both are written: a node
-ignores what it does not declare. `magnetometer_bias_x/y/z` is what magnetometer_bias_observer
-loads under `load_from_params`; it publishes them without a matrix, and a matrix that the receiver
-got as a parameter stays in force.
-
-FusionCore: the full correction.
-
-`corrected = soft_iron (mag - hard_iron)`, hard iron in tesla, soft iron as a "3x3 scale+rotation
-matrix in row-major order" (parameters `magnetometer.hard_iron` and `magnetometer.soft_iron`,
-docs/configuration.md of github.com/manankharwar/fusioncore).
-
-imu_filter_madgwick: the hard iron alone.
-
-`compensated = mag - mag_bias`, in the message's unit, tesla (parameters `mag_bias_x/y/z`,
-wiki.ros.org/imu_filter_madgwick: "Magnetometer bias (hard iron compensation)").
-
-VectorNav: register 23, magnetometer compensation.
-
-`X = C (M - B)`, C row by row, B in gauss (VN-100 user manual UM001, 6.2.1). The sensor's axes are
-forward-right-down. The checksum is the exclusive or of the bytes between `$` and `*`. The command
-rests on uncompensated readings: the ROS drivers publish the compensated field, some in axes of
-their own, so register 23 has to be the identity while the turn is made.
-
-The twelve numbers as a C header: `body = MAGCAL_MATRIX (raw - MAGCAL_HARD_IRON)`, tesla,
-forward-left-up.
 """
 
 from __future__ import annotations
@@ -45,46 +15,47 @@ import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.geometry.rotations import rotation_angle
-from magcal_ros.files.autopilots import (
-    DECIMALS,
-    GAUSS,
-    OF_TESLA,
-    NotExportable,
-    ardupilot,
-    commented,
-    in_forward_right_down,
-    number,
-    numbers,
-    provenance,
-    px4,
-)
+from magcal_ros.files import autopilots
+from magcal_ros.files.autopilots import NotExportable, ardupilot, px4
 
 
 def ctu_vras(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`, matching nodes of every name."""
+    """Return a parameter file for the compass stack of ctu-vras, for nodes of every name.
+
+    `unbiased = M (mag - bias)`, tesla, M row by row
+    (docs.ros.org/en/jazzy/p/magnetometer_pipeline). The documentation names the matrix
+    `initial_scaling_matrix`; the node reads `initial_mag_scaling_matrix`. Both are written: a node
+    ignores what it does not declare. magnetometer_bias_observer loads `magnetometer_bias_x/y/z`
+    under `load_from_params`; it publishes them without a matrix, and a matrix that the receiver got
+    as a parameter stays in force.
+    """
     correction = calibration.correction
-    matrix = f"[{numbers(correction.matrix)}]"
+    matrix = f"[{autopilots.numbers(correction.matrix)}]"
     lines = ["/**:", "  ros__parameters:"]
     lines += [
-        f"    {prefix}_{axis}: {number(value, OF_TESLA)}"
+        f"    {prefix}_{axis}: {autopilots.number(value, autopilots.OF_TESLA)}"
         for prefix in ("initial_mag_bias", "magnetometer_bias")
         for axis, value in zip("xyz", correction.hard_iron, strict=True)
     ]
     lines += [f"    initial_mag_scaling_matrix: {matrix}", f"    initial_scaling_matrix: {matrix}"]
-    header = commented(
+    header = autopilots.commented(
         "#",
-        provenance(calibration),
+        autopilots.provenance(calibration),
         "unbiased = scaling_matrix * (mag - bias): tesla; the result is in the IMU's axes.",
     )
     return header + "\n".join(lines) + "\n"
 
 
 def fusioncore(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`; field_strength is the corrected field's."""
-    correction = calibration.correction
-    header = commented(
+    """Return a parameter file for FusionCore; field_strength is the corrected field's.
+
+    `corrected = soft_iron (mag - hard_iron)`, tesla, soft iron as a "3x3 scale+rotation matrix in
+    row-major order" (docs/configuration.md of github.com/manankharwar/fusioncore).
+    """
+    correction, tesla = calibration.correction, autopilots.OF_TESLA
+    header = autopilots.commented(
         "#",
-        provenance(calibration),
+        autopilots.provenance(calibration),
         "corrected = soft_iron * (mag - hard_iron): tesla, for the readings as the driver",
         "publishes them. soft_iron turns them into the IMU's axes: they must not be turned twice.",
     )
@@ -92,9 +63,9 @@ def fusioncore(calibration: Calibration) -> str:
         "/**:\n"
         "  ros__parameters:\n"
         "    magnetometer.enabled: true\n"
-        f"    magnetometer.hard_iron: [{numbers(correction.hard_iron, OF_TESLA)}]\n"
-        f"    magnetometer.soft_iron: [{numbers(correction.matrix)}]\n"
-        f"    magnetometer.field_strength: {number(calibration.strength, OF_TESLA)}\n"
+        f"    magnetometer.hard_iron: [{autopilots.numbers(correction.hard_iron, tesla)}]\n"
+        f"    magnetometer.soft_iron: [{autopilots.numbers(correction.matrix)}]\n"
+        f"    magnetometer.field_strength: {autopilots.number(calibration.strength, tesla)}\n"
     )
 
 
@@ -102,8 +73,11 @@ UNCHANGED = 1e-9
 
 
 def imu_filter_madgwick(calibration: Calibration) -> str:
-    """Return a parameter file for `--params-file`."""
-    comments = [provenance(calibration), "compensated = mag - mag_bias, tesla."]
+    """Return a parameter file for imu_filter_madgwick, which knows the hard iron alone.
+
+    `compensated = mag - mag_bias`, tesla (wiki.ros.org/imu_filter_madgwick).
+    """
+    comments = [autopilots.provenance(calibration), "compensated = mag - mag_bias, tesla."]
     matrix = calibration.correction.matrix
     if np.abs(matrix - np.eye(3)).max() > UNCHANGED:
         left, sizes, right = np.linalg.svd(matrix)
@@ -116,8 +90,8 @@ def imu_filter_madgwick(calibration: Calibration) -> str:
         ]
     lines = ["/**:", "  ros__parameters:"]
     for axis, value in zip("xyz", calibration.correction.hard_iron, strict=True):
-        lines.append(f"    mag_bias_{axis}: {number(value, OF_TESLA)}")
-    return commented("#", *comments) + "\n".join(lines) + "\n"
+        lines.append(f"    mag_bias_{axis}: {autopilots.number(value, autopilots.OF_TESLA)}")
+    return autopilots.commented("#", *comments) + "\n".join(lines) + "\n"
 
 
 LARGEST_NUMBER = 1e3
@@ -131,19 +105,20 @@ VECTORNAV_NOTES = (
 def vectornav(calibration: Calibration) -> str:
     """Return the command that writes register 23, in one line; `$VNWNV` stores it for good.
 
-    The calibration is of fields in forward-left-up axes. The serial line knows no comments:
-    `VECTORNAV_NOTES` says what the command assumes. NotExportable if a number does not fit the
-    fixed notation.
+    `X = C (M - B)`, C row by row, B in gauss, forward-right-down axes (VN-100 user manual UM001,
+    6.2.1). The checksum is the exclusive or of the bytes between `$` and `*`. The serial line knows
+    no comments: `VECTORNAV_NOTES` says what the command assumes. NotExportable if a number does not
+    fit the fixed notation.
     """
-    held = in_forward_right_down(calibration.correction)
-    twelve = np.concatenate([held.matrix.ravel(), GAUSS * held.hard_iron])
+    held = autopilots.in_forward_right_down(calibration.correction)
+    twelve = np.concatenate([held.matrix.ravel(), autopilots.GAUSS * held.hard_iron])
     if np.abs(twelve).max() >= LARGEST_NUMBER:
         raise NotExportable(
             "The calibration has numbers that no VectorNav sensor could need. Check the field's "
             "unit (tesla) in the driver, and calibrate again."
         )
     body = "VNWRG,23," + ",".join(
-        f"{round(value, DECIMALS) + 0.0:.{DECIMALS}f}" for value in twelve
+        f"{round(value, autopilots.DECIMALS) + 0.0:.{autopilots.DECIMALS}f}" for value in twelve
     )
     return f"${body}*{checksum(body):02X}\n"
 
@@ -156,10 +131,10 @@ def checksum(body: str) -> int:
 def c_header(calibration: Calibration) -> str:
     """Return a header with an include guard that any C or C++ compiler accepts."""
     correction = calibration.correction
-    iron = numbers(correction.hard_iron, OF_TESLA)
-    rows = ",\n".join(f"    {{{numbers(row)}}}" for row in correction.matrix)
+    iron = autopilots.numbers(correction.hard_iron, autopilots.OF_TESLA)
+    rows = ",\n".join(f"    {{{autopilots.numbers(row)}}}" for row in correction.matrix)
     return (
-        f"/* {provenance(calibration)}.\n"
+        f"/* {autopilots.provenance(calibration)}.\n"
         " * body = MAGCAL_MATRIX * (raw - MAGCAL_HARD_IRON): tesla, in the IMU's axes\n"
         " * (x forward, y left, z up). */\n"
         "#ifndef MAGCAL_CALIBRATION_H\n"

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
-from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import TravelSample, VelocitySample
+from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
+from magcal_ros.core.samples.streams import VelocitySample
 from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, plain
-from magcal_ros.files.recording import Recording
+from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = 1 << 30
 LARGEST_LOG = GIGABYTE
@@ -86,7 +86,7 @@ def recording_of(
     notes = list(tables.notes)
     one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
     other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
-    travel, place = _travel(tables)
+    travel, place = travel_of(tables.velocities, tables.fixes)
     return Recording(
         _in_order(tables.imus[one]),
         _in_order(tables.fields[other]),
@@ -145,23 +145,15 @@ def is_alive(vectors: FloatArray) -> bool:
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
 
 
-def _travel(tables: LogTables) -> tuple[tuple[TravelSample, ...], Place | None]:
-    """Return fixes and velocities by stamp, and the place of the first good fix."""
-    plane = LocalPlane()
-    found: list[TravelSample] = [*tables.velocities]
-    found += [each for each in map(plane.position, tables.fixes) if each is not None]
-    place = next((each for each in map(place_of, tables.fixes) if isinstance(each, Place)), None)
-    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
-
-
 def _in_order(table: FloatArray) -> FloatArray:
     """Return the rows by stamp: loggers of several threads mix them up by milliseconds."""
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
-def velocity(stamp: float, speed: float, course: float, sigma: float) -> VelocitySample:
+def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
     """Return a speed over ground (m/s) along a course (rad from north, clockwise)."""
-    return VelocitySample(stamp, speed * math.sin(course), speed * math.cos(course), sigma)
+    east, north = speed * math.sin(course), speed * math.cos(course)
+    return VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
 
 
 def begun_with(path: Path, count: int) -> bytes:

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -173,28 +173,29 @@ LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
 PLANE_COLUMNS = ("t", "east", "north")
 
 
-@dataclass(frozen=True)
-class Tables:
-    """What wheels and receiver said, by stamp, and where the first good fix was."""
+def travel_of(
+    others: Iterable[TravelSample], fixes: Sequence[Fix]
+) -> tuple[tuple[TravelSample, ...], Place | None]:
+    """Return fixes and other samples by stamp, and the place of the first good fix."""
+    plane = LocalPlane()
+    found = [*others, *(each for each in map(plane.position, fixes) if each is not None)]
+    place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
+    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
 
-    travel: tuple[TravelSample, ...] = ()
-    place: Place | None = None
 
-
-def read_travel(folder: Path) -> Tables:
+def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Read `odom.csv` (t,speed) and `gps.csv` (t,latitude,longitude or t,east,north) of a folder.
 
     Both are optional, each with a header line: seconds, m/s (negative backwards), degrees, metres.
     A row that is not finite is no sample.
     """
-    found, place = list[TravelSample](), None
+    found, fixes = list[TravelSample](), list[Fix]()
     if (folder / "odom.csv").exists():
         _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
         found += [SpeedSample(*row) for row in rows.tolist()]
     if (folder / "gps.csv").exists():
-        columns, rows = read_columns(
-            folder / "gps.csv", FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
-        )
+        choices = FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
+        columns, rows = read_columns(folder / "gps.csv", *choices)
         if columns == PLANE_COLUMNS:
             found += [PositionSample(*row) for row in rows.tolist()]
         else:
@@ -202,31 +203,21 @@ def read_travel(folder: Path) -> Tables:
                 Fix(True, latitude, longitude, height[0] if height else math.nan, stamp)
                 for stamp, latitude, longitude, *height in rows.tolist()
             ]
-            plane = LocalPlane()
-            found += [each for each in map(plane.position, fixes) if each is not None]
-            place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
-    return Tables(tuple(sorted(found, key=lambda sample: sample.stamp)), place)
+    return travel_of(found, fixes)
 
 
+NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")
+GYRO = ("gx", "gy", "gz")
 COLUMNS = {
     "t": "s",
-    "mx": "T",
-    "my": "T",
-    "mz": "T",
-    "ax": "m/s^2",
-    "ay": "m/s^2",
-    "az": "m/s^2",
-    "gx": "rad/s",
-    "gy": "rad/s",
-    "gz": "rad/s",
+    **dict.fromkeys(("mx", "my", "mz"), "T"),
+    **dict.fromkeys(("ax", "ay", "az"), "m/s^2"),
+    **dict.fromkeys(GYRO, "rad/s"),
     "believed": "1/0",
 }
 """Name and unit of each column; a header cell reads `mx [T]`."""
 
 REMEDY = "Choose a writable folder, or correct its permissions."
-
-NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")
-GYRO = ("gx", "gy", "gz")
 
 
 def write_samples(path: Path, window: Window, believed: BoolArray | None = None) -> None:
@@ -252,24 +243,18 @@ def read_samples(path: Path) -> Window:
     The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
     brackets; SI units.
     """
-    try:
-        with io.TextIOWrapper(open_regular(path), encoding="utf-8") as handle:
-            names = [cell.split("[")[0].strip() for cell in handle.readline().split(",")]
-            missing = [name for name in NEEDED if name not in names]
-            if missing:
-                raise FileTrouble(
-                    f"{path} has no column {', '.join(missing)}; "
-                    f"its first line should be {','.join(COLUMNS)}"
-                )
-            wanted = NEEDED + (GYRO if set(GYRO) <= set(names) else ())
-            order = [names.index(name) for name in wanted]
-            lines = handle.readlines()
+    with _opened(path) as handle:
+        names = [cell.split("[")[0].strip() for cell in handle.readline().split(",")]
+        missing = [name for name in NEEDED if name not in names]
+        if missing:
+            raise FileTrouble(
+                f"{path} has no column {', '.join(missing)}; its first line should be "
+                f"{','.join(COLUMNS)}"
+            )
+        wanted = NEEDED + (GYRO if set(GYRO) <= set(names) else ())
+        order, lines = [names.index(name) for name in wanted], handle.readlines()
         table = np.empty((0, len(order)))
         if lines:
             table = np.loadtxt(lines, delimiter=",", usecols=order, ndmin=2, comments=None)
         rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
         return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)
-    except OSError as error:
-        raise FileTrouble(f"cannot read {path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise FileTrouble(f"{path} is damaged: {error}") from error

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import HeadingSample, TravelSample
+from magcal_ros.core.samples.streams import TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import ardupilot, phone, px4
-from magcal_ros.files.bags import open_bag
-from magcal_ros.files.disk import FileTrouble, plain
+from magcal_ros.files.bags import Source, open_bag
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
@@ -26,52 +25,8 @@ FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
 
 
-class Source(Protocol):
-    """A recording of any kind, opened, to be read once.
-
-    The two topics are what to call the streams; the frames are the newest `frame_id` of each, empty
-    while unknown.
-    """
-
-    imu_topic: str
-    field_topic: str
-    imu_frame: str
-    field_frame: str
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What is to be said of the recording itself, in words."""
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-
-    def yaw(self) -> FloatArray:
-        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
-
-    def place(self) -> Place | None:
-        """Return where it was recorded, by its first good fix; None if it holds none."""
-
-    def begun(self) -> float:
-        """Return when it was recorded, seconds: its beginning."""
-
-    def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
-
-    def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if it tells none."""
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Return the headings that somebody else measured, by stamp."""
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded."""
-
-
-class HeldDrive:
+class HeldDrive(Source):
     """A recording in memory as a source; `start` and `stop` are seconds from its first sample."""
-
-    imu_frame = ""
 
     def __init__(self, recording: Recording, start: float, stop: float) -> None:
         self._recording = _cut(recording, start, stop)
@@ -84,6 +39,13 @@ class HeldDrive:
         """How much of it has been read, 0 to 1."""
         return self._read / max(len(self._recording.imu) + len(self._recording.field), 1)
 
+    def readings(self) -> Iterator[Reading]:
+        """Yield the samples of both sensors in the order of their stamps."""
+        self._read = 0
+        for sample in self._recording.samples():
+            self._read += 1
+            yield sample
+
     def place(self) -> Place | None:
         """Return where its first good fix was; None without one."""
         return self._recording.place
@@ -94,27 +56,12 @@ class HeldDrive:
         return float(imu[0, 0]) if len(imu) else 0.0
 
     def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
+        """Return the samples of receiver and wheels, by stamp."""
         return list(self._recording.travel)
 
-    def currents(self) -> list[tuple[float, float]]:
-        """Return no currents: files and logs are not asked for them."""
-        return []
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Refuse: only bags have topics."""
-        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
-
     def yaw(self) -> FloatArray:
-        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
+        """Return the yaws of an autopilot."""
         return self._recording.yaw
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield the samples of both sensors in the order of their stamps."""
-        self._read = 0
-        for sample in self._recording.samples():
-            self._read += 1
-            yield sample
 
 
 def open_recording(
@@ -163,8 +110,8 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
         raise Misuse(f"{path} is a CSV folder without topics: leave out --imu and --mag")
     if not is_csv:
         return phone.read_phone(path)
-    tables = read_travel(path)
-    return replace(read_csv_folder(path), travel=tables.travel, place=tables.place)
+    travel, place = read_travel(path)
+    return replace(read_csv_folder(path), travel=travel, place=place)
 
 
 def _cut(recording: Recording, start: float, stop: float) -> Recording:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import Calibration, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.jobs import Verb

@@ -103,9 +103,6 @@ def legend_below(figure: Figure, source: Any, columns: int = 2) -> None:
     figure.legend(handles, labels, loc="lower center", ncol=columns, markerscale=2.2)
 
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 POINTS = 200
 """Of each cloud in each of the four views."""
 
@@ -228,9 +225,6 @@ def _draw_solid(
         getattr(axes, f"set_{name}ticklabels")([])
     axes.set_title("3-D view", pad=4)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 RAW_FIELD = (
     "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "

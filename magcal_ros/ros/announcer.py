@@ -20,13 +20,16 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class Log(Protocol):
-    """What the announcer needs of a logger."""
+    """What is needed of a logger."""
 
     def info(self, message: str) -> object:
-        """Say what happens."""
+        """Log an event."""
 
     def warning(self, message: str) -> object:
-        """Say what is wrong."""
+        """Log what is wrong."""
+
+    def error(self, message: str) -> object:
+        """Log a failure."""
 
 
 @dataclass

@@ -92,19 +92,16 @@ class Sensor:
     def complaint(self) -> str:
         """Say that nothing comes, and what to look at; empty if messages flow."""
         if self.last_heard is None:
-            return (
-                f"nothing has arrived on {self.topic}: "
-                "is the driver running, and the topic remapped to it?"
-            )
+            why = "is the driver running, and the topic remapped to it?"
+            return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:
             return f"{self.topic} has been silent for {silent:.0f} s"
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         if self.changes - self._changes_at_look[0] > 1:
-            names = " and ".join(
-                repr(known_as(f)) for f in sorted((self._frame_before, self.frame))
-            )
+            frames = map(known_as, sorted((self._frame_before, self.frame)))
+            names = " and ".join(map(repr, frames))
             return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
         return ""
 
@@ -134,20 +131,14 @@ class Inputs:
         return found + complaints(self.streams, imu, mag)
 
     def _heard(self) -> tuple[Heard, Heard]:
-        imu, mag = (
-            Heard(sensor.topic, sensor.messages, Counter(drops))
-            for sensor, drops in (
-                (self.imu, self.streams.imu_drops),
-                (self.field, self.streams.field_drops),
-            )
+        imu, field, streams = self.imu, self.field, self.streams
+        return (
+            Heard(imu.topic, imu.messages, Counter(streams.imu_drops)),
+            Heard(field.topic, field.messages, Counter(streams.field_drops)),
         )
-        return imu, mag
 
 
-HALF_A_PLACE = (
-    "only one of reference.latitude_deg and reference.longitude_deg is given: give both, or leave "
-    "both out"
-)
+HALF_A_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
 FIX_PAUSE = 0.2
 """Seconds after a look within which another fix brings no new one."""
@@ -292,7 +283,7 @@ class HeadingPipeline:
     def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
         """Return the corrected field, up and heading of a field sample."""
         up = self.up.at(sample.stamp, self.streams.max_gap)
-        running = self.motors.as_used(compass, sample.stamp)
+        running = None if compass.motors is None else self.motors.running(sample.stamp)
         turning = self.up.rate if self.up.is_propagated else None
         return Moment.of(compass, sample, up, self.streams.newest_rate, running, turning)
 

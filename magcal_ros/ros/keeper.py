@@ -8,15 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import MotorField
+from magcal_ros.core.calibration import Calibration, MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.files.backups import keep_backup
-from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.calibration_file import (
+    Origin,
+    keep_backup,
+    read_calibration,
+    write_calibration,
+)
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
 from magcal_ros.files.disk import FileTrouble, plain, promptly
+from magcal_ros.ros.announcer import Log
 
 T = TypeVar("T")
 Tell = Callable[[Conclusion], None]
@@ -41,16 +45,6 @@ class Runner(Protocol):
 
     def finish_within(self, patience: float) -> bool:
         """Wait so many seconds for the work that was asked for."""
-
-
-class Log(Protocol):
-    """What is needed of a logger."""
-
-    def info(self, message: str) -> object:
-        """Say what happens."""
-
-    def error(self, message: str) -> object:
-        """Say what went wrong."""
 
 
 class Loaded(NamedTuple):

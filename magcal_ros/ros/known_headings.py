@@ -15,14 +15,8 @@ from magcal_ros.core.errors import in_words
 from magcal_ros.core.keeping.jobs import Mode
 from magcal_ros.core.messages import heading_of
 from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
-from magcal_ros.core.session.external_heading import (
-    TUNING,
-    ExternalHeading,
-    TurnSince,
-    is_by_headings,
-    mean_heading,
-    replaces,
-)
+from magcal_ros.core.session import external_heading
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.keeper import Tell
@@ -198,10 +192,14 @@ class Antenna:
         found, before = outcome.calibration, self._magnetometer.keeper.calibration
         if self._pipeline.settled().self_calibration == Mode.OFF.value:
             return
-        if found is None or not outcome.verdict.accepted or not replaces(found, before):
+        if (
+            found is None
+            or not outcome.verdict.accepted
+            or not external_heading.replaces(found, before)
+        ):
             return
         self._say(f"{self.topic} calibrates the compass: {self._answer}")
-        is_another = before is None or not is_by_headings(before)
+        is_another = before is None or not external_heading.is_by_headings(before)
         self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
 
 
@@ -239,7 +237,7 @@ class KnownHeadings:
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
         self._sensors = self._answer = ""
-        self._since: TurnSince | None = None
+        self._since: external_heading.TurnSince | None = None
         self._pairs: list[Pair] = []
         self._pairer = Pairer(pipeline.streams)
         self._given: ExternalHeading | None = None
@@ -282,7 +280,7 @@ class KnownHeadings:
         self._tell, self._given = tell, settings.known_heading
         self._pairs, self.antenna.collected = [], []
         self._pairer = Pairer(self._pipeline.streams)
-        self._deadline = time.monotonic() + TUNING.patience
+        self._deadline = time.monotonic() + external_heading.TUNING.patience
         self._is_collecting = True
         self._timer.reset()
 
@@ -306,7 +304,10 @@ class KnownHeadings:
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
         pairs = self._pairs
-        if pairs and pairs[-1].field.stamp - pairs[0].field.stamp >= TUNING.seconds:
+        if (
+            pairs
+            and pairs[-1].field.stamp - pairs[0].field.stamp >= external_heading.TUNING.seconds
+        ):
             self._fit()
 
     def on_imu(self, stamp: float) -> None:
@@ -345,7 +346,7 @@ class KnownHeadings:
         self._is_collecting = False
         settings, follower = self._pipeline.settled(), self._pipeline.up
         heard, self.antenna.collected = self.antenna.collected or [], None
-        given = self._given or mean_heading(heard, settings.heading_is_true)
+        given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
         view = self._pipeline.frames.view
         if given is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
@@ -379,7 +380,7 @@ class KnownHeadings:
             return
         calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._since = result.standings, TurnSince()
+            self._standings, self._since = result.standings, external_heading.TurnSince()
         if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
             self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))

@@ -21,19 +21,8 @@ from rclpy.signals import SignalHandlerOptions
 from magcal_ros.processes import bound_memory, leave_out_current_folder, use_one_thread
 from magcal_ros.ros.node import Calibrator
 
-SIGNALS = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,
-    signal.SIGQUIT,
-    signal.SIGABRT,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGALRM,
-    signal.SIGVTALRM,
-    signal.SIGPROF,
-    signal.SIGXCPU,
-)
+NAMES = ("INT", "TERM", "HUP", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
+SIGNALS = tuple(getattr(signal, f"SIG{name}") for name in NAMES)
 """Every one that would end the process and can be caught: a robot that turns must be stopped."""
 
 

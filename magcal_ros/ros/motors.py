@@ -113,10 +113,6 @@ class Motors:
             speed = self.commands.speed_near(stamp)
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
 
-    def as_used(self, compass: Compass, stamp: float) -> Running | None:
-        """Return the same; None where a compass knows no motors."""
-        return None if compass.motors is None else self.running(stamp)
-
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
         """Learn from a sample; returns it without what the motors add, as a compass knows them."""
         if compass is not self._compass:

@@ -14,15 +14,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import true_yaw, unit
+from magcal_ros.core.geometry import FloatArray, true_yaw, unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Moment
@@ -33,19 +32,10 @@ from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.disk import plain
+from magcal_ros.ros import wire
 from magcal_ros.ros.control import Control
-from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.wire import (
-    AttitudeTemplate,
-    FieldArrival,
-    FieldTemplate,
-    NumberTemplate,
-    azimuth_message,
-    bias_message,
-    diagnostic,
-)
+from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = QoSProfile(depth=10)
 
 
@@ -55,7 +45,7 @@ class FieldOutput:
     def __init__(self, node: Node, topic: str) -> None:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, f"{topic}_bias", LATCHED)
-        self._field = FieldTemplate()
+        self._field = wire.FieldTemplate()
         self._covariance_in = b""
         self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
@@ -68,7 +58,7 @@ class FieldOutput:
         self._bias = None
         if compass is not None:
             correction = compass.calibration.correction
-            self._bias = bias_message(correction, magnetometer_frame)
+            self._bias = wire.bias_message(correction, magnetometer_frame)
             self.repeat_bias(None)
 
     def repeat_bias(self, stamp: Time | None) -> None:
@@ -78,7 +68,7 @@ class FieldOutput:
                 self._bias.header.stamp = stamp
             self._bias_out.publish(self._bias)
 
-    def publish(self, field: Triple, arrived: FieldArrival, frame: str) -> None:
+    def publish(self, field: Triple, arrived: wire.FieldArrival, frame: str) -> None:
         """Publish a corrected field, tesla, in the IMU's frame."""
         if _is_wanted(self._field_out):
             covariance = self._carried(arrived.covariance)
@@ -112,8 +102,8 @@ class HeadingOutput:
                 north: node.create_publisher(self._azimuth, f"compass/{north}/enu/rad", RELIABLE)
                 for north in ("mag", "true")
             }
-        self._attitude = AttitudeTemplate()
-        self._yaw = NumberTemplate()
+        self._attitude = wire.AttitudeTemplate()
+        self._yaw = wire.NumberTemplate()
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
         """The newest field message under the calibration in force, its yaw as uncertain as told."""
@@ -157,7 +147,7 @@ class HeadingOutput:
         for north, out in self._azimuth_outs.items():
             known = None if north == "mag" else reference
             if _is_wanted(out) and (known is None or declination is not None):
-                out.publish(azimuth_message(self._azimuth, stamp, frame, heading, known))
+                out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _doubted(self, moment: Moment) -> Moment:
         """Return the moment with a yaw that is as uncertain as its field is wrong."""
@@ -195,7 +185,7 @@ class FusedOutput:
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
         self._follower = follower
         self._calibration: Calibration | None = None
-        self._attitude = AttitudeTemplate()
+        self._attitude = wire.AttitudeTemplate()
         self._fused: FusedYaw | None = None
 
     def begin_anew(self, calibration: Calibration | None) -> None:
@@ -253,7 +243,7 @@ class FusedOutput:
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
             level = level if self._fused is None else DiagnosticStatus.WARN
-            return diagnostic(name, "Fused", silence, level=level)
+            return wire.diagnostic(name, "Fused", silence, level=level)
         assert self._fused is not None
         detector, heading = self._fused.detector, self._fused.heading()
         departure = f"{detector.departure:.1f} sigma"
@@ -269,7 +259,7 @@ class FusedOutput:
         if heading is not None:
             values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
             values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-        return diagnostic(name, "Fused", message, values, level)
+        return wire.diagnostic(name, "Fused", message, values, level)
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""

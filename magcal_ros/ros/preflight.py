@@ -16,8 +16,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.messages import field_sample, imu_sample, seconds
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps

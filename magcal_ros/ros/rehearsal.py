@@ -18,8 +18,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
+from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
@@ -27,7 +26,7 @@ from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
 from magcal_ros.files.recording import Recording
 from magcal_ros.files.sources import FIRST_STAMP
-from magcal_ros.ros.outputs import LATCHED
+from magcal_ros.ros.sensor_frames import LATCHED
 
 
 class SensorSource:
@@ -91,30 +90,21 @@ def replay(
     `between` is called with the seconds to wait before the next sample; it may spin or sleep.
     Returns the number of samples.
     """
-    clock_out = node.create_publisher(Clock, "/clock", 10) if clock else None
+    clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
     shift = max(0.0, FIRST_STAMP - float(min(recording.imu[0, 0], recording.field[0, 0])))
     started: float | None = None
     count = 0
     for sample in recording.samples():
-        moved = _moved(sample, shift)
+        moved = sample._replace(stamp=sample.stamp + shift) if shift else sample
         if started is None:
             started = time.monotonic() - moved.stamp / rate
         between(max(0.0, started + moved.stamp / rate - time.monotonic()))
         if clock_out is not None:
-            clock_out.publish(_clock(moved.stamp))
+            set_time(message.clock, moved.stamp)
+            clock_out.publish(message)
         source.publish(moved)
         count += 1
     return count
-
-
-def _moved(sample: ImuSample | FieldSample, shift: float) -> ImuSample | FieldSample:
-    return sample._replace(stamp=sample.stamp + shift) if shift else sample
-
-
-def _clock(stamp: float) -> Clock:
-    message = Clock()
-    set_time(message.clock, stamp)
-    return message
 
 
 TURN_RATE = 0.5
@@ -272,7 +262,7 @@ class Rehearsal:
         self.run(PATIENCE, stop=lambda: len(self._settled_yaws) >= SAMPLES_PER_HEADING)
         if not self._settled_yaws:
             raise MagcalError("no yaw is published")
-        return _mean_angle(self._settled_yaws)
+        return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
 
     def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
         """Compare the yaw that the raw field and the true tilt give, radians."""
@@ -301,7 +291,3 @@ def _first_of_both(ride: Ride) -> tuple[ImuSample, FieldSample]:
             else:
                 field = sample
     return imu, field
-
-
-def _mean_angle(angles: Sequence[float]) -> float:
-    return math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))

@@ -177,7 +177,7 @@ def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
         pickle.dump((folder, subject), handover)
         handover.seek(0)
         return start(
-            "magcal_ros.report.__main__",
+            "magcal_ros.report.write",
             stdin=handover,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

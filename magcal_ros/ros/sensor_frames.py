@@ -152,10 +152,8 @@ class SensorFrames:
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
-        self._imu_frame, self._magnetometer_frame = (
-            known_as(imu_frame),
-            known_as(magnetometer_frame),
-        )
+        self._imu_frame = known_as(imu_frame)
+        self._magnetometer_frame = known_as(magnetometer_frame)
         self._look()
 
     @property
@@ -235,12 +233,10 @@ class SensorFrames:
         given = settings.knowledge.mounting.pose if settings.mount_is_given else None
         self._poses = sensor_poses(self._frames, self._description.tree, given)
         self._contradiction = ""
-        by_hand, found = settings.vehicle_yaw, self._vehicle_yaw
         imu = self._poses.imu
-        corrected = self._corrected = corrected_pose(
-            imu if settings.base_frame else None, by_hand, found
-        )
-        pose = imu if corrected.pose is None else corrected.pose
+        described = imu if settings.base_frame else None
+        self._corrected = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
+        pose = imu if self._corrected.pose is None else self._corrected.pose
         view = None if pose is None else BaseView(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

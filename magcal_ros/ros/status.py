@@ -234,11 +234,6 @@ def inputs_diagnostic(
     return diagnostic(name, "Inputs", "; ".join(complaints) or "both sensors arrive", values, level)
 
 
-def diagnostic_name(full_name: str) -> str:
-    """Return what the names of a node's diagnostics begin with: its full name, no slash first."""
-    return full_name.lstrip("/")
-
-
 def diagnostic_array(
     statuses: Iterable[DiagnosticStatus], frame: str, stamp: Time
 ) -> DiagnosticArray:

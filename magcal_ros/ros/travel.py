@@ -29,17 +29,11 @@ from magcal_ros.core.monitoring.recorded_course import (
 )
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
+from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
 from magcal_ros.ros.sensor_frames import SensorFrames
 from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
-from magcal_ros.ros.wire import (
-    Unreadable,
-    diagnostic,
-    read_fix,
-    read_speed,
-    read_stamp,
-    read_velocity,
-)
+from magcal_ros.ros.wire import Unreadable
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -232,7 +226,7 @@ class Travel:
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
+        return [wire.diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:
@@ -242,19 +236,19 @@ class Travel:
         self._thread.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
-        if not self._travelling.wants_speed(read_stamp(data)):
+        if not self._travelling.wants_speed(wire.read_stamp(data)):
             return
-        sample = self._read(SpeedSource.ODOMETRY, read_speed, data)
+        sample = self._read(SpeedSource.ODOMETRY, wire.read_speed, data)
         if sample is not None:
             self._travelling.add_speed(sample)
 
     def _on_velocity(self, data: bytes) -> None:
-        sample = self._read(SpeedSource.VELOCITY, read_velocity, data)
+        sample = self._read(SpeedSource.VELOCITY, wire.read_velocity, data)
         if sample is not None:
             self._travelling.add_velocity(sample)
 
     def _on_fix(self, data: bytes) -> None:
-        fix = self._read(SpeedSource.FIXES, read_fix, data)
+        fix = self._read(SpeedSource.FIXES, wire.read_fix, data)
         if fix is None:
             return
         # What is wrong with fixes is said where the place is looked up.

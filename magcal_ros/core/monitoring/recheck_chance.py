@@ -18,9 +18,8 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import HEADINGS, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.samples import STREAMS, Window
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage
-from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
 
 MOVED = "the hard iron has changed, or the field is distorted here"
 

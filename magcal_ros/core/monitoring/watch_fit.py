@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Calibration, Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.monitoring.recheck_chance import RecheckTuning, compass_less_gyro, sectors
 from magcal_ros.core.samples.coverage import Coverage

@@ -8,13 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Estimate
-from magcal_ros.core.calibration.correction import PARAMETERS
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import PARAMETERS, Estimate, Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import field_in_enu
-from magcal_ros.core.geometry.rotations import minimal_rotation, rotation_from_rpy
+from magcal_ros.core.geometry import FloatArray, field_in_enu, minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.methods.smoother_one import estimate_of
 from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate

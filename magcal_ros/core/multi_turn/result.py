@@ -133,24 +133,14 @@ class Shown:
 
 def changes(before: Shown, after: Shown) -> list[str]:
     """Name what is better known than before, the most important first."""
-    micro = 1e6
-    iron = (max(before.soft_iron), max(after.soft_iron))
+    tilted = "absolute heading at 10° of tilt"
+    iron = max(before.soft_iron), max(after.soft_iron)
     rows = [
         ("installation yaw", before.installation_yaw, after.installation_yaw, _degrees),
-        (
-            "absolute heading at 10° of tilt",
-            before.absolute_tilted,
-            after.absolute_tilted,
-            _degrees,
-        ),
+        (tilted, before.absolute_tilted, after.absolute_tilted, _degrees),
         ("inclination", before.inclination, after.inclination, _degrees),
-        (
-            "axial hard iron",
-            micro * before.axial_hard_iron,
-            micro * after.axial_hard_iron,
-            _microtesla,
-        ),
-        ("soft iron at worst", 100.0 * iron[0], 100.0 * iron[1], _percent),
+        ("axial hard iron", before.axial_hard_iron, after.axial_hard_iron, _microtesla),
+        ("soft iron at worst", *iron, _percent),
     ]
     return [
         f"{name} from ±{unit(old)} to ±{unit(new)}"
@@ -266,9 +256,9 @@ def _degrees(radians: float) -> str:
     return "many °" if value > 90.0 else f"{value:.2g}°"
 
 
-def _microtesla(value: float) -> str:
-    return "many µT" if value > 100.0 else f"{value:.2g} µT"
+def _microtesla(tesla: float) -> str:
+    return "many µT" if tesla > 100e-6 else f"{tesla * 1e6:.2g} µT"
 
 
-def _percent(value: float) -> str:
-    return f"{value:.2g} %"
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"

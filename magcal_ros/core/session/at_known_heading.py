@@ -11,25 +11,16 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration, Estimate, yaw_jacobian
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.calibration import Calibration, Estimate, calibration_sigma, yaw_jacobian
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, unit, wrapped
+from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, unit, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.knowledge import Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample, Pair
-from magcal_ros.core.session.external_heading import (
-    DEGREES,
-    LOG,
-    TUNING,
-    ExternalHeading,
-    HeadingAgainstGyro,
-    TurnSince,
-    is_by_headings,
-)
+from magcal_ros.core.session import external_heading
+from magcal_ros.core.session.external_heading import DEGREES, LOG, TUNING, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
 from magcal_ros.core.up import UpFollower
@@ -80,7 +71,7 @@ class CollectedSamples:
     """With the declination, if the heading is to true north."""
     forward: FloatArray
     """Direction in the IMU's axes whose heading it is. Shape (3,)."""
-    since: TurnSince | None = None
+    since: external_heading.TurnSince | None = None
     """By the gyro since the standing before."""
     bias: Triple = (0.0, 0.0, 0.0)
     """The gyro's, as far as it is known, rad/s."""
@@ -150,7 +141,7 @@ def add_standing(
     A calibration in force that is not of known headings stays if it is more certain, and a heading
     that contradicts it is refused. Bad data raise nothing: the standings before stay.
     """
-    other = None if in_force is None or is_by_headings(in_force) else in_force
+    other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
     try:
         gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
@@ -336,7 +327,7 @@ class HeadingCollector:
 
     def __init__(self, up: UpFollower) -> None:
         self._up = up
-        self.check = HeadingAgainstGyro()
+        self.check = external_heading.HeadingAgainstGyro()
         self.log: HeadingLog | None = None
         self.newest = HeadingSample(-math.inf, 0.0, 1.0)
         self._imu_stamp = math.nan

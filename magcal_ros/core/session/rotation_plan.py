@@ -69,20 +69,12 @@ class Seen:
     """Whether every heading was seen."""
 
 
-@dataclass(frozen=True)
-class Patience:
-    """Seconds that a fault must last before it counts."""
-
-    not_turning: float
-    wrong_way: float
-    too_fast: float
-
-    @classmethod
-    def of(cls, by_gyro: bool, speed: float) -> Patience:
-        """Return the times for a sensor; the compass shows nothing before an arc."""
-        if by_gyro:
-            return cls(2.5, 0.5, 0.5)
-        return cls(max(5.0, 1.5 / speed), 4.0, 3.0)
+def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
+    """Return the seconds that faults must last; the compass shows nothing before an arc."""
+    if by_gyro:
+        return {Fault.NOT_TURNING: 2.5, Fault.WRONG_WAY: 0.5, Fault.TOO_FAST: 0.5}
+    slow = max(5.0, 1.5 / speed)
+    return {Fault.NOT_TURNING: slow, Fault.WRONG_WAY: 4.0, Fault.TOO_FAST: 3.0}
 
 
 def planned_duration(speed: float) -> float:
@@ -155,11 +147,11 @@ class RotationPlan:
             Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
             Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
-        patience = Patience.of(seen.by_gyro, self._speed)
+        longest = patience(seen.by_gyro, self._speed)
         for fault, shown in shows.items():
             if not shown:
                 self._suspected.pop(fault, None)
-            elif now - self._suspected.setdefault(fault, now) > getattr(patience, fault.value):
+            elif now - self._suspected.setdefault(fault, now) > longest[fault]:
                 return fault
         return None
 
@@ -189,18 +181,13 @@ class RotationLimits:
         self._path += abs(step)
         if self.objection:
             return
-        if (
-            seen.by_gyro
-            and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
-        ):
+        beyond = TUNING.farthest_beyond
+        if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
             self.objection = (
                 f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
-        elif (
-            abs(self._commanded) > TUNING.leeway * math.tau
-            or self._path > TUNING.leeway * 2.0 * math.tau
-        ):
+        elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
             )

@@ -17,10 +17,9 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples import STREAMS, Pair, Window
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, Pair
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.resting import apart_from_rests
 from magcal_ros.core.up import relative_attitudes
 
