@@ -94,7 +94,7 @@ TO_CANCEL = 1.0
 """Seconds that the node has to answer ~/cancel."""
 
 STATUS_WITHIN = 5.0
-"""Seconds within which a running node tells its status, discovery included."""
+"""Seconds within which the status of a running node arrives, discovery included."""
 
 
 def add_calibrate(commands: Any) -> None:
@@ -186,11 +186,8 @@ class _Turn:
         while self._status is None and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
         if self._status is None:
-            print(
-                "The robot will turn itself if rotate.enabled is true, which the node does not "
-                "tell: keep clear.",
-                flush=True,
-            )
+            unknown = "if rotate.enabled is true, which is not known"
+            print(f"The robot will turn itself {unknown}: keep clear.", flush=True)
         elif live_view.turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 

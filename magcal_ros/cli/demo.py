@@ -65,7 +65,8 @@ def add_demo(commands: Any) -> None:
     parser.add_argument(
         "--output", type=Path, default=Path("calibration.yaml"), help="the file that is left"
     )
-    parser.add_argument("--speed", type=float, default=1.0, help="times real time (default: 1)")
+    speed, words = number(1e-3, 1e3), "times real time (default: 1)"
+    parser.add_argument("--speed", type=speed, default=1.0, help=words)
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
     parser.set_defaults(run=run_demo)
 
@@ -75,7 +76,8 @@ def run_demo(options: argparse.Namespace) -> int:
     require_ours(options.output)
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
-    print(f"The robot turns once and is looked at afterwards: {_seconds(options.speed)}.\n")
+    seconds = TAKES / options.speed
+    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.\n")
     process = _start_node(options.output)
     try:
         with joined("magcal_demo") as node:
@@ -86,10 +88,6 @@ def run_demo(options: argparse.Namespace) -> int:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10)
-
-
-def _seconds(speed: float) -> str:
-    return f"about {TAKES / speed:.0f} s" if speed > 0.0 else "some time"
 
 
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
@@ -175,7 +173,9 @@ def add_replay(commands: Any) -> None:
         "mag.csv: t,mx,my,mz; SI units) on imu/data_raw and imu/mag under its own stamps.",
     )
     parser.add_argument("folder", type=Path, help="holds imu.csv and mag.csv")
-    parser.add_argument("--rate", type=_positive, default=1.0, help="times real time (default: 1)")
+    parser.add_argument(
+        "--rate", type=number(1e-6, 1e6), default=1.0, help="times real time (default: 1)"
+    )
     parser.add_argument(
         "--wait",
         type=number(0.0, 1e6),
@@ -235,10 +235,3 @@ def _frame(text: str) -> str:
     except UnicodeEncodeError:
         raise argparse.ArgumentTypeError(f"{plain(text)!r} is no UTF-8 text") from None
     return text
-
-
-def _positive(text: str) -> float:
-    value = number(0.0, 1e6)(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError("must be greater than zero")
-    return value

@@ -61,7 +61,7 @@ def add_doctor(commands: Any) -> None:
     parser.add_argument(
         "--turned",
         choices=("left", "right"),
-        help="to which side the robot of a recording turned; tells what turns alike",
+        help="to which side the robot of a recording turned; separates what turns alike",
     )
     parser.add_argument(
         "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
@@ -78,7 +78,7 @@ class Heard:
     knowledge: Knowledge
     """What the user gave, and the described pose of the magnetometer."""
     answers: UserAnswers
-    """What the robot or the person was told or seen to do."""
+    """What the robot or the person did, as far as it is known."""
     more: tuple[Finding, ...]
     """What the recording or the graph shows beside the samples."""
     described: str = ""

@@ -132,7 +132,7 @@ def _fit(
             f"the recordings are of different magnetometers ({', '.join(frames)}); join those of "
             "one sensor"
         )
-    # All turns are made in one place: the first recording that knows its field speaks for it.
+    # All turns are made in one place: the first recording with a known field gives the reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
     at_headings = recorded.fit_known(heard, knowledge, options)

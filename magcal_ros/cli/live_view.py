@@ -22,21 +22,17 @@ if TYPE_CHECKING:
 LONGEST_ERROR = 500
 
 
-class NoRos(MagcalError):
-    """rclpy cannot be imported."""
-
-
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     """Yield a node of this name, and leave the graph afterwards.
 
-    NoRos if there is no rclpy, Misuse if ROS refuses the arguments or the environment.
+    A MagcalError if there is no rclpy, Misuse if ROS refuses the arguments or the environment.
     """
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
-        raise NoRos(
+        raise MagcalError(
             "this command needs ROS: source its setup file, or work in the environment that "
             f"`make demo` sets up in a checkout ({error})"
         ) from error

@@ -23,15 +23,8 @@ from magcal_ros.files.disk import FileTrouble, plain, plain_lines
 from magcal_ros.processes import leave_out_current_folder
 
 COMMANDS = (
-    add_calibrate,
-    add_fit,
-    add_check,
-    add_drive,
-    add_doctor,
-    add_export,
-    add_replay,
-    add_demo,
-)
+    add_calibrate, add_fit, add_check, add_drive, add_doctor, add_export, add_replay, add_demo
+)  # fmt: skip
 
 
 class Parser(argparse.ArgumentParser):

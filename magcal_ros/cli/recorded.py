@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, TextIO
 
 from magcal_ros.cli.common import add_reference_options, number, reference_in_use
 from magcal_ros.core.calibrate import Outcome
@@ -49,9 +49,7 @@ class Gathered:
     source: Source
     """Closed; its names and frames are of use."""
     reference: Reference
-    """The reference field at its place and date."""
     repaired: list[str]
-    """What was corrected in it, in words."""
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
@@ -90,22 +88,14 @@ def add_recording_options(
         metavar=("ROLL", "PITCH", "YAW"),
         help="pose of a log's or phone's sensors in the vehicle, ° (not of a bag)",
     )
-    parser.add_argument(
-        "--from",
-        dest="start",
-        type=number(0.0, math.inf),
-        default=0.0,
-        metavar="SECONDS",
-        help="leave out what comes before, counted from the recording's beginning",
-    )
-    parser.add_argument(
-        "--to",
-        dest="stop",
-        type=number(0.0, math.inf),
-        default=math.inf,
-        metavar="SECONDS",
-        help="leave out what comes after",
-    )
+    before = "leave out what comes before, counted from the recording's beginning"
+    after = "leave out what comes after"
+    for name, dest, default, words in (
+        ("--from", "start", 0.0, before),
+        ("--to", "stop", math.inf, after),
+    ):
+        about: dict[str, Any] = {"dest": dest, "default": default, "metavar": "SECONDS"}
+        parser.add_argument(name, type=number(0.0, math.inf), help=words, **about)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -200,16 +190,8 @@ class StatusLine:
             print("\r\x1b[K", end="", file=self._out, flush=True)
 
 
-class Shared(Protocol):
-    """What knows how far it has been read."""
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-
-
 def watched(
-    source: Shared,
+    source: Source | RepairedReadings,
     readings: Iterable[Reading],
     out: TextIO,
     clock: Callable[[], float] = time.monotonic,
@@ -273,7 +255,7 @@ def add_heading_options(parser: Any) -> None:
         "--heading-topic",
         default="",
         metavar="TOPIC",
-        help="topic of a bag with headings that somebody else measured, as two antennas do",
+        help="topic of a bag with headings that another device measured, such as two antennas",
     )
     known.add_argument(
         "--north",

@@ -43,7 +43,6 @@ KINDS = {"IMU": 0, "IMU2": 1, "IMU3": 2, "MAG": 0, "MAG2": 1, "MAG3": 2}
 """Messages of the sensors, and their number in releases that name it so."""
 
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
-FIX_3D = 3
 AUTOPILOT = 1
 """Component of MAVLink: cameras and gimbals have others."""
 
@@ -88,24 +87,11 @@ def _require_dataflash(path: Path, begun: bytes) -> None:
         )
 
 
-def _library(path: Path) -> Any:
-    try:
-        from pymavlink import mavutil
-    except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs the Python library pymavlink: "
-            "pip install 'magcal_ros[ardupilot]', or pip install pymavlink"
-        ) from error
-    return mavutil
-
-
 def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
     """Yield the wanted messages of a log and the share that has been read."""
-    _library(path)
-    from pymavlink import DFReader
-
+    dataflash = logs.library(path, "pymavlink.DFReader", "ardupilot")
     is_binary = begun[:2] == b"\xa3\x95"
-    kind: Any = DFReader.DFReader_binary if is_binary else DFReader.DFReader_text
+    kind: Any = dataflash.DFReader_binary if is_binary else dataflash.DFReader_text
 
     def recv_msg(reader: Any) -> Any:
         # Without a receiver the library goes through the whole log before it gives a message.
@@ -121,7 +107,7 @@ def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tu
 
 def _telemetry(path: Path) -> Iterator[tuple[Any, float]]:
     """Yield the same of telemetry, and None for any other message and for damage."""
-    reader = _library(path).mavlogfile(str(path))
+    reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
     wanted = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
     try:
         while (message := reader.recv_msg()) is not None:
@@ -166,7 +152,7 @@ class _Rows:
         elif kind == "PARM":
             self._parameters[m.Name] = float(m.Value)
         elif not getattr(m, "I", 0):
-            has_fix = m.Status >= FIX_3D
+            has_fix = m.Status >= logs.FIX_3D
             self._fix(stamp, has_fix, (m.Lat, m.Lng, m.Alt), m.Spd, math.radians(m.GCrs))
 
     def _take_telemetry(self, kind: str, m: Any) -> None:
@@ -195,7 +181,7 @@ class _Rows:
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
             course = math.radians(0.01 * m.cog)
-            self._fix(m._timestamp, m.fix_type >= FIX_3D, place, 0.01 * m.vel, course)
+            self._fix(m._timestamp, m.fix_type >= logs.FIX_3D, place, 0.01 * m.vel, course)
 
     def _by_own_clock(self, m: Any) -> float:
         """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""

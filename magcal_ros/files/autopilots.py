@@ -39,7 +39,6 @@ DECIMALS = 9
 """Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
 
 OF_TESLA = 13
-"""The same of tesla."""
 
 LARGEST_LOST_ROTATION = math.radians(5.0)
 """A rotation beyond this belongs into the consumer's mounting, not into a comment."""
@@ -60,7 +59,6 @@ class Symmetric:
     hard_iron: FloatArray
     """Tesla. Shape (3,)."""
     comments: tuple[str, ...]
-    """What was lost."""
 
 
 def in_forward_right_down(correction: Correction) -> Correction:

@@ -73,7 +73,6 @@ class Source:
 
     imu_topic = field_topic = imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
-    """What is to be said of the recording itself."""
 
     @property
     def share(self) -> float:
@@ -219,7 +218,7 @@ class Bag(Source):
                 else:
                     found.append(sample)
         if not found:
-            raise FileTrouble(f"{plain(topic)} tells no heading: {why or 'it is empty'}")
+            raise FileTrouble(f"{plain(topic)} gives no heading: {why or 'it is empty'}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _travelled(self, connection: Connection, data: bytes) -> Any:

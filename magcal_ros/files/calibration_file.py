@@ -1,4 +1,4 @@
-"""The calibration as YAML, with a header by which other files are told apart."""
+"""The calibration as YAML, with a header that distinguishes it from other files."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def chosen_path(text: str) -> Path:
 
 
 def lies_within(path: Path, places: Iterable[Path]) -> bool:
-    """Whether a path is one of some places or lies below one, told by its names alone.
+    """Whether a path is one of some places or lies below one, by its names alone.
 
     Links are not looked at: only who may write there already can have made one.
     """

@@ -24,7 +24,7 @@ UNFINISHED = ".magcal-unfinished"
 """How the names of files end that are being written; a kill may leave one behind."""
 
 LEFT_BEHIND = 3600.0
-"""Seconds after which nobody is writing it any more."""
+"""Seconds after which it counts as abandoned."""
 
 REMEDY = "Choose a writable place with the parameter calibration_file, or correct its permissions."
 
@@ -159,7 +159,7 @@ def read_small(path: Path, largest: int) -> bytes:
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; NotOrdinary for a pipe, a device or a socket."""
-    # Without O_NONBLOCK, opening a pipe waits for somebody who writes into it.
+    # Without O_NONBLOCK, opening a pipe waits for a writer.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):

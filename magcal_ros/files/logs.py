@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +33,8 @@ FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
 """Forward, right, down to forward, left, up; and the other way."""
 
 GRAVITY = 9.80665
+FIX_3D = 3
+"""Kind of a receiver's fix from which it has a place."""
 
 Progress = Callable[[float], None]
 """Is given the share of a log that has been read, 0 to 1."""
@@ -66,7 +70,6 @@ class LogTables:
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     """Stamp and the autopilot's own yaw, ENU, true north. Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
-    """What is to be said of the log."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +157,19 @@ def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
     """Return a speed over ground (m/s) along a course (rad from north, clockwise)."""
     east, north = speed * math.sin(course), speed * math.cos(course)
     return VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
+
+
+def library(path: Path, module: str, extra: str) -> Any:
+    """Return a module of an optional library; a FileTrouble says how to install it."""
+    name = module.partition(".")[0]
+    try:
+        importlib.import_module(name)
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise FileTrouble(
+            f"reading {plain(str(path))} needs the Python library {name}: "
+            f"pip install 'magcal_ros[{extra}]', or pip install {name}"
+        ) from error
 
 
 def begun_with(path: Path, count: int) -> bytes:

@@ -3,7 +3,7 @@
 Sensor Logger writes a file a sensor: `time` (ns since 1970), `seconds_elapsed`, z, y, x; fields in
 microtesla. phyphox names the unit in its header: `"Time (s)","Magnetic field x (µT)"`. A phone's x
 points to the right of its screen, y to its upper edge and z out of the screen; here x is the upper
-edge, y the left one. How the phone lay in the vehicle is told with --imu-rpy-deg.
+edge, y the left one. --imu-rpy-deg gives the pose of the phone in the vehicle.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _headers(path: Path) -> dict[str, list[str]]:
     """Return the header of each CSV file, by its name."""
     found = {}
     for file in sorted(path.glob("*.csv")):
-        # Whatever else lies there is nobody's trouble here.
+        # Other files in the folder do not matter.
         with contextlib.suppress(FileTrouble):
             found[file.name] = read_header(file)
     return found

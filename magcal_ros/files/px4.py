@@ -28,7 +28,6 @@ MAGIC = b"ULog\x01\x12\x35"
 TESLA = 1e-4
 """In a gauss."""
 
-FIX_3D = 3
 MOST_SENSORS = 4
 TOPICS = (
     "sensor_combined",
@@ -45,29 +44,13 @@ NAMES = logs.Names(
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
-    *((180, 0, 45 * k) for k in range(4)),
-    (0, 180, 0),
-    *((180, 0, 45 * k) for k in range(5, 8)),
+    *((180, 0, 45 * k) for k in range(4)), (0, 180, 0), *((180, 0, 45 * k) for k in range(5, 8)),
     *((90, 0, 45 * k) for k in range(4)),
     *((270, 0, 45 * k) for k in range(4)),
-    (0, 90, 0),
-    (0, 270, 0),
-    (0, 180, 90),
-    (0, 180, 270),
-    (90, 90, 0),
-    (180, 90, 0),
-    (270, 90, 0),
-    (90, 180, 0),
-    (270, 180, 0),
-    (90, 270, 0),
-    (180, 270, 0),
-    (270, 270, 0),
-    (90, 180, 90),
-    (90, 0, 270),
-    (90, 68, 293),
-    (0, 315, 0),
-    (90, 315, 0),
-)
+    (0, 90, 0), (0, 270, 0), (0, 180, 90), (0, 180, 270), (90, 90, 0), (180, 90, 0), (270, 90, 0),
+    (90, 180, 0), (270, 180, 0), (90, 270, 0), (180, 270, 0), (270, 270, 0), (90, 180, 90),
+    (90, 0, 270), (90, 68, 293), (0, 315, 0), (90, 315, 0),
+)  # fmt: skip
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
 
@@ -77,16 +60,10 @@ def read_px4(
     """Read a ULog; arguments and errors as of `open_recording`."""
     if logs.begun_with(path, len(MAGIC)) != MAGIC:
         raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
-    try:
-        from pyulog import ULog
-    except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs the Python library pyulog: "
-            "pip install 'magcal_ros[px4]', or pip install pyulog"
-        ) from error
+    ulog = logs.library(path, "pyulog", "px4").ULog
     deadline = logs.Deadline(path)
     with logs.quietly(path, deadline), _Watched(path, deadline, progress) as handle:
-        tables = _tables(ULog(handle, list(TOPICS)))
+        tables = _tables(ulog(handle, list(TOPICS)))
     return logs.recording_of(path, tables, NAMES, imu, mag)
 
 
@@ -196,7 +173,7 @@ def _take_fixes(
     latitude = topic["latitude_deg"] if degrees else 1e-7 * topic["lat"]
     longitude = topic["longitude_deg"] if degrees else 1e-7 * topic["lon"]
     height = topic["altitude_msl_m"] if degrees else 1e-3 * topic["alt"]
-    has_fix = topic["fix_type"] >= FIX_3D
+    has_fix = topic["fix_type"] >= logs.FIX_3D
     for row in zip(has_fix, latitude, longitude, height, stamps, strict=True):
         tables.fixes.append(Fix(bool(row[0]), *map(float, row[1:])))
     moving = np.column_stack([stamps, topic["vel_e_m_s"], topic["vel_n_m_s"]])[has_fix]

@@ -45,13 +45,11 @@ class Recording:
     """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
-    """What to call the two."""
     field_frame: str = ""
     """What a calibration remembers of the magnetometer."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
-    """What is to be said of the recording."""
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""

@@ -194,14 +194,10 @@ class Picture:
     """One figure of the page."""
 
     name: str
-    """Its id on the page."""
     title: str
     caption: str
-    """Plain text."""
     svg: str = ""
-    """The drawing, or empty."""
     missing: str = ""
-    """Why there is no drawing."""
 
 
 @dataclass(frozen=True)

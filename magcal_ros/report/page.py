@@ -144,7 +144,7 @@ def matrix_rows(estimate: Estimate) -> list[list[str]]:
 
 
 def known_before(knowledge: Knowledge) -> list[Row]:
-    """Return what the method was told."""
+    """Return what was known beforehand."""
     reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
     pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
     believed = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
@@ -279,7 +279,7 @@ def _not_shown(verdict: Verdict, found: bool) -> str:
 def _checks(checks: Sequence[Check]) -> str:
     ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
     rows = [(_chip(check.grade), check.aspect.value, escape(check.words)) for check in ordered]
-    return f"<h2>What was checked</h2>{checks_table(('grade', 'speaks for', 'what'), rows)}"
+    return f"<h2>What was checked</h2>{checks_table(('grade', 'aspect', 'what'), rows)}"
 
 
 def _sensors(page: Page) -> str:

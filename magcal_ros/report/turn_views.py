@@ -29,7 +29,7 @@ SPHERE = "#B8B8B8"
 """Okabe and Ito's colours, which colour-blind people tell apart; markers differ besides."""
 
 LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
-"""How samples look that the fit did not believe."""
+"""The style of outliers."""
 
 MICRO = 1e6
 

@@ -191,7 +191,7 @@ class Control:
     def _do(self, command: ev.Command) -> None:
         try:
             self._carry_out(command)
-        except Exception as error:  # whatever has failed, those who wait are told
+        except Exception as error:  # whatever has failed, all who wait are answered
             self._node.note_error(error)
             self._tell(self.turn.break_off, _broken_off(error))
 
@@ -242,7 +242,7 @@ class Control:
     def _conclude(self, conclusion: ev.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
         self._unreported = None if listeners else conclusion
-        # Whatever fails here, everyone who waits is told.
+        # Whatever fails here, all who wait are answered.
         with contextlib.ExitStack() as at_last:
             for listener in listeners:
                 at_last.callback(listener, conclusion)

@@ -36,7 +36,6 @@ ASKED, ALIVE, DISMISSED = b"?", b".", b"q"
 the robot may move."""
 
 STOPPED = b"stopped the base"
-"""What the guard says at its end; all else are answers."""
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
 """Signals that are meant for the node: whoever ends both must not end the guard first."""
@@ -227,7 +226,7 @@ class Brake:
         return duty(type(self._zero).__name__, self._out.topic_name, silence)
 
     def stop_base(self, tell: Callable[[], None]) -> None:
-        """Publish zeros for a second; after the first of them somebody is told."""
+        """Publish zeros for a second; `tell` is called after the first of them."""
         deadline = time.monotonic() + ZEROS_FOR
         self._out.publish(self._zero)
         tell()

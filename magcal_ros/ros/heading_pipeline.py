@@ -224,7 +224,7 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    `motors` follows the motors, and `several` joins the magnetometers. `are_several` tells whether
+    `motors` follows the motors, and `several` joins the magnetometers. `are_several` says whether
     a calibration of a further one is in force. `lead` is the calibration that the heading is based
     on: that of the first magnetometer that has one.
     """
@@ -240,7 +240,7 @@ class HeadingPipeline:
         travel: Travel,
     ) -> None:
         self._node, self.up, self._imu, self.streams = node, up, imu, streams
-        self.frames, self._reference, self._travel = frames, reference_source, travel
+        self.frames, self._reference, self.travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
         self.fused = FusedOutput(node, up, frames)
@@ -266,7 +266,7 @@ class HeadingPipeline:
             self.headings.begin_anew(lead)
             self.fused.begin_anew(lead)
             self._reference.use(lead)
-            self._travel.use(self._origin.vehicle_yaw if self._origin else None)
+            self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
     def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
@@ -298,7 +298,7 @@ class HeadingPipeline:
         reference = self._reference.reference.field
         self.headings.publish(moment, arrived.stamp, self.body_frame(), reference)
         self.fused.on_field(moment)
-        self._travel.on_moment(moment)
+        self.travel.on_moment(moment)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
@@ -314,9 +314,4 @@ class HeadingPipeline:
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
         node = self._node.get_fully_qualified_name()
-        return Origin.now(magnetometer_frame, self._imu.frame, node, self._travel.yaw)
-
-    @property
-    def vehicle_words(self) -> str:
-        """How the IMU sits in the vehicle, for people; empty while it is not known."""
-        return self._travel.words
+        return Origin.now(magnetometer_frame, self._imu.frame, node, self.travel.yaw)

@@ -43,7 +43,7 @@ class Owner(Robot, Protocol):
         """Use the calibration that is in force from now on."""
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
+        """Publish how a turn ended, before those who wait for it are answered."""
 
 
 class Magnetometer:
@@ -97,7 +97,7 @@ class Magnetometer:
         self._note_sensors()
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         if self.number != FIRST:
-            # The robot is turned by whoever turns the first.
+            # The first magnetometer's turn commands the robot.
             settings = replace(settings, rotation=replace(settings.rotation, enabled=False))
         return self.control.start(settings, gyro)
 
@@ -146,7 +146,8 @@ class Magnetometer:
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
-        sensors, words = (self.inputs.field, self.inputs.imu), self._pipeline.vehicle_words
+        sensors, yaw = (self.inputs.field, self.inputs.imu), self._pipeline.travel.yaw
+        words = "" if yaw is None else yaw.words
         return self._reporter.report(window, settings, outcome, *sensors, words)
 
     def describe_silence(self) -> str:
@@ -155,7 +156,7 @@ class Magnetometer:
         return "; ".join(complaints) or "no new field sample with an acceleration has come"
 
     def turn_ended(self) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
+        """Publish how a turn ended, before those who wait for it are answered."""
         self._owner.turn_ended(self)
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:

@@ -23,7 +23,6 @@ from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
-"""Asks for something that is answered later."""
 
 
 class Magnetometers:
@@ -90,7 +89,8 @@ class Magnetometers:
         found = [text for each in self.further for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
-        topics, shares = self._topics, self._several.shares
+        topics = {each.number: each.topic for each in self.heard}
+        shares = self._several.shares
         # What disturbs all of them alike is no fault of one.
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
@@ -98,16 +98,16 @@ class Magnetometers:
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
         apart = math.degrees(self._several.disagreement)
         if apart:
+            names = " and ".join(topics[number] for number in shares)
             found.append(
-                f"the headings of {' and '.join(topics[k] for k in shares)} are "
-                f"{apart:.0f}° apart, and nothing tells which is wrong: the published sigma holds "
-                "it. Calibrate all in one turn, and see whether each sits as mount_rpy_deg and "
-                "mount_2_rpy_deg say"
+                f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
+                "which is wrong: the published sigma includes it. Calibrate all in one turn, and "
+                "check that each is mounted as mount_rpy_deg and mount_2_rpy_deg say"
             )
         return found
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return what `~/status` tells; nothing while only the first is there."""
+        """Return the part of `~/status` on them; nothing while only the first is there."""
         shares = self._several.shares
         return [
             {
@@ -147,10 +147,6 @@ class Magnetometers:
     def keepers(self) -> dict[int, Keeper]:
         """Who has what is in force, by the magnetometers' numbers."""
         return {each.number: each.keeper for each in self.heard}
-
-    @property
-    def _topics(self) -> dict[int, str]:
-        return {each.number: each.topic for each in self.heard}
 
     @property
     def _busy(self) -> list[Magnetometer]:
@@ -274,7 +270,7 @@ class Services:
         async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 return _fill(response, await action())
-            except Exception as error:  # whatever it is, the caller is told
+            except Exception as error:  # whatever it is, the caller is answered
                 return _fill(response, self._failed(error))
 
         return answer
@@ -283,7 +279,7 @@ class Services:
         def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
                 return _fill(response, action())
-            except Exception as error:  # whatever it is, the caller is told
+            except Exception as error:  # whatever it is, the caller is answered
                 return _fill(response, self._failed(error))
 
         return answer

@@ -43,7 +43,7 @@ class EndSignals:
         threading.Thread(target=self._watch, name="magcal-signals", daemon=True).start()
 
     def when_given(self, listener: Callable[[], None]) -> None:
-        """Call back once, from another thread; at once if the process was told already."""
+        """Call back once, from another thread; at once if a signal has come already."""
         with self._lock:
             self._listener = listener
             if not self._told.is_set():
@@ -64,7 +64,7 @@ SWITCH_INTERVAL = 0.0005
 message that waits. With Python's own 5 ms a message that came then would be late by as much."""
 
 LAST_RESORT = 8.0
-"""Seconds after which a process that was told to end is gone, whatever it still waits for: a lock
+"""Seconds after which a process that is to end is gone, whatever it still waits for: a lock
 of the middleware that another process took with it, say. `ros2 launch` kills after 10."""
 
 ENDING = 1.0
@@ -72,7 +72,7 @@ ENDING = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; returns the exit status."""
+    """Run the node until a signal ends it; returns the exit status."""
     # Fits and reports are computed in processes started from here.
     use_one_thread()
     signals = EndSignals()

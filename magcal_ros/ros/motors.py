@@ -26,7 +26,7 @@ BETTER = 0.7
 PAUSE = 60
 """Seconds of learning between two writings of the file."""
 SILENT = 1.5
-"""Seconds without a message after which nobody knows the current any more."""
+"""Seconds without a message after which the current counts as unknown."""
 
 
 class Commands:

@@ -221,7 +221,7 @@ class Calibrator(Node):
         return Around(*ages, self._rotator.listeners, is_allowed, self._rotator.is_guarded)
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
+        """Publish how a turn ended, before those who wait for it are answered."""
         if magnetometer is self._first:
             self._frames.note_outcome(self._control.turn.last_outcome)
             self._publish_status()

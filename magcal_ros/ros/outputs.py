@@ -106,7 +106,7 @@ class HeadingOutput:
         self._yaw = wire.NumberTemplate()
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
-        """The newest field message under the calibration in force, its yaw as uncertain as told."""
+        """The newest field message under the calibration in force, with the published variance."""
 
     def rivals(self) -> str:
         """Say that another node publishes the same heading; empty if none does."""
@@ -181,12 +181,13 @@ class FusedOutput:
         self._frames = frames
         self.patience = PATIENCE
         self.is_needed = False
-        """Whether the yaw is propagated although nobody listens."""
+        """Whether the yaw is propagated without a subscriber."""
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
         self._follower = follower
         self._calibration: Calibration | None = None
         self._attitude = wire.AttitudeTemplate()
-        self._fused: FusedYaw | None = None
+        self.yaw: FusedYaw | None = None
+        """The yaw that is propagated; None while none is."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
         """Forget the yaw: another calibration is in force, or none.
@@ -194,10 +195,10 @@ class FusedOutput:
         While two antennas measure it, no compass is needed.
         """
         self._calibration = calibration
-        if calibration is not None and self._fused is not None and self._fused.has_external_yaw:
-            self._fused.use(calibration, self.patience)
+        if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
+            self.yaw.use(calibration, self.patience)
         else:
-            self._fused = None
+            self.yaw = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
         """Propagate the yaw to an IMU message, and publish it there."""
@@ -205,11 +206,11 @@ class FusedOutput:
             return
         is_heard = bool(self._out.get_subscription_count())
         if not (is_heard or self.is_needed):
-            self._fused = None
+            self.yaw = None
             return
-        if self._fused is None:
-            self._fused = FusedYaw(self._calibration, self.patience)
-        fused, up = self._fused, self._follower.at(seconds, 0.0)
+        if self.yaw is None:
+            self.yaw = FusedYaw(self._calibration, self.patience)
+        fused, up = self.yaw, self._follower.at(seconds, 0.0)
         if up is None or not self._follower.is_propagated:
             fused.restart()
             return
@@ -227,25 +228,20 @@ class FusedOutput:
 
     def on_field(self, moment: Moment) -> None:
         """Let a field message correct the yaw."""
-        if self._fused is None or not self._follower.is_propagated:
+        if self.yaw is None or not self._follower.is_propagated:
             return
         if moment.up is not None and moment.heading is not None:
-            self._fused.detector.patience = self.patience
-            self._fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
-
-    @property
-    def yaw(self) -> FusedYaw | None:
-        """The yaw that is propagated; None while none is."""
-        return self._fused
+            self.yaw.detector.patience = self.patience
+            self.yaw.correct(moment.stamp, moment.field, moment.up, moment.heading)
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
         """Say whether the yaw is published, and whether the field corrects it."""
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
-            level = level if self._fused is None else DiagnosticStatus.WARN
+            level = level if self.yaw is None else DiagnosticStatus.WARN
             return wire.diagnostic(name, "Fused", silence, level=level)
-        assert self._fused is not None
-        detector, heading = self._fused.detector, self._fused.heading()
+        assert self.yaw is not None
+        detector, heading = self.yaw.detector, self.yaw.heading()
         departure = f"{detector.departure:.1f} sigma"
         values = {"field": detector.trust.value, "field departure": departure}
         message = "the compass corrects the gyro"
@@ -265,8 +261,8 @@ class FusedOutput:
         """Say why nothing is published; empty if something is."""
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
-        if self._fused is None or not self._out.get_subscription_count():
-            return f"nobody listens to {TOPIC}"
+        if self.yaw is None or not self._out.get_subscription_count():
+            return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
             return (
                 f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
@@ -278,7 +274,7 @@ class FusedOutput:
             )
         if not self._follower.is_propagated:
             return f"nothing on {TOPIC}: the IMU has no gyro"
-        if self._fused.heading() is None:
+        if self.yaw.heading() is None:
             return f"nothing on {TOPIC} yet: no field has come"
         return ""
 

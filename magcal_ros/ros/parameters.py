@@ -38,13 +38,10 @@ class Rotation:
     """Whether and how the robot turns itself."""
 
     enabled: bool
-    """Whether it does."""
     speed: float
     """rad/s."""
     stamped: bool
-    """Whether velocities are TwistStamped."""
     frame: str
-    """Their frame_id then."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +153,7 @@ class Parameters:
         self._given = dict(self._values)
         self.settings = Settings.of(self._values)
         node.add_on_set_parameters_callback(self._check)
-        # Humble has nothing that tells when everybody agreed.
+        # Humble has no callback after all have agreed.
         when_agreed = getattr(node, "add_post_set_parameters_callback", None)
         self._effects_come_later = when_agreed is not None
         if when_agreed is not None:
@@ -178,7 +175,7 @@ class Parameters:
         return value
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
-        """Say whether changes are allowed; whoever is asked after this may still refuse them."""
+        """Say whether changes are allowed; a later callback may still refuse them."""
         try:
             Settings.of(self._changed(changes))
             for change in changes:
@@ -221,12 +218,12 @@ class Parameters:
             )
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:
-        """Use what everybody agreed to."""
+        """Use what all callbacks have accepted."""
         self._values = self._changed(changes)
         self.settings = Settings.of(self._values)
 
     def _put_in_effect_afterwards(self, changes: list[Parameter]) -> None:
-        """Look, when the call is over, what became of it (Humble has nothing that tells)."""
+        """Read the values when the call is over: Humble has no callback for that."""
 
         def look() -> None:
             names = [change.name for change in changes if self._node.has_parameter(change.name)]

@@ -161,7 +161,7 @@ class Rehearsal:
             self._settled_yaws.append(float(rpy_from_rotation(body_to_world)[2]))
 
     def wait_for_node(self, patience: float = PATIENCE) -> None:
-        """Wait until the node listens to the sensors and has told its state."""
+        """Wait until the node listens to the sensors and has published its state."""
         deadline = time.monotonic() + patience
         while not (self.source.listeners and self.status):
             if time.monotonic() > deadline:

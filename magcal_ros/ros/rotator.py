@@ -81,7 +81,7 @@ class Rotator:
                 self._may_move = True
 
     def rest(self) -> None:
-        """Note that the base was told to stand, often enough; the guard may go."""
+        """Note that enough zeros were sent; the guard may go."""
         self._may_move = False
         self._dismiss_guard()
 

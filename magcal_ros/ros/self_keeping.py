@@ -91,7 +91,7 @@ class SelfKeeping:
         self._magnetometer.use(proposal.on_users_word(), tell)
 
     def facts(self) -> dict[str, Any]:
-        """Return what `~/status` tells."""
+        """Return the part of `~/status` on self-calibration."""
         machine = self._machine
         return {
             "mode": machine.mode.value,
@@ -150,7 +150,7 @@ class SelfKeeping:
         self._say(f"self-calibration: {words}")
 
     def _leave_page(self, calibration: Calibration) -> None:
-        """Have a page written on what was driven, believed and decided."""
+        """Have a page written on the drive, the samples used and the decisions."""
         if self._reports == NO_REPORTS:
             return
         from magcal_ros.core.keeping.story import DriveStory

@@ -368,7 +368,7 @@ class BackgroundThread:
     def _hand_over(self, done: Done) -> None:
         self._done.put(done)
         executor = self._node.executor
-        # One that is shut down at this moment has lost what wakes it; nobody waits any more.
+        # One that is shut down at this moment has lost what wakes it; nothing waits any more.
         with contextlib.suppress(Exception):
             if executor is not None:
                 executor.create_task(self.deliver)

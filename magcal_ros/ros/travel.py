@@ -57,7 +57,7 @@ class Travel:
         self._node, self._thread, self._tell_fix = node, thread, on_fix
         self._plane = LocalPlane()
         self._odd: dict[str, str] = {}
-        self._topics = {
+        self._topics: dict[SpeedSource | None, str] = {
             SpeedSource.ODOMETRY: node.resolve_topic_name("odom"),
             SpeedSource.VELOCITY: node.resolve_topic_name("gps/vel"),
             SpeedSource.FIXES: node.resolve_topic_name("gps/fix"),
@@ -65,7 +65,7 @@ class Travel:
         self._travelling = Travelling(run=self._run)
         self.front = Front()
         self.own_acceleration: Triple | None = None
-        """Of the vehicle at the newest IMU sample, m/s², body axes; None where nobody knows."""
+        """Of the vehicle at the newest IMU sample, m/s², body axes; None where it is unknown."""
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
         self.subscriptions = [
@@ -87,11 +87,6 @@ class Travel:
             return kept
         return found
 
-    @property
-    def words(self) -> str:
-        """How the IMU sits in the vehicle, for people; empty while it is not known."""
-        return "" if self.yaw is None else self.yaw.words
-
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
         self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)
@@ -102,12 +97,6 @@ class Travel:
         """The newest speed, m/s; NaN where it is unknown."""
         track = self._travelling.speedometer.track
         return math.nan if track is None else track.last
-
-    @property
-    def speed_from(self) -> str | None:
-        """The topic whose speed is used; None where there is none."""
-        source = self._travelling.source
-        return None if source is None else self._topics[source]
 
     @property
     def has_wheels(self) -> bool:
@@ -206,7 +195,7 @@ class Travel:
             return None
         course = travelling.course
         return {
-            "speed_from": self.speed_from,
+            "speed_from": self._topics.get(travelling.source),
             "own_acceleration_taken_off": travelling.takes_off,
             "metres": round(travelling.metres, -1),
             "drifts": travelling.drift.is_drifting,

@@ -53,7 +53,6 @@ class ImuArrival(NamedTuple):
     """What the node takes from a sensor_msgs/Imu."""
 
     frame: str
-    """The IMU's."""
     sample: ImuSample | None
     """Its numbers; None if it carries no acceleration."""
     stamp: bytes
@@ -64,9 +63,7 @@ class FieldArrival(NamedTuple):
     """What the node takes from a sensor_msgs/MagneticField."""
 
     frame: str
-    """The magnetometer's."""
     sample: FieldSample
-    """Its numbers."""
     stamp: bytes
     """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
     covariance: bytes
@@ -150,9 +147,6 @@ _STAMP_END = CDR_START + STAMP.size
 _FRAME_PLACE = _STAMP_END + 4
 """After the stamp comes the frame's length in four bytes."""
 
-Nine = tuple[float, ...]
-"""A 3 x 3 matrix, row-major."""
-
 
 class Template:
     """A message with header, and doubles that begin right after it."""
@@ -195,7 +189,7 @@ class FieldTemplate(Template):
     def __init__(self) -> None:
         super().__init__(MagneticField(), 3 + 9)
 
-    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: Nine) -> Any:
+    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: tuple[float, ...]) -> Any:
         """Return what to publish for a field (tesla) and its covariance (T²)."""
         data = self._filled(stamp, frame, field + covariance)
         if data is not None:

@@ -119,7 +119,6 @@ class MotorField:
     """The field of the motors, `K u` beside the hard iron, with its certainty."""
 
     inputs: tuple[MotorInput, ...]
-    """What u holds."""
     gain: FloatArray
     """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
     covariance: FloatArray
@@ -130,7 +129,7 @@ class MotorField:
     """Tesla per axis that the field deviates by while the robot moves, beside K u."""
     usual: tuple[float, ...]
     """Root mean square of each input while the robot moves: what is expected of an input that
-    nobody tells."""
+    is not measured."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)

@@ -227,11 +227,9 @@ class Reference:
     """The reference field in use."""
 
     field: ReferenceField
-    """The numbers."""
     source: str
     """Where they come from, in words."""
     complaints: tuple[str, ...] = ()
-    """What the user should know about it."""
 
     @property
     def north(self) -> str:

@@ -69,7 +69,6 @@ class RecheckTuning:
     """How a recheck looks."""
 
     bounds: tuple[Bound, ...] = RECHECK_BOUNDS
-    """The bounds of the grades."""
     bins: int = 36
     """Sectors of heading over which a mean is taken: narrow against two swings a turn."""
     longest_piece: float = 60.0

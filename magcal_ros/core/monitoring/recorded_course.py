@@ -30,7 +30,7 @@ class RecordedCourse:
     mounting: MountingYaw | None = None
     """How the IMU sits in the vehicle, where its acceleration shows it."""
     declination: float | None = None
-    """Radians, positive east, of the place; it is part of the offset. None where nobody knows
+    """Radians, positive east, of the place; it is part of the offset. None where it is not known
     it."""
 
     @property

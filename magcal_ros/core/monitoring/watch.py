@@ -80,12 +80,7 @@ class Watch:
         self._doubts_since: float | None = None
         self._clear_since: float | None = None
         self._stale_since = 0.0
-        self._watched = Watched(memory=tuning.memory)
-
-    @property
-    def watched(self) -> Watched:
-        """What is known by now."""
-        return self._watched
+        self.watched = Watched(memory=tuning.memory)
 
     def take(self, moment: Moment) -> None:
         """Take a field message that has an up, a heading and a rate."""
@@ -170,17 +165,17 @@ class Watch:
         measured = measure(late, self._calibration, self._tuning)
         if not measured.contradicts:
             measured = measure(records, self._calibration, self._tuning)
-        before = self._watched
+        before = self.watched
         if not measured.findings:
             self._doubts_since = self._clear_since = None
             minutes = self._minutes(now, before.is_stale)
-            self._watched = replace(before, minutes=minutes, lacking=measured.lacking)
+            self.watched = replace(before, minutes=minutes, lacking=measured.lacking)
             return
         self._weigh(now, records, measured)
 
     def _weigh(self, now: float, records: FloatArray, measured: Measured) -> None:
         """Adopt what every look of the last minute shows; until then keep the previous finding."""
-        before = self._watched
+        before = self.watched
         contradicts = measured.contradicts
         if contradicts:
             self._doubts_since, self._clear_since = self._doubts_since or now, None
@@ -193,7 +188,7 @@ class Watch:
             is_stale = contradicts
             self._stale_since = onset(records, self._calibration, self._tuning)
         keeps_words = is_stale and not contradicts
-        self._watched = Watched(
+        self.watched = Watched(
             is_stale,
             before.findings if keeps_words else measured.findings,
             self._minutes(now, is_stale),

@@ -86,7 +86,6 @@ class WatchTuning:
     """How a drive is watched."""
 
     bounds: tuple[Bound, ...] = WATCH_BOUNDS
-    """The bounds of the grades."""
     memory: float = 600.0
     """Seconds of driving that are looked at."""
     most_records: int = 400
@@ -102,14 +101,14 @@ class WatchTuning:
     look_every: float = 15.0
     """Seconds between two looks at the records."""
     confirm: float = 60.0
-    """Seconds for which every look must say the same before it is believed."""
+    """Seconds for which every look must agree before the state changes."""
     steepest_nose: float = RecheckTuning.steepest_nose
     """Squared share of up along body x (60°) beyond which yaw is not compared."""
     longest_piece: float = RecheckTuning.longest_piece
     """Seconds over which the gyro's drift is taken as steady."""
     sectors: int = 12
     fewest_sectors: int = 8
-    """Sectors of heading, and how many must have been driven before swings can be told."""
+    """Sectors of heading, and how many must have been driven before swings are fitted."""
     widest_hole: float = math.radians(100.0)
     """Radians of heading that may be missing in one stretch."""
     fewest_records: int = 40
@@ -121,9 +120,9 @@ class WatchTuning:
     """A swing counts when it is `clearly (1 + few/n)` times its own standard deviation, of which n
     independent stretches of driving know little when they are few."""
     promise: float = 3.0
-    """Standard deviations of what the calibration promised that are no change."""
+    """Predicted standard deviations of the heading that are no change."""
     largest_promise: float = 0.1
-    """Radians; a calibration that promises less than this widens no bound any further."""
+    """Radians; a larger predicted sigma widens no bound any further."""
     correlation_time: float = 30.0
     """Seconds over which the records' errors are taken to be alike, less and less."""
     huber: float = 1.5
@@ -131,7 +130,7 @@ class WatchTuning:
     rounds: int = 8
     """Of reweighting."""
     smallest_scatter: float = 0.002
-    """Of the field; records are never believed to agree better."""
+    """Of the field; the least scatter that is assumed for records."""
     fastest_curve: float = 0.15
     """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
     rad/s."""

@@ -140,7 +140,7 @@ WORST_IS_LARGEST = (
     Figure.MOTOR_FIELD,
 )
 WORST_IS_SMALLEST = (Figure.GYRO_CARRIED, Figure.ON_THE_SPOT)
-"""Figures of the turns' own fits of which the worst speaks for all."""
+"""Figures of the turns' own fits of which the worst is reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +258,7 @@ class Joined:
     """Turns put together."""
 
     turns: list[Turn]
-    """All of them."""
     members: list[Turn]
-    """Those that joined."""
     estimate: Estimate | None = None
     """Of two members or more; one stands by its own estimate."""
     several: Several | None = None

@@ -16,9 +16,7 @@ class KeptTuning:
     """How much is kept of the turns: the oldest leaves first, and a long one is thinned."""
 
     most_turns: int = 12
-    """Turns."""
     most_samples: int = 4000
-    """Samples of each."""
 
 
 TUNING = KeptTuning()
@@ -30,7 +28,6 @@ class Kept:
 
     windows: tuple[Window, ...] = ()
     names: tuple[str, ...] = ()
-    """What each is called."""
     count: int = 0
     """How many turns were tried, for the next one's name."""
 
@@ -156,7 +153,6 @@ class Advice:
     pose: str
     """How the robot should stand, to be read after "turn"."""
     after: Shown
-    """What would then be shown."""
 
 
 @dataclass(frozen=True)
@@ -164,9 +160,7 @@ class TurnFate:
     """What became of one turn."""
 
     name: str
-    """What to call it."""
     joined: bool
-    """Whether it is part of the estimate."""
     words: str
     """What it added, or why it was left out."""
     shown: Shown | None = None

@@ -27,7 +27,7 @@ from magcal_ros.core.smoother.several import Together, fit_together
 from magcal_ros.core.smoother.unknowns import AT
 
 LOOKED_AT = 2.0
-"""Misfit below which nobody asks whether a turn belongs to the others; it saves time only."""
+"""Misfit below which turns are not compared further; this only saves time."""
 LEAST = 0.03
 """Share of a turn's own variance that the others take away at least, or they tell it nothing."""
 IRON = AT["iron"]
@@ -93,7 +93,6 @@ class Turn:
     """One turn and its own fit."""
 
     name: str
-    """What to call it."""
     window: Window
     verdict: Verdict
     """As if it were the only turn."""

@@ -162,7 +162,7 @@ def add_standing(
             words.insert(
                 0,
                 f"The calibration in force agrees with this heading (off by {gap * DEGREES:.1f}°) "
-                f"and promises ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
+                f"and predicts ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
     return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
@@ -182,7 +182,7 @@ def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, 
         near = abs(wrapped(each.heading - new.heading)) < TUNING.same
         is_same = near and np.linalg.norm(each.field - new.field) * MICROTESLA < STANDING.usual
         if not is_same:
-            # Across one that is left out nobody knows the turn.
+            # The turn across one that is left out is not known.
             kept.append(replace(each, turned_sigma=math.inf) if lost else each)
         lost = bool(is_same)
     return tuple(kept)
@@ -204,7 +204,7 @@ def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
 def _contradicted(gap: float, sigma: float) -> str:
     return (
         f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
-        f"{'left' if gap > 0.0 else 'right'} than is told, and ±{sigma * DEGREES:.1f}° would be "
+        f"{'left' if gap > 0.0 else 'right'} than was given, and ±{sigma * DEGREES:.1f}° would be "
         "usual. Either the heading is wrong (its sign, its north, its zero to the east), or "
         "the calibration is out of date or its sensor turned: then call ~/reset, and this again"
     )

@@ -74,7 +74,6 @@ class ExternalHeading:
     yaw: float
     """ENU yaw, radians: zero to the east, positive to the left."""
     sigma: float
-    """Its standard deviation."""
     is_true: bool
     """Whether it is to true north; otherwise to magnetic north."""
 

@@ -83,7 +83,6 @@ class Around:
     field_age: float
     """Seconds since the newest message of either sensor; infinite before the first."""
     listeners: int
-    """How many subscribe to the commands."""
     is_allowed: bool
     """Whether the user still lets the robot turn itself."""
     is_guarded: bool

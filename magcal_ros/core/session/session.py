@@ -1,7 +1,7 @@
 """Collects the samples of one turn and decides when it is over; time is passed in.
 
 Paired samples enter, coverage answers how far the turn is, and the session says when it is over
-and why. It does not fit: whoever owns it takes the window and gives it to a method.
+and why. It does not fit: its owner passes the window to a method.
 """
 
 from __future__ import annotations
@@ -111,9 +111,7 @@ class Progress:
     stage: Stage
     """Whether it is over, and why."""
     coverage: Coverage
-    """What of the turn was seen."""
     samples: int
-    """Pairs held."""
     elapsed: float
     """Seconds since the start on a steady clock."""
     turn_rate: float
@@ -147,7 +145,7 @@ class Session:
 
     `mounting` is needed for the phase about the up vector, `now` is in seconds on a steady clock,
     `gyro` is from a rest before it. The buffer may be `longer` times that of a turn. `was_set_back`
-    tells whether stamps went back, and what came before was left out.
+    says whether stamps went back, and what came before was left out.
     """
 
     def __init__(
