@@ -83,7 +83,7 @@ setup(
         "Typing :: Typed",
     ],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "core/earth_field/coefficients/*.COF"]},
+    package_data={NAME: ["py.typed", "core/earth_field/coefficients/*.COF", "report/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

@@ -28,7 +28,7 @@ from simulated.legs import city
 from simulated.travel import travel
 
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, PositionSample, SpeedSample
-from magcal_ros.ros.sensor_source import SensorSource, set_time
+from magcal_ros.ros.rehearsal import SensorSource, set_time
 
 WARM_UP = 30.0
 APART = 3e-3

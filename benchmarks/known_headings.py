@@ -42,7 +42,7 @@ from magcal_ros.core.heading.fused_yaw import FusedYaw
 from magcal_ros.core.knowledge import Belief, Knowledge, ReferenceField
 from magcal_ros.core.methods.known_headings import declination_hint, fit
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.session.antenna import HeadingLog, fit_log
+from magcal_ros.core.session.at_known_heading import HeadingLog, fit_log
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.simulation.simulator import DEGREE, Robot, slope_rpy
 from magcal_ros.core.smoother.standings import Standing
@@ -237,7 +237,7 @@ class Follower:
             return
         if since < HEARD:
             told, shift = self._told(k), self._knowledge.reference.declination or 0.0
-            heard = sample.stamp, sample.field, up.direction, self._up.rate, told, shift
+            heard = sample, up.direction, self._up.rate, told, shift
             if self._log.add(*heard, self._up.is_at_rest):
                 self._calibrate()
         if self._compass is not None and self._fused is not None:

@@ -21,7 +21,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, MagneticField
 from std_srvs.srv import Trigger
 
-from magcal_ros.ros.sensor_loop import SensorGroup, Spinner
+from magcal_ros.ros.threads import SensorGroup, Spinner
 
 RATES = ((100, 50), (400, 200))
 ROUNDS = 4

@@ -6,6 +6,7 @@ The sensors publish all the while, and somebody listens. Run it as
 
 from __future__ import annotations
 
+import os
 import statistics
 import sys
 import tempfile
@@ -52,6 +53,8 @@ class Listener:
 
 
 def main() -> None:
+    # An installed package is compiled; without compiled files each start would compile it anew.
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 8
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "calibration.yaml"

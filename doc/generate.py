@@ -48,7 +48,8 @@ def parameters_as_yaml() -> str:
             lines.append(f"    {prefix}:")
         group = prefix
         indent = "      " if prefix else "    "
-        lines.append(f"{indent}# {spec.full_description}")
+        limits = f" ({spec.constraints})" if spec.constraints else ""
+        lines.append(f"{indent}# {spec.description}{limits}")
         lines.append(f"{indent}{name or spec.name}: {spec.yaml_default}")
     return "\n".join(lines) + "\n"
 

@@ -66,21 +66,8 @@ def start(
 ) -> "subprocess.Popen[bytes]":
     """Start `main` of a module in a process of its own.
 
-    Parameters
-    ----------
-    module : str
-        Of this package, by its whole name.
-    *arguments : str
-        What the module finds in `sys.argv`, after its name.
-    extra : mapping of str to str, optional
-        Environment variables beyond this process's.
-    **options
-        Of `subprocess.Popen`.
-
-    Raises
-    ------
-    OSError
-        If the system has no room for another process.
+    The arguments come to its `sys.argv`, `extra` to its environment; options are those of
+    `subprocess.Popen`. An OSError if the system has no room for another process.
     """
     import subprocess
 

@@ -7,17 +7,10 @@ import re
 import time
 from typing import Any
 
+from magcal_ros.cli import live_view
 from magcal_ros.cli.common import Exit
-from magcal_ros.cli.live_view import (
-    View,
-    best_view,
-    interrupts_noted,
-    joined,
-    progress_of,
-    turns_itself,
-)
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 
 PATIENCE = 5.0
 """Seconds within which a running node is discovered."""
@@ -48,12 +41,7 @@ def node_name(text: str) -> str:
 def find_calibrator(node: Any, wanted: str | None) -> str:
     """Return the full name of the calibrator that is meant.
 
-    Raises
-    ------
-    Misuse
-        If there are several and none is named.
-    MagcalError
-        If it is not there; the text lists those that are.
+    Misuse if there are several and none is named; a MagcalError that lists those that are there.
     """
     begin = first_seen = time.monotonic()
     seen: list[str] = []
@@ -106,10 +94,10 @@ TO_CANCEL = 1.0
 """Seconds that the node has to answer ~/cancel."""
 
 STATUS_WITHIN = 5.0
-"""Seconds within which a running node tells its status, discovery included."""
+"""Seconds within which the status of a running node arrives, discovery included."""
 
 
-def add_to(commands: Any) -> None:
+def add_calibrate(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "calibrate",
@@ -130,7 +118,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate; the exit status says whether the calibration is in force."""
-    with joined("magcal_calibrate", []) as node:
+    with live_view.joined("magcal_calibrate", []) as node:
         from magcal_ros.ros.preflight import inspect
 
         calibrator = find_calibrator(node, options.node)
@@ -140,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
             print("\n".join(findings.lines), flush=True)
             if not findings.ready:
                 return Exit.TOO_LITTLE_DATA
-        answer = _Turn(node, calibrator).run(best_view())
+        answer = _Turn(node, calibrator).run(live_view.best_view())
     print(f"\n{plain(answer.message, LONGEST_ANSWER)}")
     return Exit.GOOD if answer.success else Exit.REFUSED
 
@@ -154,7 +142,7 @@ class _Turn:
         from std_msgs.msg import String
         from std_srvs.srv import Trigger
 
-        from magcal_ros.ros.outputs import LATCHED
+        from magcal_ros.ros.sensor_frames import LATCHED
 
         self._calibrator = calibrator
         self._status: str | None = None
@@ -170,7 +158,7 @@ class _Turn:
         }
         self._request = Trigger.Request()
 
-    def run(self, view: View) -> Any:
+    def run(self, view: live_view.View) -> Any:
         self._warn_if_it_moves()
         if not self._clients["calibrate"].wait_for_service(timeout_sec=5.0):
             raise MagcalError(
@@ -178,7 +166,7 @@ class _Turn:
                 "Start it with `ros2 run magcal_ros calibrator`, or name it with --node"
             )
         future = self._clients["calibrate"].call_async(self._request)
-        with interrupts_noted() as interrupted:
+        with live_view.interrupts_noted() as interrupted:
             with view:
                 while not future.done() and not interrupted.is_set():
                     self._executor.spin_once(timeout_sec=0.1)
@@ -198,12 +186,9 @@ class _Turn:
         while self._status is None and time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.1)
         if self._status is None:
-            print(
-                "The robot will turn itself if rotate.enabled is true, which the node does not "
-                "tell: keep clear.",
-                flush=True,
-            )
-        elif turns_itself(self._status):
+            unknown = "if rotate.enabled is true, which is not known"
+            print(f"The robot will turn itself {unknown}: keep clear.", flush=True)
+        elif live_view.turns_itself(self._status):
             print("The robot will turn itself, once each way: keep clear.", flush=True)
 
     def _require_life(self) -> None:
@@ -217,7 +202,7 @@ class _Turn:
     def _on_status(self, message: Any) -> None:
         self._heard = time.monotonic()
         self._status = message.data
-        self._progress = progress_of(message.data)
+        self._progress = live_view.progress_of(message.data)
 
     def _on_diagnostics(self, message: Any) -> None:
         begin = f"{self._calibrator.lstrip('/')}: "

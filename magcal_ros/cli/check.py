@@ -1,35 +1,43 @@
-"""`magcal check`: whether a calibration still holds on a fresh recording."""
+"""`magcal check`, `drive` and `export`: a stored calibration on other samples, in other formats."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from magcal_ros.cli import recorded
 from magcal_ros.cli.common import (
+    CALIBRATION,
     Exit,
     add_output_option,
     add_reference_options,
     bullets,
     document,
     new_or_named,
+    reference_in_use,
     table,
 )
-from magcal_ros.cli.recorded import Gathered, add_recording_options, gather, opened
+from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import Outcome
 from magcal_ros.core.earth_field.reference import made_elsewhere
 from magcal_ros.core.errors import Refusal
+from magcal_ros.core.keeping.story import DriveReplay, DriveStory
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.monitoring.recheck import STATES, Recheck, check
 from magcal_ros.core.monitoring.recorded_course import against_own_yaw, recorded_course
 from magcal_ros.core.samples.window import Window
-from magcal_ros.files.calibration_file import Origin, read_calibration
-from magcal_ros.files.reading import plain, plain_lines
+from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.disk import plain, plain_lines, write_atomically
+from magcal_ros.files.exporters import EXPORTERS, NOTES, OF_LOGS
 from magcal_ros.files.repaired_readings import RepairedReadings
 from magcal_ros.report import Subject, write_report
+from magcal_ros.report.drive_page import VERBS, summary_of, write_drive_page
 
 
-def add_to(commands: Any) -> None:
+def add_check(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "check",
@@ -38,20 +46,20 @@ def add_to(commands: Any) -> None:
         "robot turns. Exit status: 0 it holds or is doubtful (the words tell), 2 usage, 3 too "
         "little data, 4 stale, 5 file trouble.",
     )
-    add_recording_options(parser)
+    recorded.add_recording_options(parser)
     parser.add_argument(
         "--calibration", type=Path, required=True, metavar="FILE", help="the calibration"
     )
     add_output_option(parser, "the report", "magcal_check")
     add_reference_options(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_check)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_check(options: argparse.Namespace) -> int:
     """Read both, compare, and say what came of it."""
     calibration, origin = read_calibration(options.calibration)
-    with opened(options, options.recording) as source:
-        gathered = gather(options, Mounting(), source, calibration)
+    with recorded.opened(options, options.recording) as source:
+        gathered = recorded.gather(options, Mounting(), source, calibration)
         north = gathered.reference.field.declination
         travel, readings = source.travel(), RepairedReadings(source, known=calibration)
         course = recorded_course(calibration, readings, travel, north) if travel else None
@@ -93,13 +101,13 @@ def _subject(
         f"{plain(str(options.calibration))}",
         method=outcome.estimate.method,
         title="Compass check",
-        magnetometer_frame=gathered.field_frame,
-        imu_frame=gathered.imu_frame,
+        magnetometer_frame=gathered.source.field_frame,
+        imu_frame=gathered.source.imu_frame,
     )
 
 
 def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
-    made_for, heard = origin.magnetometer_frame, gathered.field_frame
+    made_for, heard = origin.magnetometer_frame, gathered.source.field_frame
     if made_for and heard and made_for != heard:
         return [
             f"the calibration was made for the magnetometer {plain(made_for)}, "
@@ -142,3 +150,102 @@ def _facts(result: Recheck, notes: list[str]) -> dict[str, Any]:
         "not_shown": list(result.verdict.not_shown),
         "about": notes,
     }
+
+
+def add_drive(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "drive",
+        help="say what a recorded drive shows of the compass",
+        description="Tell a recorded drive again: what self-calibration would have decided and "
+        "why, and a map of where the field is bent. Exit status: 0 a calibration is in force at "
+        "the end, 2 usage, 3 none is, 5 file trouble.",
+    )
+    recorded.add_recording_options(parser)
+    parser.add_argument(
+        "--calibration", type=Path, metavar="FILE", help="in force at the beginning (default: none)"
+    )
+    add_output_option(parser, "the report", "magcal_drive")
+    recorded.add_knowledge_options(parser)
+    parser.set_defaults(run=run_drive)
+
+
+def run_drive(options: argparse.Namespace) -> int:
+    """Read, decide again, write the page."""
+    begun = None if options.calibration is None else read_calibration(options.calibration)[0]
+    folder = new_or_named(options.output, "magcal_drive")
+    with recorded.opened(options, options.recording) as source:
+        reference = reference_in_use(options, source.place(), source.begun())
+        replay = DriveReplay(Knowledge(reference.field, recorded.mounting_from(options)), begun)
+        repaired = RepairedReadings(source, for_drive=True, known=begun)
+        travel = source.travel()
+        with recorded.at_work(
+            lambda: f"fitting the drive, {100.0 * repaired.share:.0f} % of it", sys.stderr
+        ):
+            replay.take(repaired, travel)
+        frames = source.field_frame, source.imu_frame
+        story = replay.story()
+        if story.ended is not None and travel:
+            north = reference.field.declination
+            course = recorded_course(story.ended, repaired, travel, north)
+            story = replace(story, course="" if course is None else course.words)
+    page = write_drive_page(folder, story, plain(str(options.recording)))
+    files = [page]
+    if story.ended is not None and story.ended is not begun:
+        files.append(folder / CALIBRATION)
+        write_calibration(files[-1], story.ended, Origin.now(*frames))
+    notes = list(dict.fromkeys([*source.notes, *repaired.notes]))
+    content = story, notes, files
+    print(document(_drive_facts(*content)) if options.json else plain_lines(_drive_words(*content)))
+    return Exit.TOO_LITTLE_DATA if story.ended is None else Exit.GOOD
+
+
+def _drive_words(story: DriveStory, notes: list[str], files: list[Path]) -> str:
+    lines = [summary_of(story)]
+    lines += [f"At the end: {story.course}."] if story.course else []
+    lines += [f"{at:6.0f} s  {VERBS[made.verb]}: {made.words}" for at, made in story.decisions]
+    lines += bullets("About the recording:", notes).strip("\n").splitlines()
+    return "\n".join([*lines, *(f"Written: {file}" for file in files)])
+
+
+def _drive_facts(story: DriveStory, notes: list[str], files: list[Path]) -> dict[str, Any]:
+    return {
+        "summary": summary_of(story),
+        "course": story.course or None,
+        "decisions": [
+            {"at_s": round(at, 1), "decision": made.verb.value, "why": made.words}
+            for at, made in story.decisions
+        ],
+        "about": notes,
+        "files": [str(file) for file in files],
+    }
+
+
+def add_export(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "export",
+        help="write a calibration for another program",
+        description="Write a calibration in the form another program reads. What that program "
+        "cannot hold is said in a comment; what would make its heading wrong is refused.",
+    )
+    parser.add_argument("calibration", type=Path, help="a calibration file of this package")
+    parser.add_argument(
+        "--to", required=True, choices=sorted(EXPORTERS), metavar="NAME", help=", ".join(EXPORTERS)
+    )
+    parser.add_argument("--output", type=Path, help="the file to write (default: print it)")
+    parser.set_defaults(run=run_export)
+
+
+def run_export(options: argparse.Namespace) -> int:
+    """Read, translate, write."""
+    calibration, origin = read_calibration(options.calibration)
+    about = [origin.magnetometer_frame] if options.to in OF_LOGS else []
+    text = EXPORTERS[options.to](calibration, *about)
+    if options.output is None:
+        print(text, end="")
+    else:
+        write_atomically(options.output, text)
+    if options.to in NOTES:
+        print(f"magcal: {options.to}: {NOTES[options.to]}", file=sys.stderr)
+    return Exit.GOOD

@@ -12,20 +12,17 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.core.earth_field.reference import Local, Reference, resolve
+from magcal_ros.core.earth_field.reference import Given, Reference, resolve
 from magcal_ros.core.earth_field.wmm import Place, decimal_year, year_of
 from magcal_ros.core.errors import Misuse
-from magcal_ros.core.knowledge import ReferenceField, knowledge_of
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.ros.parameter_table import PARAMETERS
+
+CALIBRATION = "calibration.yaml"
 
 
 class Exit(IntEnum):
-    """What the shell sees.
-
-    FAULT is an error of this package itself; the last two are the shell's own for SIGINT and
-    SIGPIPE.
-    """
+    """The exit status. FAULT is an error of this package; the last two are the shell's own."""
 
     GOOD = 0
     FAILED = 1
@@ -60,13 +57,7 @@ def add_output_option(parser: argparse.ArgumentParser, content: str, prefix: str
 
 
 def new_or_named(chosen: Path | None, prefix: str) -> Path:
-    """Return the folder the user named, or a new dated one in the working directory.
-
-    Raises
-    ------
-    FileTrouble
-        If the name belongs to a file.
-    """
+    """Return the folder the user named, or a new dated one in the working directory."""
     if chosen is None:
         name = datetime.now().strftime(f"{prefix}_%Y%m%d_%H%M%S")
         names = [name, *(f"{name}_{k}" for k in range(2, 100))]
@@ -113,13 +104,13 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
         "reference field (numbers given win; the rest comes from the World Magnetic Model for the "
         "place, else for the first fix in a bag)"
     )
-
     specs = {spec.name: spec for spec in PARAMETERS}
 
-    def add(name: str, parameter: str, words: str) -> None:
-        spec = specs[f"reference.{parameter}"]
-        within = number(spec.low, spec.high)
-        group.add_argument(name, type=within, default=spec.default, metavar="NUMBER", help=words)
+    def add(option: str, name: str, words: str) -> None:
+        spec = specs[f"reference.{name}"]
+        within = number(spec.span.low, spec.span.high)
+        about: dict[str, Any] = {"type": within, "default": spec.default, "metavar": "NUMBER"}
+        group.add_argument(option, dest=name, help=words, **about)
 
     add("--reference-strength-ut", "strength_ut", "strength of the Earth's field, µT")
     add("--reference-strength-sigma-ut", "strength_sigma_ut", "local part (1 σ), µT")
@@ -141,46 +132,15 @@ def add_reference_options(parser: argparse.ArgumentParser) -> None:
 def reference_in_use(
     options: argparse.Namespace, recorded: Place | None, stamp: float
 ) -> Reference:
-    """Return what was given, and the rest from the model.
+    """Return what the options give, and the rest from the model.
 
-    Parameters
-    ----------
-    options : argparse.Namespace
-        With the options of `add_reference_options`.
-    recorded : Place or None
-        From the recording's own fixes; a place given by hand wins.
-    stamp : float
-        Newest of the recording, seconds.
-
-    Raises
-    ------
-    Misuse
-        If only half a place is given.
+    `recorded` is the place by the recording's own fixes, `stamp` (s) the newest of the recording.
     """
-    spot = (options.latitude, options.longitude)
-    unset = [math.isnan(angle) for angle in spot]
-    if unset[0] is not unset[1]:
+    given = Given.of(vars(options))
+    if given.half_place:
         raise Misuse("give --latitude and --longitude together, or neither")
-    place = recorded if any(unset) else Place(*spot, options.altitude)
-    local = Local(
-        options.reference_strength_sigma_ut * 1e-6,
-        math.radians(options.reference_inclination_sigma_deg),
-        math.radians(options.reference_declination_sigma_deg),
-    )
     year = year_of([stamp], time.time()) if options.date is None else options.date
-    return resolve(_given(options), local, place, year)
-
-
-def _given(options: argparse.Namespace) -> ReferenceField:
-    knowledge = knowledge_of(
-        options.reference_strength_ut,
-        options.reference_strength_sigma_ut,
-        options.reference_inclination_deg,
-        options.reference_inclination_sigma_deg,
-        options.reference_declination_deg,
-        declination_sigma_deg=options.reference_declination_sigma_deg,
-    )
-    return knowledge.reference
+    return resolve(given.field, given.local, given.place or recorded, year)
 
 
 def _year(text: str) -> float:

@@ -1,4 +1,4 @@
-"""`magcal demo`: the main job end to end, with a simulated robot and the real node."""
+"""`magcal demo` and `replay`: the sensors of a simulated robot, or of a recorded drive."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import argparse
 import math
 import shutil
 import signal
+import sys
 import textwrap
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.cli.common import Exit
+from magcal_ros.cli.common import Exit, number
 from magcal_ros.cli.live_view import best_view, joined, keep_traffic_here
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rpy_from_rotation
+from magcal_ros.core.calibration import Calibration, Correction
+from magcal_ros.core.geometry import FloatArray, rpy_from_rotation
 from magcal_ros.core.simulation.simulator import (
     DEGREE,
     LEVEL_TILT,
@@ -27,11 +27,13 @@ from magcal_ros.core.simulation.simulator import (
     trial_attitudes,
 )
 from magcal_ros.files.calibration_file import read_calibration, require_ours
-from magcal_ros.files.reading import plain_lines
+from magcal_ros.files.disk import FileTrouble, plain, plain_lines
+from magcal_ros.files.recording import Recording, read_csv_folder
 from magcal_ros.processes import start
 
 if TYPE_CHECKING:
     import subprocess
+
 
 ROBOT = Robot(
     strength=48e-6,
@@ -52,7 +54,7 @@ LARGEST_ERROR_DEG = 1.0
 """The demo fails if the heading is worse than this afterwards."""
 
 
-def add_to(commands: Any) -> None:
+def add_demo(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "demo",
@@ -63,17 +65,19 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--output", type=Path, default=Path("calibration.yaml"), help="the file that is left"
     )
-    parser.add_argument("--speed", type=float, default=1.0, help="times real time (default: 1)")
+    speed, words = number(1e-3, 1e3), "times real time (default: 1)"
+    parser.add_argument("--speed", type=speed, default=1.0, help=words)
     parser.add_argument("--seed", type=int, default=1, help="seed of the noise (default: 1)")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_demo)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_demo(options: argparse.Namespace) -> int:
     """Run the demo; the exit status says whether the heading came out right."""
     require_ours(options.output)
     keep_traffic_here()
     print("The real node, and a simulated robot with a badly mounted, magnetised compass.")
-    print(f"The robot turns once and is looked at afterwards: {_seconds(options.speed)}.\n")
+    seconds = TAKES / options.speed
+    print(f"The robot turns once and is looked at afterwards: about {seconds:.0f} s.\n")
     process = _start_node(options.output)
     try:
         with joined("magcal_demo") as node:
@@ -84,10 +88,6 @@ def run(options: argparse.Namespace) -> int:
     finally:
         process.send_signal(signal.SIGINT)
         process.wait(timeout=10)
-
-
-def _seconds(speed: float) -> str:
-    return f"about {TAKES / speed:.0f} s" if speed > 0.0 else "some time"
 
 
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
@@ -158,3 +158,80 @@ def _comparison(calibration: Calibration) -> str:
     lines = [f"{'':28s}{'true':>9s}{'found':>9s}{'error':>9s}"]
     lines += [f"  {name:26s}{t:9.2f}{f:9.2f}{f - t:9.2f}" for name, t, f in rows]
     return "\n".join(lines) + "\n"
+
+
+LAST_STAMP = 2.0**31 - 2.0
+"""Seconds that a message's stamp can hold, less the shift that a start at zero gets."""
+
+
+def add_replay(commands: Any) -> None:
+    """Add the command's arguments."""
+    parser = commands.add_parser(
+        "replay",
+        help="publish a recorded drive on imu/data_raw and imu/mag",
+        description="Publish a recorded drive (a folder with imu.csv: t,ax,ay,az,gx,gy,gz and "
+        "mag.csv: t,mx,my,mz; SI units) on imu/data_raw and imu/mag under its own stamps.",
+    )
+    parser.add_argument("folder", type=Path, help="holds imu.csv and mag.csv")
+    parser.add_argument(
+        "--rate", type=number(1e-6, 1e6), default=1.0, help="times real time (default: 1)"
+    )
+    parser.add_argument(
+        "--wait",
+        type=number(0.0, 1e6),
+        default=10.0,
+        help="seconds to wait for a subscriber (default: 10)",
+    )
+    parser.add_argument("--clock", action="store_true", help="publish /clock for use_sim_time")
+    frames = (("--imu-frame", "imu_link", "Imu"), ("--mag-frame", "mag_link", "field"))
+    for option, default, kind in frames:
+        words = f"frame_id of the {kind} messages"
+        parser.add_argument(option, type=_frame, default=default, help=words)
+    parser.add_argument(
+        "--ros-args", nargs=argparse.REMAINDER, default=[], help="remaps and namespaces"
+    )
+    parser.set_defaults(run=run_replay)
+
+
+def run_replay(options: argparse.Namespace) -> int:
+    """Play the recording to its end."""
+    recording = read_csv_folder(options.folder)
+    _require_stamps(options.folder, recording)
+    with joined("magcal_replay", ["--ros-args", *options.ros_args]) as node:
+        from magcal_ros.ros.rehearsal import SensorSource, replay
+
+        source = SensorSource(node, options.imu_frame, options.mag_frame)
+        if not _wait_for_listener(source, options.wait):
+            print("magcal: there is no subscriber; publishing all the same", file=sys.stderr)
+        count = replay(node, source, recording, options.rate, time.sleep, options.clock)
+    print(plain_lines(f"replayed {count} samples of {options.folder}"))
+    return Exit.GOOD
+
+
+def _wait_for_listener(source: Any, patience: float) -> bool:
+    deadline = time.monotonic() + patience
+    while not source.listeners and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.2)
+    return bool(source.listeners)
+
+
+def _require_stamps(folder: Path, recording: Recording) -> None:
+    """Refuse what no message can carry: a stamp that is no number, or beyond the stamps of ROS."""
+    for name, table in (("imu.csv", recording.imu), ("mag.csv", recording.field)):
+        stamps = table[:, 0]
+        bad = ~(np.isfinite(stamps) & (np.abs(stamps) < LAST_STAMP))
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise FileTrouble(
+                f"{plain(str(folder / name))} cannot be replayed: sample {row + 1} has the stamp "
+                f"{stamps[row]:g}"
+            )
+
+
+def _frame(text: str) -> str:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        raise argparse.ArgumentTypeError(f"{plain(text)!r} is no UTF-8 text") from None
+    return text

@@ -4,41 +4,46 @@ from __future__ import annotations
 
 import argparse
 import math
+import select
 import sys
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from magcal_ros.cli import recorded
 from magcal_ros.cli.common import Exit, bullets, document, reference_in_use
-from magcal_ros.cli.recorded import (
-    add_knowledge_options,
-    add_recording_options,
-    mounting_from,
-    opened,
-    watched,
-)
+from magcal_ros.cli.live_view import interrupts_noted, joined
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import CourseSeen
-from magcal_ros.core.doctor.health import TUNING, Finding, looked_at
+from magcal_ros.core.doctor.guide import ASKED, Guide, GuideStepState
+from magcal_ros.core.doctor.health import TUNING, Finding, looked_at, not_shown, wrong
 from magcal_ros.core.doctor.page import Page, examine
-from magcal_ros.core.errors import Misuse
+from magcal_ros.core.errors import MagcalError, Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.geometry.frame_tree import pose_in_words
+from magcal_ros.core.knowledge import Knowledge, Mounting, ReferenceField
 from magcal_ros.core.monitoring.recorded_course import RecordedCourse, recorded_course
-from magcal_ros.core.samples.streams import FieldSample, ImuSample
+from magcal_ros.core.samples.streams import FieldSample, ImuSample, TravelSample
 from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.session.recorded import Gathering, Reading
-from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.reading import plain, plain_lines
+from magcal_ros.files.disk import FileTrouble, plain, plain_lines, write_atomically
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+    from magcal_ros.ros.preflight import Listener
+
 
 MOST = 500_000
 """Samples kept of each stream: more than an hour at 100 Hz."""
 
 
-def add_to(commands: Any) -> None:
+def add_doctor(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "doctor",
@@ -49,35 +54,60 @@ def add_to(commands: Any) -> None:
         "status: 0 nothing is wrong (but lines may be worth a look), 2 usage, 3 too little data, "
         "4 something is wrong, 5 file trouble.",
     )
-    add_recording_options(parser, optional=True)
+    recorded.add_recording_options(parser, optional=True)
     parser.add_argument(
         "--live", action="store_true", help="listen to the running sensors (without a recording)"
     )
     parser.add_argument(
         "--turned",
         choices=("left", "right"),
-        help="to which side the robot of a recording turned; tells what turns alike",
+        help="to which side the robot of a recording turned; separates what turns alike",
     )
     parser.add_argument(
         "--write", type=Path, metavar="FILE", help="write what was found as a parameter file"
     )
-    add_knowledge_options(parser)
+    recorded.add_knowledge_options(parser)
     parser.set_defaults(run=run)
 
 
-class _Kept:
-    """Keeps the readings that pass by."""
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """What a recording or the guided half minute brought."""
 
-    def __init__(self) -> None:
-        self.samples: list[ImuSample | FieldSample] = []
-        self._left = {ImuSample: MOST, FieldSample: MOST}
+    samples: list[ImuSample | FieldSample]
+    knowledge: Knowledge
+    """What the user gave, and the described pose of the magnetometer."""
+    answers: UserAnswers
+    """What the robot or the person did, as far as it is known."""
+    more: tuple[Finding, ...]
+    """What the recording or the graph shows beside the samples."""
+    described: str = ""
+    """The described pose in words; empty where none was used."""
+    travel: Sequence[TravelSample] = ()
 
-    def passing(self, readings: Iterator[Reading]) -> Iterator[Reading]:
-        for reading in readings:
-            if reading is not None and self._left[type(reading)] > 0:
-                self._left[type(reading)] -= 1
-                self.samples.append(reading)
-            yield reading
+    def page_of(self, log: SensorLog) -> Page:
+        """Return the findings: of the samples, of what is beside them, and of their comparison."""
+        page = examine(log, self.knowledge, self.answers).with_more(self.more)
+        if self.travel and page.used is not None:
+            course = recorded_course(page.used.compass, self.samples, self.travel)
+            page = page.with_course(_course_seen(course, self.knowledge.reference))
+        return page.with_more((self._description(page),)) if self.described else page
+
+    def _description(self, page: Page) -> Finding:
+        """Compare the described pose of the magnetometer with the measured one."""
+        described = f"magnetometer at {self.described}"
+        if page.mount_rpy_deg is not None:
+            radians = " ".join(f"{math.radians(angle):.4g}" for angle in page.mount_rpy_deg)
+            return wrong(
+                "description",
+                "description",
+                f"{described}, measured otherwise",
+                f'set rpy="{radians}" in the URDF joint between IMU and magnetometer',
+            )
+        if any(f.key in MISLEADING and f.is_wrong for f in page.findings):
+            words = f"{described}; correct the axes first"
+            return not_shown("description", "description", words)
+        return looked_at("description", "description", described)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -86,36 +116,38 @@ def run(options: argparse.Namespace) -> int:
         raise FileTrouble(f"{options.write} exists already: name another --write")
     if options.recording is not None and options.live:
         raise Misuse("a recording is not live: leave out --live, or the recording")
-    if options.recording is None:
-        from magcal_ros.cli.doctor_live import listen
+    heard = listen(options) if options.recording is None else _recorded(options)
+    log = SensorLog.of(heard.samples)
+    if min(len(log.imu_time), len(log.field_time)) >= TUNING.fewest:
+        return _tell(options, heard.page_of(log), heard.knowledge.mounting.gains)
+    facts = page_as_facts(Page(heard.more), None, Exit.TOO_LITTLE_DATA)
+    counts = f"{len(log.imu_time)} IMU and {len(log.field_time)} field samples"
+    print(document(facts) if options.json else f"Too little data: {counts}.")
+    return Exit.TOO_LITTLE_DATA
 
-        heard = listen(options)
-        if _too_little(heard.log):
-            return _nothing(options, heard.log, heard.more)
-        page = heard.page_with(examine(heard.log, heard.knowledge, heard.answers))
-        return _tell(options, page, heard.knowledge.mounting.gains)
-    return _recorded(options)
 
+def _recorded(options: argparse.Namespace) -> Heard:
+    samples: list[ImuSample | FieldSample] = []
+    left = {ImuSample: MOST, FieldSample: MOST}
 
-def _recorded(options: argparse.Namespace) -> int:
-    kept, mounting = _Kept(), mounting_from(options)
-    with opened(options, options.recording) as source:
+    def kept(readings: Iterator[Reading]) -> Iterator[Reading]:
+        for reading in readings:
+            if reading is not None and left[type(reading)] > 0:
+                left[type(reading)] -= 1
+                samples.append(reading)
+            yield reading
+
+    mounting = recorded.mounting_from(options)
+    with recorded.opened(options, options.recording) as source:
         gathering = Gathering(mounting, source.imu_topic, source.field_topic)
-        gathering.take(kept.passing(watched(source, source.readings(), sys.stderr)))
+        gathering.take(kept(recorded.watched(source, source.readings(), sys.stderr)))
         newest = gathering.streams.field_stamps.newest
         reference = reference_in_use(options, source.place(), newest)
         travel = source.travel()
-    answers = UserAnswers(None if options.turned is None else options.turned == "left")
     complaints = [*source.notes, *gathering.complaints(), *reference.complaints]
-    more = [looked_at("recording", "recording", words, words) for words in complaints]
-    log = SensorLog.of(kept.samples)
-    if _too_little(log):
-        return _nothing(options, log, more)
-    page = examine(log, Knowledge(reference.field, mounting), answers).with_more(more)
-    if travel and page.used is not None:
-        course = recorded_course(page.used.compass, kept.samples, travel)
-        page = page.with_course(_course_seen(course, reference.field))
-    return _tell(options, page, mounting.gains)
+    more = tuple(looked_at("recording", "recording", words, words) for words in complaints)
+    answers = UserAnswers(None if options.turned is None else options.turned == "left")
+    return Heard(samples, Knowledge(reference.field, mounting), answers, more, travel=travel)
 
 
 def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> CourseSeen:
@@ -127,17 +159,6 @@ def _course_seen(course: RecordedCourse | None, field: ReferenceField) -> Course
     if mounting is None:
         return CourseSeen(gap, offset.sigma)
     return CourseSeen(gap, math.hypot(offset.sigma, mounting.sigma), yaw, mounting.sigma)
-
-
-def _too_little(log: SensorLog) -> bool:
-    return min(len(log.imu_time), len(log.field_time)) < TUNING.fewest
-
-
-def _nothing(options: argparse.Namespace, log: SensorLog, more: Sequence[Finding]) -> int:
-    facts = page_as_facts(Page(tuple(more)), None, Exit.TOO_LITTLE_DATA)
-    counts = f"{len(log.imu_time)} IMU and {len(log.field_time)} field samples"
-    print(document(facts) if options.json else f"Too little data: {counts}.")
-    return Exit.TOO_LITTLE_DATA
 
 
 def _tell(options: argparse.Namespace, page: Page, gains: FloatArray) -> int:
@@ -201,3 +222,158 @@ def write_parameters(path: Path | None, page: Page, gains: FloatArray | None) ->
     text = "\n".join(["/**:", "  ros__parameters:", *(f"    {line}" for line in lines)])
     write_atomically(path, text + "\n", "Choose a writable folder, or correct its permissions.")
     return str(path)
+
+
+SILENT_AFTER = 8.0
+"""Seconds within which both sensors must have said something."""
+
+DISCOVERY = 3.0
+"""Seconds in which topics are looked for."""
+
+MISLEADING = (
+    "axes",
+    "field_axes",
+    "gyro_axes",
+    "force_axes",
+    "nothing_fits",
+    "imu_axes",
+    "gravity_sign",
+)
+"""Lines with which nothing can be said of the description."""
+
+CROWD = (
+    "only one node can be the sensor: stop the others, or give one of them a name of its own; two "
+    "that take turns look like a field that jumps"
+)
+
+
+def listen(options: argparse.Namespace) -> Heard:
+    """Guide a person through the half minute and collect what the sensors send."""
+    with joined("magcal_doctor", []) as node:
+        from rclpy.executors import SingleThreadedExecutor
+
+        from magcal_ros.ros.preflight import Listener
+
+        topics = _topics(node, options)
+        samples: list[ImuSample | FieldSample] = []
+        guide = Guide(time.monotonic())
+
+        def take(sample: ImuSample | FieldSample) -> None:
+            samples.append(sample)
+            guide.add(sample)
+
+        listener = Listener(node, *topics, take)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        begin = time.monotonic()
+        say(f"Listening to {topics[0]} and {topics[1]}. The Enter key skips a step.")
+        asking = Asking()
+        with interrupts_noted() as interrupted:
+            while guide.current is not None and not interrupted.is_set():
+                executor.spin_once(timeout_sec=0.02)
+                now = time.monotonic()
+                asking.count_down(guide, now)
+                if asking.is_skipped():
+                    before = guide.current
+                    guide.skip(now)
+                    if guide.current is not before:
+                        asking.tick(guide)
+                if guide.pass_time(now):
+                    asking.tick(guide)
+                if now - begin > SILENT_AFTER and not all(listener.heard):
+                    raise MagcalError(_silence(listener))
+        if interrupted.is_set():
+            raise KeyboardInterrupt
+        return gathered(options, listener, samples, guide)
+
+
+def say(line: str) -> None:
+    """Tell the person what to do; the page alone goes to standard output."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def _topics(node: Node, options: argparse.Namespace) -> tuple[str, str]:
+    from magcal_ros.ros.preflight import FIELD_TYPE, IMU_TYPE, sensor_topic
+
+    deadline = time.monotonic() + DISCOVERY
+    while True:
+        try:
+            return (
+                sensor_topic(node, IMU_TYPE, options.imu, "--imu"),
+                sensor_topic(node, FIELD_TYPE, options.mag, "--mag"),
+            )
+        except MagcalError:
+            if time.monotonic() > deadline:
+                raise
+        time.sleep(0.1)
+
+
+class Asking:
+    """Says what is asked for and for how long yet, and hears the Enter key, where a person sits."""
+
+    def __init__(self) -> None:
+        self._rewrites = sys.stderr.isatty()
+        self._keys = sys.stdin is not None and sys.stdin.isatty()
+        self._shown = ""
+
+    def count_down(self, guide: Guide, now: float) -> None:
+        """Show what is asked for, and the seconds that are left."""
+        if guide.current is None:
+            return
+        line = f"  [ ] {ASKED[guide.current]}"
+        if self._rewrites:
+            line += f" ({guide.left(now):.0f} s left)"
+        if line == self._shown:
+            return
+        self._shown = line
+        if self._rewrites:
+            print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
+        else:
+            say(line)
+
+    def is_skipped(self) -> bool:
+        """Return whether the Enter key was pressed."""
+        if not self._keys or not select.select([sys.stdin], [], [], 0.0)[0]:
+            return False
+        # An end of the input is no key, and would be heard for ever.
+        self._keys = bool(sys.stdin.readline())
+        return self._keys
+
+    def tick(self, guide: Guide) -> None:
+        """Tell what was seen of what was asked for."""
+        done = [
+            s
+            for s, state in guide.states.items()
+            if state in (GuideStepState.SEEN, GuideStepState.MISSED)
+        ]
+        seen = guide.states[done[-1]] is GuideStepState.SEEN
+        over = "\r\033[K" if self._rewrites else ""
+        say(f"{over}  [{'x' if seen else '-'}] {ASKED[done[-1]]}{'' if seen else ': not seen'}")
+        self._shown = ""
+
+
+def _silence(listener: Listener) -> str:
+    silent = [t for t, count in zip(listener.topics, listener.heard, strict=True) if not count]
+    return (
+        f"nothing arrives on {' and '.join(silent)}: is the driver running, is the clock paused? "
+        "Choose other topics with --imu and --mag"
+    )
+
+
+def gathered(
+    options: argparse.Namespace,
+    listener: Listener,
+    samples: list[ImuSample | FieldSample],
+    guide: Guide,
+) -> Heard:
+    """Return what was heard, with what the graph and the user say beside it."""
+    newest = max((s.stamp for s in samples if isinstance(s, FieldSample)), default=0.0)
+    reference = reference_in_use(options, None, newest)
+    mounting, described, pose = recorded.mounting_from(options), "", listener.described_pose
+    # A pose that the user gives takes precedence over the description.
+    if pose is not None and not any(options.mount_rpy_deg):
+        mounting, described = Mounting(mounting.gains, pose), pose_in_words(pose)
+    more = [looked_at("reference", "reference", words, words) for words in reference.complaints]
+    more += [wrong("publishers", "publishers", words, CROWD) for words in listener.crowded]
+    known = Knowledge(reference.field, mounting)
+    return Heard(samples, known, UserAnswers(guide.turned_left), tuple(more), described)

@@ -10,42 +10,33 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from magcal_ros.cli.common import Exit, add_output_option, bullets, document, new_or_named, table
-from magcal_ros.cli.recorded import (
-    Gathered,
-    HeardAtHeadings,
-    add_heading_options,
-    add_knowledge_options,
-    add_recording_options,
-    at_work,
-    check_heading_options,
-    fit_known,
-    gather,
-    heard_at_headings,
-    mounting_from,
-    opened,
+from magcal_ros.cli import recorded
+from magcal_ros.cli.common import (
+    CALIBRATION,
+    Exit,
+    add_output_option,
+    bullets,
+    document,
+    new_or_named,
+    table,
 )
+from magcal_ros.cli.recorded import Gathered
 from magcal_ros.core.calibrate import METHODS, Outcome, calibrate
-from magcal_ros.core.calibration.calibration import Estimate
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.calibration.heading_sigma import common_figures
+from magcal_ros.core.calibration import Estimate, Figure, common_figures
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.knowledge import Knowledge, Mounting
 from magcal_ros.core.multi_turn.result import names_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.recorded import LITTLE_DATA, fit_gathered, fit_several
 from magcal_ros.core.session.session import Progress
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import Origin, write_calibration
-from magcal_ros.files.reading import plain, plain_lines
+from magcal_ros.files.disk import FileTrouble, plain, plain_lines
 from magcal_ros.report import Subject, write_report
-
-CALIBRATION = "calibration.yaml"
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A recording, or several that were joined, and what came of it.
+    """A recording, or several that were joined, and the result.
 
     Of several, `gathered` and `progress` are those of the last that joined.
     """
@@ -58,7 +49,7 @@ class Fitted:
 
     @property
     def complaints(self) -> list[str]:
-        """What is wrong with what was recorded, in words."""
+        """What is wrong with the recordings, in words."""
         found = [words for each in self.everything for words in each.complaints()]
         return list(dict.fromkeys(found))
 
@@ -70,7 +61,7 @@ class Fitted:
         return Exit.TOO_LITTLE_DATA if self.outcome.reason in LITTLE_DATA else Exit.REFUSED
 
 
-def add_to(commands: Any) -> None:
+def add_fit(commands: Any) -> None:
     """Add the command's arguments."""
     parser = commands.add_parser(
         "fit",
@@ -80,27 +71,29 @@ def add_to(commands: Any) -> None:
         "the yaw of the installation included. Exit status: 0 good, 2 usage, 3 too little data, "
         "4 refused, 5 file trouble.",
     )
-    add_recording_options(parser, several=True)
+    recorded.add_recording_options(parser, several=True)
     add_output_option(parser, "what is found", "magcal_fit")
     parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="way of fitting")
     parser.add_argument(
         "--compare", action="store_true", help="print every method side by side; write no files"
     )
-    add_heading_options(parser)
-    add_knowledge_options(parser)
+    recorded.add_heading_options(parser)
+    recorded.add_knowledge_options(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, fit, leave the files, and say what came of it."""
+    """Read, fit, write the files, and print the result."""
     folder = _folder(options.output)
     _check_use(options)
-    mounting = mounting_from(options)
+    mounting = recorded.mounting_from(options)
     everything = tuple(_gathered(options, mounting, path) for path in options.recordings)
-    heard = tuple(heard_at_headings(options, path) for path in options.recordings)
+    heard = tuple(recorded.heard_at_headings(options, path) for path in options.recordings)
     count = sum(sum(each.gathering.heard) for each in everything)
     shares = [0.0]
-    with at_work(lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr):
+    with recorded.at_work(
+        lambda: f"fitting {count} messages, {100.0 * shares[-1]:.0f} %", sys.stderr
+    ):
         fitted = _fit(everything, options, heard, shares.append)
     knowledge = fitted.knowledge
     if options.compare:
@@ -113,12 +106,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _gathered(options: argparse.Namespace, mounting: Mounting, path: Path) -> Gathered:
-    with opened(options, path) as source:
-        return gather(options, mounting, source)
+    with recorded.opened(options, path) as source:
+        return recorded.gather(options, mounting, source)
 
 
 def _check_use(options: argparse.Namespace) -> None:
-    check_heading_options(options)
+    recorded.check_heading_options(options)
     if len(options.recordings) == 1:
         return
     if options.compare:
@@ -130,19 +123,19 @@ def _check_use(options: argparse.Namespace) -> None:
 def _fit(
     everything: tuple[Gathered, ...],
     options: argparse.Namespace,
-    heard: tuple[HeardAtHeadings | None, ...],
+    heard: tuple[recorded.HeardAtHeadings | None, ...],
     report_share: Callable[[float], object],
 ) -> Fitted:
-    frames = sorted({each.field_frame for each in everything if each.field_frame})
+    frames = sorted({each.source.field_frame for each in everything if each.source.field_frame})
     if len(frames) > 1:
         raise Misuse(
             f"the recordings are of different magnetometers ({', '.join(frames)}); join those of "
             "one sensor"
         )
-    # All turns are made in one place: the first recording that knows its field speaks for it.
+    # All turns are made in one place: the first recording with a known field gives the reference.
     known = next((g for g in everything if g.reference.field.is_complete), everything[0])
     knowledge = Knowledge(known.reference.field, known.gathering.mounting)
-    at_headings = fit_known(heard, knowledge, options)
+    at_headings = recorded.fit_known(heard, knowledge, options)
     if at_headings is not None:
         progress = everything[-1].gathering.progress()
         return Fitted(everything[-1], knowledge, at_headings, progress, everything)
@@ -166,11 +159,11 @@ def _folder(chosen: Path | None) -> Path:
 
 
 def _write_files(folder: Path, fitted: Fitted, options: argparse.Namespace) -> list[Path]:
-    """Leave what was found in the folder; returns the files."""
+    """Write the result into the folder; returns the files."""
     files = []
     outcome, gathered = fitted.outcome, fitted.gathered
     if outcome.calibration is not None and outcome.verdict.accepted:
-        origin = Origin.now(gathered.field_frame, gathered.imu_frame)
+        origin = Origin.now(gathered.source.field_frame, gathered.source.imu_frame)
         files.append(folder / CALIBRATION)
         write_calibration(files[-1], outcome.calibration, origin)
     if outcome.window is not None:
@@ -185,10 +178,10 @@ def _subject(fitted: Fitted, window: Window, options: argparse.Namespace) -> Sub
         fitted.knowledge,
         fitted.outcome,
         source=f"{', '.join(plain(str(path)) for path in options.recordings)} "
-        f"({gathered.field_topic} and {gathered.imu_topic})",
+        f"({gathered.source.field_topic} and {gathered.source.imu_topic})",
         method=options.method,
-        magnetometer_frame=gathered.field_frame,
-        imu_frame=gathered.imu_frame,
+        magnetometer_frame=gathered.source.field_frame,
+        imu_frame=gathered.source.imu_frame,
     )
 
 
@@ -229,8 +222,8 @@ def _facts(fitted: Fitted, files: list[Path]) -> dict[str, Any]:
         "not_shown": list(verdict.not_shown),
         "numbers": {key: float(number) for key, _, number, _ in _numbers(fitted)},
         "recording": {
-            "imu_topic": gathered.imu_topic,
-            "mag_topic": gathered.field_topic,
+            "imu_topic": gathered.source.imu_topic,
+            "mag_topic": gathered.source.field_topic,
             "complaints": fitted.complaints,
         },
         "reference": gathered.reference.facts,
@@ -248,8 +241,8 @@ def _numbers(fitted: Fitted) -> list[tuple[str, str, str, str]]:
     estimate = fitted.outcome.estimate
     arc = math.degrees(fitted.progress.coverage.arc if estimate is None else estimate.arc)
     rows = [
-        ("imu_messages", f"messages on {fitted.gathered.imu_topic}", f"{imus}", ""),
-        ("mag_messages", f"messages on {fitted.gathered.field_topic}", f"{fields}", ""),
+        ("imu_messages", f"messages on {fitted.gathered.source.imu_topic}", f"{imus}", ""),
+        ("mag_messages", f"messages on {fitted.gathered.source.field_topic}", f"{fields}", ""),
         ("samples", "samples in the fit", f"{used}", ""),
         ("arc_deg", "turn seen", f"{arc:.0f}", "°"),
     ]
@@ -299,7 +292,7 @@ HEADER = (
 
 
 def compare_methods(window: Window | None, knowledge: Knowledge) -> str:
-    """Return a table of what each method makes of a window, and why some make nothing."""
+    """Return a table of the results of each method on a window, and why some have none."""
     if window is None:
         return "no method has anything to work on: the recording holds no usable turn"
     outcomes = {method: calibrate(window, knowledge, method) for method in METHODS}

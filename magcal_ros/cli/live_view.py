@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -22,26 +22,17 @@ if TYPE_CHECKING:
 LONGEST_ERROR = 500
 
 
-class NoRos(MagcalError):
-    """rclpy cannot be imported."""
-
-
 @contextlib.contextmanager
 def joined(name: str, ros_arguments: list[str] | None = None) -> Iterator[Node]:
     """Yield a node of this name, and leave the graph afterwards.
 
-    Raises
-    ------
-    NoRos
-        If there is no rclpy.
-    Misuse
-        If ROS refuses the arguments or the environment.
+    A MagcalError if there is no rclpy, Misuse if ROS refuses the arguments or the environment.
     """
     try:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
-        raise NoRos(
+        raise MagcalError(
             "this command needs ROS: source its setup file, or work in the environment that "
             f"`make demo` sets up in a checkout ({error})"
         ) from error
@@ -112,8 +103,8 @@ class View:
 def progress_of(status: str) -> dict[str, Any] | None:
     """Return how far a turn is from the text of `~/status`; None if none is under way.
 
-    Whoever is in the graph may publish there: what is no status is passed over, and no text of it
-    steers the terminal.
+    Anybody in the graph may publish there: what is no status is ignored, and control characters are
+    replaced.
     """
     try:
         content = json.loads(status)
@@ -198,13 +189,7 @@ class Lines(View):
 
 
 class Panel(View):
-    """A panel that rich draws again and again.
-
-    Raises
-    ------
-    ImportError
-        If rich is not installed.
-    """
+    """A panel that rich draws again and again; ImportError where rich is not installed."""
 
     def __init__(self) -> None:
         from rich.live import Live

@@ -12,14 +12,19 @@ from importlib.metadata import PackageNotFoundError, metadata
 from typing import NoReturn
 
 from magcal_ros import __version__
-from magcal_ros.cli import calibrate, check, demo, doctor, drive, export, fit, replay
+from magcal_ros.cli.calibrate import add_calibrate
+from magcal_ros.cli.check import add_check, add_drive, add_export
 from magcal_ros.cli.common import Exit
+from magcal_ros.cli.demo import add_demo, add_replay
+from magcal_ros.cli.doctor import add_doctor
+from magcal_ros.cli.fit import add_fit
 from magcal_ros.core.errors import MagcalError, Misuse, Refusal
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import plain, plain_lines
+from magcal_ros.files.disk import FileTrouble, plain, plain_lines
 from magcal_ros.processes import leave_out_current_folder
 
-COMMANDS = (calibrate, fit, check, drive, doctor, export, replay, demo)
+COMMANDS = (
+    add_calibrate, add_fit, add_check, add_drive, add_doctor, add_export, add_replay, add_demo
+)  # fmt: skip
 
 
 class Parser(argparse.ArgumentParser):
@@ -39,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--version", action="version", version=f"magcal_ros {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in COMMANDS:
-        command.add_to(commands)
+    for add in COMMANDS:
+        add(commands)
     options = parser.parse_args(arguments)
     for stream in (sys.stdout, sys.stderr):
         # A path may hold any bytes, and a terminal may know no "µ": neither ends a command.

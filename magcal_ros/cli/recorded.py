@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, TextIO
 
 from magcal_ros.cli.common import add_reference_options, number, reference_in_use
 from magcal_ros.core.calibrate import Outcome
@@ -21,15 +21,17 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.rotations import rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, Mounting, knowledge_of
 from magcal_ros.core.samples.streams import HeadingSample, Pair
-from magcal_ros.core.session.antenna import (
+from magcal_ros.core.session.external_heading import ExternalHeading
+from magcal_ros.core.session.recorded import (
+    Gathering,
+    Reading,
     fit_at_headings,
     fit_heading_topic,
     standing_pairs,
 )
-from magcal_ros.core.session.external_heading import ExternalHeading
-from magcal_ros.core.session.recorded import Gathering, Reading
+from magcal_ros.files.bags import Source
 from magcal_ros.files.repaired_readings import RepairedReadings
-from magcal_ros.files.sources import Source, open_recording
+from magcal_ros.files.sources import open_recording
 
 LOOK_EVERY = 2000
 """Messages between two looks at the clock."""
@@ -44,28 +46,15 @@ class Gathered:
     """A recording that was read."""
 
     gathering: Gathering
-    """Everything it held."""
-    imu_topic: str
-    field_topic: str
-    """As recorded, fit to be shown."""
-    imu_frame: str
-    field_frame: str
-    """`frame_id` of the two sensors; empty if there is none."""
+    source: Source
+    """Closed; its names and frames are of use."""
     reference: Reference
-    """The reference field at its place and date."""
     repaired: list[str]
-    """What was corrected in it, in words."""
-    notes: tuple[str, ...] = ()
-    """What the recording's own kind says of it."""
 
     def complaints(self) -> list[str]:
         """Return everything that is wrong with it, or with what was said about it."""
-        return [
-            *self.notes,
-            *self.repaired,
-            *self.gathering.complaints(),
-            *self.reference.complaints,
-        ]
+        found = [*self.source.notes, *self.repaired, *self.gathering.complaints()]
+        return [*found, *self.reference.complaints]
 
 
 def add_recording_options(
@@ -99,22 +88,14 @@ def add_recording_options(
         metavar=("ROLL", "PITCH", "YAW"),
         help="pose of a log's or phone's sensors in the vehicle, ° (not of a bag)",
     )
-    parser.add_argument(
-        "--from",
-        dest="start",
-        type=number(0.0, math.inf),
-        default=0.0,
-        metavar="SECONDS",
-        help="leave out what comes before, counted from the recording's beginning",
-    )
-    parser.add_argument(
-        "--to",
-        dest="stop",
-        type=number(0.0, math.inf),
-        default=math.inf,
-        metavar="SECONDS",
-        help="leave out what comes after",
-    )
+    before = "leave out what comes before, counted from the recording's beginning"
+    after = "leave out what comes after"
+    for name, dest, default, words in (
+        ("--from", "start", 0.0, before),
+        ("--to", "stop", math.inf, after),
+    ):
+        about: dict[str, Any] = {"dest": dest, "default": default, "metavar": "SECONDS"}
+        parser.add_argument(name, type=number(0.0, math.inf), help=words, **about)
     parser.add_argument("--json", action="store_true", help="print one JSON document")
 
 
@@ -143,15 +124,7 @@ def mounting_from(options: argparse.Namespace) -> Mounting:
 
 
 def opened(options: argparse.Namespace, recording: Path) -> AbstractContextManager[Source]:
-    """Open a recording: those topics and that part of it which the options name.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    Misuse
-        If the topics or the span are not clear.
-    """
+    """Open the topics and the part of a recording that the options name."""
     if not options.start < options.stop:
         raise Misuse(f"--from {options.start:g} must come before --to {options.stop:g}")
     chosen = {"imu": options.imu, "field": options.mag}
@@ -178,41 +151,22 @@ def gather(
 ) -> Gathered:
     """Read a recording, with progress on stderr, and find its reference field.
 
-    What the motors of a known calibration add is taken off.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    Refusal
-        If its IMU is too slow.
+    The field of the motors, if a calibration knows it, is subtracted. A Refusal if the IMU is too
+    slow.
     """
     gathering = Gathering(mounting, source.imu_topic, source.field_topic)
     repaired = RepairedReadings(source, known=known)
     gathering.take(watched(repaired, repaired, sys.stderr), source.travel())
-    return Gathered(
-        gathering,
-        source.imu_topic,
-        source.field_topic,
-        source.imu_frame,
-        source.field_frame,
-        reference_in_use(options, source.place(), gathering.streams.field_stamps.newest),
-        repaired.notes,
-        tuple(source.notes),
-    )
+    newest = gathering.streams.field_stamps.newest
+    reference = reference_in_use(options, source.place(), newest)
+    return Gathered(gathering, source, reference, repaired.notes)
 
 
 class StatusLine:
-    """Says now and then how far a long work is.
+    """Shows the progress of a long operation.
 
-    On a terminal one line is drawn again and removed at the end; elsewhere a line comes now and
-    then, so that a short work says nothing.
-
-    Parameters
-    ----------
-    out : TextIO
-    clock : callable
-        Seconds.
+    On a terminal one line is drawn again and removed at the end. Elsewhere a line comes now and
+    then, so that a short operation prints nothing.
     """
 
     def __init__(self, out: TextIO, clock: Callable[[], float] = time.monotonic) -> None:
@@ -236,16 +190,8 @@ class StatusLine:
             print("\r\x1b[K", end="", file=self._out, flush=True)
 
 
-class Shared(Protocol):
-    """What knows how far it has been read."""
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-
-
 def watched(
-    source: Shared,
+    source: Source | RepairedReadings,
     readings: Iterable[Reading],
     out: TextIO,
     clock: Callable[[], float] = time.monotonic,
@@ -261,7 +207,7 @@ def watched(
 
 @contextmanager
 def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
-    """Say every now and then that a long work goes on, and for how long."""
+    """Say every now and then that a long operation goes on, and for how long."""
     line, begun, done = StatusLine(out), time.monotonic(), threading.Event()
 
     def tell() -> None:
@@ -280,7 +226,7 @@ def at_work(words: Callable[[], str], out: TextIO) -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class HeardAtHeadings:
-    """What a recording says at known headings: of a robot that stands, or on the way."""
+    """What a recording holds on known headings: of a robot at rest, or along a drive."""
 
     pairs: tuple[Pair, ...]
     readings: tuple[Reading, ...] = ()
@@ -309,7 +255,7 @@ def add_heading_options(parser: Any) -> None:
         "--heading-topic",
         default="",
         metavar="TOPIC",
-        help="topic of a bag with headings that somebody else measured, as two antennas do",
+        help="topic of a bag with headings that another device measured, such as two antennas",
     )
     known.add_argument(
         "--north",
@@ -319,12 +265,7 @@ def add_heading_options(parser: Any) -> None:
 
 
 def check_heading_options(options: argparse.Namespace) -> None:
-    """Refuse options that do not fit together.
-
-    Raises
-    ------
-    Misuse
-    """
+    """Raise a Misuse for options that do not fit together."""
     angles, topic = options.heading_deg or (), options.heading_topic
     if not (angles or topic):
         if options.north:
@@ -346,7 +287,7 @@ def check_heading_options(options: argparse.Namespace) -> None:
 
 
 def heard_at_headings(options: argparse.Namespace, path: Path) -> HeardAtHeadings | None:
-    """Return what a recording says at known headings; None where none are given."""
+    """Return what a recording holds on known headings; None where none are given."""
     if not (options.heading_deg or options.heading_topic):
         return None
     with opened(options, path) as source:
@@ -359,7 +300,7 @@ def heard_at_headings(options: argparse.Namespace, path: Path) -> HeardAtHeading
 def fit_known(
     heard: tuple[HeardAtHeadings | None, ...], knowledge: Knowledge, options: argparse.Namespace
 ) -> Outcome | None:
-    """Return what known headings come to; None where none are given."""
+    """Calibrate at known headings; None where none are given."""
     known, is_true = [each for each in heard if each is not None], options.north == "true"
     if not known:
         return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.streams import (
     FieldSample,

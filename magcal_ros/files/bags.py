@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
@@ -27,8 +27,7 @@ from magcal_ros.core.messages import (
 from magcal_ros.core.samples.streams import HeadingSample, TravelSample
 from magcal_ros.core.session.recorded import Reading
 from magcal_ros.files import wire
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import damage_in_words, plain
+from magcal_ros.files.disk import FileTrouble, damage_in_words, plain
 from magcal_ros.files.wire import RosReader, fix_in, speed_in, sure_velocity_in, velocity_in
 
 if TYPE_CHECKING:
@@ -65,22 +64,56 @@ REMEDIES = {
 }
 
 
-class Bag:
-    """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
+class Source:
+    """A recording of any kind, opened, to be read once.
 
-    Parameters
-    ----------
-    path : Path
-        For words.
-    reader : AnyReader or RosReader
-        Open.
-    imu, field : str
-        Topics; empty to take the only one of the right type.
-    start, stop : float
-        Seconds from the bag's beginning, by its own clock.
+    The topics are names for the two streams; the frames are the newest `frame_id` of each, empty
+    while unknown.
     """
 
+    imu_topic = field_topic = imu_frame = field_frame = ""
     notes: tuple[str, ...] = ()
+
+    @property
+    def share(self) -> float:
+        """How much of it has been read, 0 to 1."""
+        raise NotImplementedError
+
+    def readings(self) -> Iterator[Reading]:
+        """Yield the samples of the sensors in the order in which they were recorded."""
+        raise NotImplementedError
+
+    def place(self) -> Place | None:
+        """Return where it was recorded, by its first good fix; None if it holds none."""
+        raise NotImplementedError
+
+    def begun(self) -> float:
+        """Return when it was recorded, seconds: its beginning."""
+        raise NotImplementedError
+
+    def travel(self) -> list[TravelSample]:
+        """Return the samples of receiver and wheels, by stamp; empty if there are none."""
+        raise NotImplementedError
+
+    def yaw(self) -> FloatArray:
+        """Return stamps and the yaws of an autopilot (rad, ENU, true north), (n, 2)."""
+        return np.empty((0, 2))
+
+    def currents(self) -> list[tuple[float, float]]:
+        """Return stamps, seconds, and currents of the battery, A; empty if it has none."""
+        return []
+
+    def headings(self, topic: str) -> list[HeadingSample]:
+        """Return the headings that another device measured, by stamp; only of a bag."""
+        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
+
+
+class Bag(Source):
+    """The two sensor topics of an open bag; reading a damaged one is a FileTrouble.
+
+    Empty topics stand for the only one of the right type. `start` and `stop` are seconds from the
+    bag's beginning, by its own clock.
+    """
 
     def __init__(
         self, path: Path, reader: Any, imu: str, field: str, start: float, stop: float
@@ -91,7 +124,6 @@ class Bag:
         self._imu = _find(path, reader, IMU_TYPE, imu, "--imu")
         self._field = _find(path, reader, FIELD_TYPE, field, "--mag")
         self.imu_topic, self.field_topic = plain(self._imu[0].topic), plain(self._field[0].topic)
-        self.imu_frame = self.field_frame = ""
         self._first: int = reader.start_time + _nanoseconds(max(start, 0.0))
         self._end: int = min(reader.end_time, reader.start_time + _nanoseconds(stop))
         self._reached: int = self._first
@@ -137,10 +169,6 @@ class Bag:
                     return found
         return None
 
-    def yaw(self) -> FloatArray:
-        """Return no yaw: a bag holds none of an autopilot's own."""
-        return np.empty((0, 2))
-
     def begun(self) -> float:
         """Return when the span begins by the bag's own clock, seconds."""
         return self._first * 1e-9
@@ -179,12 +207,7 @@ class Bag:
     def headings(self, topic: str) -> list[HeadingSample]:
         """Return the yaws of a topic's orientations, by stamp.
 
-        Raises
-        ------
-        Misuse
-            If there is no such topic.
-        FileTrouble
-            If the bag is damaged, or the topic tells no heading.
+        Misuse if there is no such topic, FileTrouble if it gives no heading.
         """
         heard, found, why = _named(self._path, self._reader, IMU_TYPE, topic), [], ""
         with _damage_in_words(self._path):
@@ -195,7 +218,7 @@ class Bag:
                 else:
                     found.append(sample)
         if not found:
-            raise FileTrouble(f"{plain(topic)} tells no heading: {why or 'it is empty'}")
+            raise FileTrouble(f"{plain(topic)} gives no heading: {why or 'it is empty'}")
         return sorted(found, key=lambda sample: sample.stamp)
 
     def _travelled(self, connection: Connection, data: bytes) -> Any:
@@ -230,16 +253,7 @@ class Bag:
 
 @contextlib.contextmanager
 def open_bag(path: Path, imu: str, field: str, start: float, stop: float) -> Iterator[Bag]:
-    """Open a bag; arguments as in `open_recording`.
-
-    Raises
-    ------
-    FileTrouble
-        If there is neither ROS nor the library rosbags, or if the bag cannot be read or has no
-        such topics.
-    Misuse
-        If it has several topics of the right type.
-    """
+    """Open a bag; arguments and errors as of `open_recording`."""
     _refuse_other_files(path)
     with contextlib.ExitStack() as stack:
         with _damage_in_words(path):

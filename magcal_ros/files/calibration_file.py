@@ -1,8 +1,9 @@
-"""The calibration as YAML, with a header by which other files are told apart."""
+"""The calibration as YAML, with a header that distinguishes it from other files."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,13 +14,11 @@ from typing import Any
 import yaml
 
 from magcal_ros import __version__
-from magcal_ros.core.calibration.calibration import Calibration, Evidence
-from magcal_ros.core.calibration.correction import Correction, MotorField, MotorInput
+from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
 from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.files.atomic import FileTrouble, write_atomically
 from magcal_ros.files.default_paths import known_as
+from magcal_ros.files.disk import FileTrouble, NotOrdinary, read_small, write_atomically
 from magcal_ros.files.plausibility import require_possible
-from magcal_ros.files.reading import NotOrdinary, read_small
 
 FORMAT = "magcal_ros/calibration"
 FORMAT_VERSION = 1
@@ -107,27 +106,13 @@ def write_calibration(
     origin: Origin,
     when_written: Callable[[], object] | None = None,
 ) -> None:
-    """Write a calibration in one step.
+    """Write a calibration in one step, at full precision.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    calibration : Calibration
-        What to store, at full precision.
-    origin : Origin
-        Frames and time.
-    when_written : callable, optional
-        As of `write_atomically`.
-
-    Raises
-    ------
-    FileTrouble
-        If the file cannot be written, or if there is a file that is no calibration of this
-        package; what was there before still is.
+    After a FileTrouble the file is as it was: it cannot be written, or it is no calibration of this
+    package. `when_written` is as of `write_atomically`.
     """
     require_ours(path)
-    document = _document(calibration, origin)
+    document = {k: v for k, v in _document(calibration, origin).items() if v is not None}
     body = yaml.dump(
         document,
         Dumper=_PlainDumper,
@@ -150,13 +135,7 @@ def is_free_or_ours(path: Path) -> bool:
 
 
 def require_ours(path: Path) -> None:
-    """Refuse to replace what belongs to somebody else.
-
-    Raises
-    ------
-    FileTrouble
-        If `path` is neither free nor ours.
-    """
+    """Raise a FileTrouble if `path` is neither free nor ours."""
     if not is_free_or_ours(path):
         raise FileTrouble(
             f"{path} is not a calibration of magcal_ros, and stays as it is; choose another name"
@@ -164,18 +143,10 @@ def require_ours(path: Path) -> None:
 
 
 def read_calibration(path: Path) -> tuple[Calibration, Origin]:
-    """Read a calibration back.
+    """Return the numbers that were written, to the last bit.
 
-    Returns
-    -------
-    Calibration, Origin
-        The same numbers that were written, to the last bit.
-
-    Raises
-    ------
-    FileTrouble
-        If the file is missing, damaged, something else than a calibration of this version, or
-        claims what cannot be.
+    A FileTrouble if the file is missing, damaged, no calibration of this version, or claims what is
+    impossible.
     """
     document = _parse(path)
     try:
@@ -224,7 +195,7 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "written_by": f"magcal_ros {__version__}",
         "created": origin.created,
-        **({"node": origin.node} if origin.node else {}),
+        "node": origin.node or None,
         "formula": "field_body = correction_matrix * (field_raw - hard_iron)",
         "units": {
             "hard_iron": "tesla",
@@ -233,16 +204,14 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
             "inclination": "radian",
         },
         "frames": {"field_raw": origin.magnetometer_frame, "field_body": origin.imu_frame},
-        **_vehicle_entry(origin.vehicle_yaw),
-        "magnetometer_bias_x": hard_iron[0],
-        "magnetometer_bias_y": hard_iron[1],
-        "magnetometer_bias_z": hard_iron[2],
+        "vehicle_yaw_offset": _vehicle_entry(origin.vehicle_yaw),
+        **{f"magnetometer_bias_{axis}": iron for axis, iron in zip("xyz", hard_iron, strict=True)},
         "hard_iron": hard_iron,
         "correction_matrix": calibration.correction.matrix.tolist(),
         "covariance": calibration.covariance.tolist(),
         "noise_field": float(calibration.noise_field),
         "noise_up": float(calibration.noise_up),
-        **_motors_entry(calibration.motors),
+        "motors": _motors_entry(calibration.motors),
         "reference": {
             "strength": float(calibration.strength),
             "inclination": float(calibration.inclination),
@@ -260,11 +229,10 @@ def _document(calibration: Calibration, origin: Origin) -> dict[str, Any]:
     }
 
 
-def _vehicle_entry(yaw: VehicleYaw | None) -> dict[str, Any]:
+def _vehicle_entry(yaw: VehicleYaw | None) -> dict[str, Any] | None:
     if yaw is None:
-        return {}
-    entry = {"yaw": float(yaw.offset), "sigma": float(yaw.sigma), "source": yaw.source}
-    return {"vehicle_yaw_offset": entry}
+        return None
+    return {"yaw": float(yaw.offset), "sigma": float(yaw.sigma), "source": yaw.source}
 
 
 def _vehicle_yaw(document: Mapping[str, Any]) -> VehicleYaw | None:
@@ -299,10 +267,10 @@ def _calibration(document: Mapping[str, Any]) -> Calibration:
     )
 
 
-def _motors_entry(motors: MotorField | None) -> dict[str, Any]:
+def _motors_entry(motors: MotorField | None) -> dict[str, Any] | None:
     if motors is None:
-        return {}
-    entry = {
+        return None
+    return {
         "formula": "field_raw - hard_iron - sum of field * input, in tesla while the robot moves",
         "inputs": [each.value for each in motors.inputs],
         "units": [each.unit for each in motors.inputs],
@@ -312,7 +280,6 @@ def _motors_entry(motors: MotorField | None) -> dict[str, Any]:
         "covariance": motors.covariance.tolist(),
         "covariance_with_calibration": motors.beside.tolist(),
     }
-    return {"motors": entry}
 
 
 def _motors(document: Mapping[str, Any]) -> MotorField | None:
@@ -345,11 +312,9 @@ def _evidence(document: Mapping[str, Any]) -> Evidence:
 
 
 def _origin(document: Mapping[str, Any]) -> Origin:
-    frames = document["frames"]
-    node = str(document.get("node", ""))
-    created = str(document["created"])
+    frames, node = document["frames"], str(document.get("node", ""))
     raw, body = str(frames["field_raw"]), str(frames["field_body"])
-    return Origin(raw, body, created, node, _vehicle_yaw(document))
+    return Origin(raw, body, str(document["created"]), node, _vehicle_yaw(document))
 
 
 def _number(value: Any) -> float:
@@ -377,3 +342,51 @@ def _positive(value: Any, name: str) -> float:
     if number < 0.0:
         raise ValueError(f"{name} must be zero or more")
     return number
+
+
+KEPT = 3
+"""Former files that are kept."""
+
+
+def backup_files(path: Path) -> list[Path]:
+    """Return the paths of a file's backups, the newest first; they need not exist."""
+    return [path.with_name(f"{path.stem}.before_{k}{path.suffix}") for k in range(1, KEPT + 1)]
+
+
+def keep_backup(path: Path, successor: Calibration) -> None:
+    """Copy what a file holds to the newest of its backups; older ones move on.
+
+    Nothing is done if the file holds no usable calibration, the successor's numbers, or what was
+    kept last. A calibration that was kept earlier moves to the front and is not kept twice: two
+    that alternate do not push out a third. Files of these names that do not say that they are ours
+    stay where they are, and are not counted. After a FileTrouble the backups are as they were.
+    """
+    try:
+        content = read_small(path, LARGEST_FILE)
+        held, _ = read_calibration(path)
+    except (OSError, ValueError, FileTrouble):
+        return
+    files = [file for file in backup_files(path) if is_free_or_ours(file) and not file.is_symlink()]
+    if not files:
+        raise FileTrouble("all names for it belong to files that are not ours")
+    kept = next((k for k, file in enumerate(files) if _holds(file, held)), None)
+    if kept == 0 or held.correction.is_same(successor.correction):
+        return
+    missing = (k for k, file in enumerate(files) if not file.exists())
+    free = next(missing, len(files) - 1) if kept is None else kept
+    text = content.decode("utf-8")
+    write_atomically(files[0], text, when_written=lambda: _move_on(files, free))
+
+
+def _holds(file: Path, calibration: Calibration) -> bool:
+    """Whether a file can be loaded and has the same numbers."""
+    try:
+        return read_calibration(file)[0].correction.is_same(calibration.correction)
+    except (OSError, ValueError, FileTrouble):
+        return False
+
+
+def _move_on(files: list[Path], free: int) -> None:
+    """Move each file before a free name, or one that may go, to the next name."""
+    for k in range(free, 0, -1):
+        os.replace(files[k - 1], files[k])

@@ -1,7 +1,4 @@
-"""Paths of files that the user has not named.
-
-Where there is no home for one it is a FileTrouble; the text says what to do.
-"""
+"""Paths of files that the user has not named; a FileTrouble where there is no home for one."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 
 LONGEST_NAME = 80
 
@@ -45,7 +42,7 @@ def chosen_path(text: str) -> Path:
 
 
 def lies_within(path: Path, places: Iterable[Path]) -> bool:
-    """Whether a path is one of some places or lies below one, told by its names alone.
+    """Whether a path is one of some places or lies below one, by its names alone.
 
     Links are not looked at: only who may write there already can have made one.
     """
@@ -123,10 +120,10 @@ class SensorFile:
         return self._folder / f"{safe_name(self.frame or FRAMELESS)}.yaml"
 
     def find(self) -> Path:
-        """Return the file to load: the sensor's own, or else the former one if it is surely its.
+        """Return the file to load: the sensor's own, else the former one if it is surely its.
 
         A former file is the default node's. That of a node by another name may be its neighbour's
-        and is not taken: that is a FileTrouble, too.
+        and is not taken: a FileTrouble says how to move it.
         """
         own, former = self.path, self.former
         if not is_missing(own) or is_missing(former):

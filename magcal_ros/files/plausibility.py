@@ -39,13 +39,7 @@ BOUNDS = Bounds()
 
 
 def require_possible(calibration: Calibration) -> None:
-    """Refuse numbers that no turn can have found.
-
-    Raises
-    ------
-    ValueError
-        With what is impossible, in words that name the entry.
-    """
+    """Raise a ValueError that names the entry if no turn can have found these numbers."""
     gains = np.linalg.svd(calibration.correction.matrix, compute_uv=False)
     least, most = float(gains.min()), float(gains.max())
     if not BOUNDS.smallest_gain <= least <= most <= BOUNDS.largest_gain:

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -14,9 +14,9 @@ from typing import TextIO
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane, place_of
 from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
 from magcal_ros.core.samples.streams import (
     FieldSample,
     ImuSample,
@@ -24,8 +24,8 @@ from magcal_ros.core.samples.streams import (
     SpeedSample,
     TravelSample,
 )
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import open_regular, plain
+from magcal_ros.core.samples.window import Window
+from magcal_ros.files.disk import FileTrouble, open_regular, plain, write_atomically
 
 IMU_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 FIELD_COLUMNS = ("t", "mx", "my", "mz")
@@ -45,13 +45,11 @@ class Recording:
     """Where the first good fix was."""
     imu_topic: str = "imu.csv"
     field_topic: str = "mag.csv"
-    """What to call the two."""
     field_frame: str = ""
     """What a calibration remembers of the magnetometer."""
     yaw: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2)))
     """Stamp (s) and what an autopilot took for its yaw (rad, ENU, true north). Shape (k, 2)."""
     notes: tuple[str, ...] = ()
-    """What is to be said of the recording."""
 
     def samples(self) -> Iterator[ImuSample | FieldSample]:
         """Yield the samples of both sensors in the order of their stamps, the IMU's first."""
@@ -66,13 +64,7 @@ class Recording:
             yield _imu_sample(row)
 
     def turned(self, pose: FloatArray) -> Recording:
-        """Return what sensors in the parent's axes would have recorded.
-
-        Parameters
-        ----------
-        pose : ndarray, shape (3, 3)
-            Of the recorder in the vehicle.
-        """
+        """Return the recording in the vehicle's axes, for a recorder of this pose (3, 3) in it."""
         imu, raw = self.imu.copy(), self.field.copy()
         for vectors in (imu[:, 1:4], imu[:, 4:7], raw[:, 1:4]):
             vectors[:] = vectors @ pose.T
@@ -85,13 +77,7 @@ def _imu_sample(row: list[float]) -> ImuSample:
 
 
 def read_csv_folder(folder: Path) -> Recording:
-    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder.
-
-    Raises
-    ------
-    FileTrouble
-        If a file or a column is missing, or a line is not numbers.
-    """
+    """Read `imu.csv` (t,ax,ay,az,gx,gy,gz) and `mag.csv` (t,mx,my,mz) of a folder."""
     _, imu = read_columns(folder / "imu.csv", IMU_COLUMNS)
     _, field = read_columns(folder / "mag.csv", FIELD_COLUMNS)
     return Recording(imu, field)
@@ -107,17 +93,8 @@ LATEST_STAMP = 2.0**33
 def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...], FloatArray]:
     """Return the first choice of columns that a file has, and its rows, one column each.
 
-    Parameters
-    ----------
-    path : Path
-        Has a header line; columns may come in any order, and others beside them.
-    choices : tuple of str
-        Names of columns; the first is stamps in seconds.
-
-    Raises
-    ------
-    FileTrouble
-        If a column is missing, or a line is not numbers.
+    The file has a header line; columns may come in any order, with others beside them. The first
+    name of a choice is that of the stamps, seconds.
     """
     header = read_header(path)
     columns = next((each for each in choices if set(each) <= set(header)), None)
@@ -131,34 +108,17 @@ def read_columns(path: Path, *choices: tuple[str, ...]) -> tuple[tuple[str, ...]
 
 
 def read_header(path: Path) -> list[str]:
-    """Return the names in a file's first line.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read.
-    """
+    """Return the names in a file's first line."""
     with _opened(path) as handle:
         first = next(_lines(handle), "")
     return [name.strip().strip('"') for name in first.split(_separator(first))]
 
 
 def read_numbers(path: Path, columns: Sequence[int], second: float = 1.0) -> FloatArray:
-    """Return some columns below a header line.
+    """Return some columns below a header line; the first are stamps, returned in seconds.
 
-    Parameters
-    ----------
-    path : Path
-        Separated by commas, tabs or semicolons; in the last two numbers may have a decimal comma.
-    columns : sequence of int
-        The first is stamps.
-    second : float
-        What a second is in the first column; it is returned in seconds.
-
-    Raises
-    ------
-    FileTrouble
-        If a line is not numbers.
+    They are separated by commas, tabs or semicolons; with the last two, numbers may have a decimal
+    comma. `second` is the length of a second in the first column.
     """
     with _opened(path) as handle:
         lines = _lines(handle)
@@ -211,36 +171,29 @@ LEVEL_FIX_COLUMNS = FIX_COLUMNS[:3]
 PLANE_COLUMNS = ("t", "east", "north")
 
 
-@dataclass(frozen=True)
-class Tables:
-    """What wheels and receiver said, by stamp, and where the first good fix was."""
+def travel_of(
+    others: Iterable[TravelSample], fixes: Sequence[Fix]
+) -> tuple[tuple[TravelSample, ...], Place | None]:
+    """Return fixes and other samples by stamp, and the place of the first good fix."""
+    plane = LocalPlane()
+    found = [*others, *(each for each in map(plane.position, fixes) if each is not None)]
+    place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
+    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
 
-    travel: tuple[TravelSample, ...] = ()
-    place: Place | None = None
 
-
-def read_travel(folder: Path) -> Tables:
+def read_travel(folder: Path) -> tuple[tuple[TravelSample, ...], Place | None]:
     """Read `odom.csv` (t,speed) and `gps.csv` (t,latitude,longitude or t,east,north) of a folder.
 
-    Parameters
-    ----------
-    folder : Path
-        May hold the two files, each with a header line; seconds, m/s (negative backwards), degrees
-        and metres. A row that is not finite is no sample.
-
-    Raises
-    ------
-    FileTrouble
-        If a column is missing, or a line is not numbers.
+    Both are optional, each with a header line: seconds, m/s (negative backwards), degrees, metres.
+    A row that is not finite is no sample.
     """
-    found, place = list[TravelSample](), None
+    found, fixes = list[TravelSample](), list[Fix]()
     if (folder / "odom.csv").exists():
         _, rows = read_columns(folder / "odom.csv", SPEED_COLUMNS)
         found += [SpeedSample(*row) for row in rows.tolist()]
     if (folder / "gps.csv").exists():
-        columns, rows = read_columns(
-            folder / "gps.csv", FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
-        )
+        choices = FIX_COLUMNS, LEVEL_FIX_COLUMNS, PLANE_COLUMNS
+        columns, rows = read_columns(folder / "gps.csv", *choices)
         if columns == PLANE_COLUMNS:
             found += [PositionSample(*row) for row in rows.tolist()]
         else:
@@ -248,7 +201,58 @@ def read_travel(folder: Path) -> Tables:
                 Fix(True, latitude, longitude, height[0] if height else math.nan, stamp)
                 for stamp, latitude, longitude, *height in rows.tolist()
             ]
-            plane = LocalPlane()
-            found += [each for each in map(plane.position, fixes) if each is not None]
-            place = next((each for each in map(place_of, fixes) if isinstance(each, Place)), None)
-    return Tables(tuple(sorted(found, key=lambda sample: sample.stamp)), place)
+    return travel_of(found, fixes)
+
+
+NEEDED = ("t", "mx", "my", "mz", "ax", "ay", "az")
+GYRO = ("gx", "gy", "gz")
+COLUMNS = {
+    "t": "s",
+    **dict.fromkeys(("mx", "my", "mz"), "T"),
+    **dict.fromkeys(("ax", "ay", "az"), "m/s^2"),
+    **dict.fromkeys(GYRO, "rad/s"),
+    "believed": "1/0",
+}
+"""Name and unit of each column; a header cell reads `mx [T]`."""
+
+REMEDY = "Choose a writable folder, or correct its permissions."
+
+
+def write_samples(path: Path, window: Window, believed: BoolArray | None = None) -> None:
+    """Write a window, every number at full precision.
+
+    Without a gyro its columns hold `nan`. `believed` (n,) tells the inliers of the fit; without a
+    fit there are none.
+    """
+    n = len(window)
+    rate = np.full((n, 3), np.nan) if window.angular_rate is None else window.angular_rate
+    marks = [0] * n if believed is None else [int(mark) for mark in believed]
+    numbers = np.column_stack([window.time, window.field, window.specific_force, rate]).tolist()
+    lines = [",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items())]
+    lines += [
+        ",".join([*map(repr, row), str(mark)]) for row, mark in zip(numbers, marks, strict=True)
+    ]
+    write_atomically(path, "\n".join(lines) + "\n", REMEDY)
+
+
+def read_samples(path: Path) -> Window:
+    """Read the window of a turn back, outliers included.
+
+    The header has at least t, mx, my, mz, ax, ay and az, in any order, with or without units in
+    brackets; SI units.
+    """
+    with _opened(path) as handle:
+        names = [cell.split("[")[0].strip() for cell in handle.readline().split(",")]
+        missing = [name for name in NEEDED if name not in names]
+        if missing:
+            raise FileTrouble(
+                f"{path} has no column {', '.join(missing)}; its first line should be "
+                f"{','.join(COLUMNS)}"
+            )
+        wanted = NEEDED + (GYRO if set(GYRO) <= set(names) else ())
+        order, lines = [names.index(name) for name in wanted], handle.readlines()
+        table = np.empty((0, len(order)))
+        if lines:
+            table = np.loadtxt(lines, delimiter=",", usecols=order, ndmin=2, comments=None)
+        rate = table[:, 7:] if table.shape[1] > 7 and not np.isnan(table[:, 7:]).all() else None
+        return Window(table[:, 0], table[:, 1:4], table[:, 4:7], rate)

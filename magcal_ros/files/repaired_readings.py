@@ -20,7 +20,7 @@ from magcal_ros.core.samples.stamps import (
 )
 from magcal_ros.core.samples.streams import STREAMS, ImuSample, slow_field_words, slow_words
 from magcal_ros.core.session.recorded import Reading, without_motors
-from magcal_ros.files.sources import Source
+from magcal_ros.files.bags import Source
 
 LOOKED_AT = 20_000
 """Messages from which bursts of stamps and the rate of the IMU are recognised."""
@@ -35,13 +35,9 @@ TURN_WITHIN = math.radians(20.0)
 class RepairedReadings:
     """The readings of a recording, with even stamps in place of those in bursts.
 
-    A recording is read once, and twice more where its stamps come in bursts. An IMU of 1 to 5 Hz,
-    whose samples are too far apart to be joined, is interpolated where it turns slowly.
-
-    Attributes
-    ----------
-    notes : list of str
-        What was repaired, in words; complete when everything has been read.
+    A recording is read once, and twice more if its stamps come in bursts. An IMU of 1 to 5 Hz,
+    whose samples are too far apart to be joined, is interpolated where it turns slowly. `notes`
+    says what was repaired, and is complete when everything has been read.
     """
 
     def __init__(

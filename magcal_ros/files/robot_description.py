@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from xml.parsers import expat
 
 from magcal_ros.core.errors import MagcalError
@@ -22,17 +21,9 @@ class DescriptionTrouble(MagcalError):
 
 
 def joints_of(text: str) -> tuple[FrameJoint, ...]:
-    """Read the joints of a URDF.
+    """Return the joints of a URDF in their order; whatever else it holds is skipped.
 
-    Returns
-    -------
-    tuple of FrameJoint
-        In the order of the text; what else is in it is passed over.
-
-    Raises
-    ------
-    DescriptionTrouble
-        If it is no URDF, is damaged, or declares entities, which no URDF needs.
+    A DescriptionTrouble if it is no URDF, is damaged, or declares entities, which no URDF needs.
     """
     if len(text) > LARGEST:
         raise DescriptionTrouble(
@@ -59,66 +50,47 @@ def _refuse_doctype(*_: object) -> None:
     )
 
 
-@dataclass(frozen=True)
-class _Draft:
-    """A joint of which not everything has been read."""
-
-    name: str
-    kind: str
-    parent: str = ""
-    child: str = ""
-    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    @property
-    def finished(self) -> FrameJoint:
-        if self.kind not in KINDS:
-            raise DescriptionTrouble(
-                f"the joint {self.name!r} of the robot description has the type {self.kind!r}; "
-                f"URDF knows {', '.join(KINDS)}"
-            )
-        if not (self.parent and self.child):
-            raise DescriptionTrouble(
-                f"the joint {self.name!r} of the robot description names no parent or no child"
-            )
-        return FrameJoint(
-            self.name, self.kind, self.parent, self.child, rotation_from_rpy(*self.rpy)
-        )
-
-
 class _Reader:
-    """Gathers joints that stand right below the root; those of a transmission are others."""
+    """Gathers the joints right below the root; those of a transmission are others."""
 
     def __init__(self) -> None:
         self.joints: list[FrameJoint] = []
         self.is_robot = False
         self._path: list[str] = []
-        self._draft: _Draft | None = None
+        self._joint: dict[str, str] = {}
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         self._path.append(name)
         if len(self._path) == 1:
             self.is_robot = name == "robot"
         elif self._path == ["robot", "joint"]:
-            name, kind = attributes.get("name", ""), attributes.get("type", "")
-            self._draft = _Draft(known_as(name), known_as(kind))
-        elif self._draft is not None and len(self._path) == 3:
-            self._draft = _with(self._draft, name, attributes)
+            self._joint = {key: known_as(attributes.get(key, "")) for key in ("name", "type")}
+        elif self._path[:2] == ["robot", "joint"] and len(self._path) == 3:
+            if name in ("parent", "child"):
+                self._joint[name] = known_as(attributes.get("link", ""))
+            elif name == "origin" and "rpy" in attributes:
+                self._joint["rpy"] = attributes["rpy"]
 
     def end(self, _: str) -> None:
-        if self._draft is not None and len(self._path) == 2:
-            self.joints.append(self._draft.finished)
-            self._draft = None
+        if self._path == ["robot", "joint"]:
+            self.joints.append(_joint_of(self._joint))
         self._path.pop()
 
 
-def _with(draft: _Draft, name: str, attributes: dict[str, str]) -> _Draft:
-    if name == "parent":
-        return replace(draft, parent=known_as(attributes.get("link", "")))
-    if name == "child":
-        return replace(draft, child=known_as(attributes.get("link", "")))
-    if name == "origin" and "rpy" in attributes:
-        return replace(draft, rpy=_angles(draft.name, attributes["rpy"]))
-    return draft
+def _joint_of(read: dict[str, str]) -> FrameJoint:
+    name, kind = read["name"], read["type"]
+    parent, child = read.get("parent", ""), read.get("child", "")
+    if kind not in KINDS:
+        raise DescriptionTrouble(
+            f"the joint {name!r} of the robot description has the type {kind!r}; "
+            f"URDF knows {', '.join(KINDS)}"
+        )
+    if not (parent and child):
+        raise DescriptionTrouble(
+            f"the joint {name!r} of the robot description names no parent or no child"
+        )
+    rpy = _angles(name, read.get("rpy", "0 0 0"))
+    return FrameJoint(name, kind, parent, child, rotation_from_rpy(*rpy))
 
 
 def _angles(joint: str, text: str) -> tuple[float, float, float]:

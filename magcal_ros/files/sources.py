@@ -3,89 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from magcal_ros.core.earth_field.wmm import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import HeadingSample, TravelSample
+from magcal_ros.core.samples.streams import TravelSample
 from magcal_ros.core.session.recorded import Reading
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.bags import open_bag
-from magcal_ros.files.logs import ardupilot, phone, px4
-from magcal_ros.files.logs.common import Progress
-from magcal_ros.files.reading import plain
+from magcal_ros.files import ardupilot, phone, px4
+from magcal_ros.files.bags import Source, open_bag
+from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.logs import Progress
 from magcal_ros.files.recording import Recording, read_csv_folder, read_travel
 
 FIRST_STAMP = 1.0
 """Seconds. A drive whose time begins at zero or before is moved here: a zero stamp is none."""
 
 
-class Source(Protocol):
-    """A recording to be read once.
-
-    Attributes
-    ----------
-    imu_topic, field_topic : str
-        What to call the two streams, as recorded.
-    imu_frame, field_frame : str
-        Newest `frame_id` of each; empty while unknown.
-    share : float
-        How much of it has been read, 0 to 1.
-    """
-
-    imu_topic: str
-    field_topic: str
-    imu_frame: str
-    field_frame: str
-
-    @property
-    def notes(self) -> Sequence[str]:
-        """What is to be said of the recording itself, in words."""
-
-    @property
-    def share(self) -> float:
-        """How much of it has been read, 0 to 1."""
-
-    def yaw(self) -> FloatArray:
-        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
-
-    def place(self) -> Place | None:
-        """Return where it was recorded, by its first good fix; None if it holds none."""
-
-    def begun(self) -> float:
-        """Return when it was recorded, seconds: its beginning."""
-
-    def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
-
-    def currents(self) -> list[tuple[float, float]]:
-        """Return stamps, seconds, and currents of the battery, A; empty if it tells none."""
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Return the headings that somebody else measured, by stamp."""
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield what the sensors said in the order in which it was recorded."""
-
-
-class HeldDrive:
-    """A recording in memory as a source.
-
-    Parameters
-    ----------
-    recording : Recording
-    start, stop : float
-        Seconds from the recording's first sample.
-    """
-
-    imu_frame = ""
+class HeldDrive(Source):
+    """A recording in memory as a source; `start` and `stop` are seconds from its first sample."""
 
     def __init__(self, recording: Recording, start: float, stop: float) -> None:
         self._recording = _cut(recording, start, stop)
@@ -98,6 +39,13 @@ class HeldDrive:
         """How much of it has been read, 0 to 1."""
         return self._read / max(len(self._recording.imu) + len(self._recording.field), 1)
 
+    def readings(self) -> Iterator[Reading]:
+        """Yield the samples of both sensors in the order of their stamps."""
+        self._read = 0
+        for sample in self._recording.samples():
+            self._read += 1
+            yield sample
+
     def place(self) -> Place | None:
         """Return where its first good fix was; None without one."""
         return self._recording.place
@@ -108,32 +56,12 @@ class HeldDrive:
         return float(imu[0, 0]) if len(imu) else 0.0
 
     def travel(self) -> list[TravelSample]:
-        """Return what receiver and wheels said, by stamp; empty if nothing."""
+        """Return the samples of receiver and wheels, by stamp."""
         return list(self._recording.travel)
 
-    def currents(self) -> list[tuple[float, float]]:
-        """Return no currents: files and logs are not asked for them."""
-        return []
-
-    def headings(self, topic: str) -> list[HeadingSample]:
-        """Refuse: only bags have topics.
-
-        Raises
-        ------
-        Misuse
-        """
-        raise Misuse(f"{plain(topic)}: only a bag has a topic with headings")
-
     def yaw(self) -> FloatArray:
-        """Return stamps and what an autopilot took for its yaw (rad, ENU, true north)."""
+        """Return the yaws of an autopilot."""
         return self._recording.yaw
-
-    def readings(self) -> Iterator[Reading]:
-        """Yield the samples of both sensors in the order of their stamps."""
-        self._read = 0
-        for sample in self._recording.samples():
-            self._read += 1
-            yield sample
 
 
 def open_recording(
@@ -148,28 +76,11 @@ def open_recording(
 ) -> AbstractContextManager[Source]:
     """Open a bag, a CSV folder, an autopilot's log or a phone's folder.
 
-    Parameters
-    ----------
-    path : Path
-        The recording: a rosbag2 (folder, .mcap, .db3), a ROS 1 bag, a folder with imu.csv and
-        mag.csv, .BIN, .log and .tlog of ArduPilot, .ulg of PX4, or what a phone's Sensor Logger
-        or phyphox exports.
-    imu, field : str
-        Topics of a bag, sensors of a log; empty to take the only one of the right type, and of a
-        log the first that lives.
-    start, stop : float
-        Seconds from the recording's beginning, by the bag's own clock.
-    imu_pose : ndarray, shape (3, 3), optional
-        Pose of the sensors in the vehicle, of all but a bag.
-    progress : callable, optional
-        Is given the share that has been read of what is read whole.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read; the text says what to do.
-    Misuse
-        If a bag has several topics that would do.
+    `imu` and `field` are topics of a bag or sensors of a log; empty for the only one of the right
+    type, and of a log for the first that gives data. `start` and `stop` are seconds from the
+    beginning. `imu_pose` (3, 3) is the pose of the sensors in the vehicle, of all but a bag.
+    `progress` takes the share that is read. FileTrouble if it cannot be read, Misuse if the topics
+    are ambiguous.
     """
     if not path.exists():
         raise FileTrouble(f"cannot read {path}: there is no such file or folder")
@@ -199,8 +110,8 @@ def _held(path: Path, imu: str, field: str, progress: Progress | None) -> Record
         raise Misuse(f"{path} is a CSV folder without topics: leave out --imu and --mag")
     if not is_csv:
         return phone.read_phone(path)
-    tables = read_travel(path)
-    return replace(read_csv_folder(path), travel=tables.travel, place=tables.place)
+    travel, place = read_travel(path)
+    return replace(read_csv_folder(path), travel=travel, place=place)
 
 
 def _cut(recording: Recording, start: float, stop: float) -> Recording:

@@ -17,10 +17,10 @@ from pathlib import Path
 from struct import Struct, error
 from typing import Any, NamedTuple, NoReturn
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.messages import fix_from, imu_of, speed_from, velocity_from
 from magcal_ros.core.samples.streams import FieldSample, ImuSample, SpeedSample, VelocitySample
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 
 LITTLE_ENDIAN_CDR = b"\x00\x01"
 CDR_START = 4
@@ -50,9 +50,9 @@ FIELD_BODY = Struct("<3d72s")
 
 
 def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | None]]:
-    """Return what takes the bytes of a sensor_msgs/Imu to the frame's bytes and the numbers.
+    """Return what turns the bytes of a sensor_msgs/Imu into the frame's bytes and the numbers.
 
-    It raises `struct.error` where the bytes are not laid out like that.
+    It raises `struct.error` if the bytes are laid out in another way.
     """
     head, body = _reader(layout), IMU_BODY.unpack_from
 
@@ -66,10 +66,10 @@ def imu_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, ImuSample | Non
 
 
 def field_parser(layout: Layout) -> Callable[[bytes], tuple[bytes, FieldSample, bytes]]:
-    """Return what takes the bytes of a sensor_msgs/MagneticField to frame, numbers and covariance.
+    """Return what turns the bytes of a MagneticField into frame, numbers and covariance.
 
-    The covariance stays nine little-endian doubles: hardly any reader needs its numbers. It
-    raises `struct.error` where the bytes are not laid out like that.
+    The covariance stays nine little-endian doubles: hardly any reader needs its numbers. It raises
+    `struct.error` if the bytes are laid out in another way.
     """
     head, body = _reader(layout), FIELD_BODY.unpack_from
 
@@ -188,19 +188,9 @@ class Channel(NamedTuple):
 
 
 class RosReader:
-    """An open rosbag2.
+    """An open rosbag2: a folder with metadata.yaml, or a single .mcap or .db3.
 
-    Parameters
-    ----------
-    path : Path
-        Folder with metadata.yaml, or a single .mcap or .db3.
-    library : module
-        `rosbag2_py`.
-
-    Raises
-    ------
-    RuntimeError
-        Where the library cannot read it.
+    `library` is the module `rosbag2_py`; it raises RuntimeError for what it cannot read.
     """
 
     is2 = True
@@ -233,13 +223,7 @@ class RosReader:
                 yield channels[topic], stamp, data
 
     def deserialize(self, _: bytes, msgtype: str) -> NoReturn:
-        """Take apart what is not in the usual byte order, which this reader cannot.
-
-        Raises
-        ------
-        FileTrouble
-            Always.
-        """
+        """Refuse what is not in the usual byte order, with a FileTrouble."""
         raise FileTrouble(
             f"{self._path} has {msgtype} messages in big-endian byte order: read it where the "
             "Python library rosbags is installed and ROS is not"

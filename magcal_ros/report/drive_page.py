@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.heading_sigma import predicted_heading_sigma
+from magcal_ros.core.calibration import Calibration, predicted_heading_sigma
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.keeping.candidates import difference
 from magcal_ros.core.keeping.jobs import Verb
 from magcal_ros.core.keeping.story import DrivePath, DriveStory
-from magcal_ros.files.atomic import FileTrouble, write_atomically
-from magcal_ros.files.samples import REMEDY
+from magcal_ros.files.disk import FileTrouble, write_atomically
+from magcal_ros.files.recording import REMEDY
 from magcal_ros.report.page import checks_table, page_head
 from magcal_ros.report.write import PAGE
 
@@ -50,13 +49,7 @@ VERBS = {
 
 
 def write_drive_page(folder: Path, story: DriveStory, source: str) -> Path:
-    """Write `report.html` on a drive into a folder; returns it.
-
-    Raises
-    ------
-    FileTrouble
-        If the folder already holds a report, or cannot be written to.
-    """
+    """Write `report.html` on a drive into a folder; returns it. A report that is there stays."""
     page = folder / PAGE
     if page.exists():
         raise FileTrouble(f"{page} is there already and stays; choose another folder")
@@ -87,7 +80,7 @@ def _summary(story: DriveStory) -> str:
 
 
 def summary_of(story: DriveStory) -> str:
-    """Return in two sentences what became of a drive."""
+    """Return the result of a drive in two sentences."""
     changed = [made for _, made in story.decisions if made.verb in (Verb.APPLIED, Verb.REFINED)]
     back = sum(made.verb is Verb.ROLLED_BACK for _, made in story.decisions)
     drove = f"{_duration(story.seconds)} recorded, {_duration(story.moved)} of movement"

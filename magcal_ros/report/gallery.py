@@ -9,20 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry import FloatArray, wrap_angle
 from magcal_ros.report import turn_views
 from magcal_ros.report.turn import Corrected, Turn
-from magcal_ros.report.turn_views import (
-    CORRECTED,
-    IDEAL,
-    LEFT_OUT,
-    RAW,
-    Draw,
-    dots,
-    draw_svg,
-    legend_below,
-)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +26,7 @@ def draw(figure: Figure, turn: Turn) -> None:
     figure.subplots_adjust(left=0.155, right=0.98, top=0.97, bottom=0.205, hspace=0.1)
     _draw_headings(upper, turn, corrected, np.degrees(angle))
     _draw_deviation(lower, turn, corrected, np.degrees(angle))
-    legend_below(figure, upper)
+    turn_views.legend_below(figure, upper)
 
 
 def caption(turn: Turn) -> str:
@@ -68,13 +57,20 @@ def _draw_headings(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> N
     ideal = np.degrees(wrap_angle(corrected.reference[order]))
     # A line that leaves at the top and comes back at the bottom must not be joined.
     ideal[1:][np.abs(np.diff(ideal)) > 180.0] = np.nan
-    axes.plot(angle[order], ideal, color=IDEAL, linewidth=0.9, label="the turn itself", zorder=3)
+    axes.plot(
+        angle[order],
+        ideal,
+        color=turn_views.IDEAL,
+        linewidth=0.9,
+        label="the turn itself",
+        zorder=3,
+    )
     rows = turn.rows()
-    raw = {"color": RAW, "marker": "^", "markersize": 3.0, "label": "before"}
-    dots(axes, angle[rows], np.degrees(wrap_angle(turn.yaw[rows])), **raw)
+    raw = {"color": turn_views.RAW, "marker": "^", "markersize": 3.0, "label": "before"}
+    turn_views.dots(axes, angle[rows], np.degrees(wrap_angle(turn.yaw[rows])), **raw)
     after = np.degrees(wrap_angle(corrected.yaw[rows]))
-    dots(axes, angle[rows], after, color=CORRECTED, label="after")
-    axes.fill_between([], [], [], color=CORRECTED, alpha=0.2, label="±2σ of the heading")
+    turn_views.dots(axes, angle[rows], after, color=turn_views.CORRECTED, label="after")
+    axes.fill_between([], [], [], color=turn_views.CORRECTED, alpha=0.2, label="±2σ of the heading")
     axes.set(ylabel="heading, ENU yaw [°]", ylim=(-185, 185), yticks=range(-180, 181, 90))
 
 
@@ -83,21 +79,27 @@ def _draw_deviation(axes: Any, turn: Turn, corrected: Corrected, angle: Any) -> 
     rows = rows[np.argsort(angle[rows])]
     deviation, sigma = np.degrees(corrected.deviation), np.degrees(corrected.sigma)
     band = 2.0 * sigma[rows]
-    axes.fill_between(angle[rows], -band, band, color=CORRECTED, alpha=0.2, linewidth=0.0)
-    axes.axhline(0.0, color=IDEAL, linewidth=0.9)
+    axes.fill_between(
+        angle[rows], -band, band, color=turn_views.CORRECTED, alpha=0.2, linewidth=0.0
+    )
+    axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
     left_out = turn.rows(~turn.believed, most=100)
     # A few wild samples must not flatten all others; they are drawn at the rim.
     usual = np.percentile(np.append(np.abs(deviation[rows]), band), 98.0) if len(rows) else 0.0
     reach = 1.4 * max(float(usual), 0.1)
-    dots(axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=CORRECTED)
+    turn_views.dots(
+        axes, angle[rows], np.clip(deviation[rows], -reach, reach), color=turn_views.CORRECTED
+    )
     if len(left_out):
-        dots(axes, angle[left_out], np.clip(deviation[left_out], -reach, reach), **LEFT_OUT)
+        turn_views.dots(
+            axes,
+            angle[left_out],
+            np.clip(deviation[left_out], -reach, reach),
+            **turn_views.LEFT_OUT,
+        )
     axes.set(ylim=(-reach, reach), ylabel="after, off the line [°]")
     axes.set_xlabel("turned since the start [°], left positive")
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 BINS = 24
 POINTS_OF_COMPASS = {-180: "W", -90: "S", 0: "E", 90: "N", 180: "W"}
@@ -111,12 +113,12 @@ def draw_gyro(figure: Figure, turn: Turn) -> None:
     upper, lower = figure.subplots(2, 1, sharex=True)
     figure.subplots_adjust(left=0.155, right=0.98, top=0.94, bottom=0.11, hspace=0.2)
     before, after = deviations(turn, corrected)
-    _draw_card(upper, before, RAW, "^", "before the correction")
+    _draw_card(upper, before, turn_views.RAW, "^", "before the correction")
     title = "after the correction"
     bound = turn.swing_bound
     if bound is not None:
         title += f" (grey: good, ±{bound:g}° rms)"
-    _draw_card(lower, after, CORRECTED, "o", title)
+    _draw_card(lower, after, turn_views.CORRECTED, "o", title)
     if bound is not None:
         _draw_bound(lower, after, bound)
     lower.set_xticks(list(POINTS_OF_COMPASS))
@@ -165,7 +167,7 @@ def _means(deviation: FloatArray, heading: FloatArray) -> FloatArray:
 def _draw_card(axes: Any, values: FloatArray, colour: str, marker: str, title: str) -> None:
     centre = -180.0 + (np.arange(BINS) + 0.5) * (360.0 / BINS)
     shown = np.degrees(values)
-    axes.axhline(0.0, color=IDEAL, linewidth=0.9)
+    axes.axhline(0.0, color=turn_views.IDEAL, linewidth=0.9)
     axes.plot(centre, shown, color=colour, marker=marker, markersize=4.5, linewidth=0.0)
     # From -180 to +180 it is one small step, not a line through the whole picture.
     leaps = np.append(np.abs(np.diff(shown)) > 180.0, False)
@@ -192,14 +194,10 @@ class Picture:
     """One figure of the page."""
 
     name: str
-    """Its id on the page."""
     title: str
     caption: str
-    """Plain text."""
     svg: str = ""
-    """The drawing, or empty."""
     missing: str = ""
-    """Why there is no drawing."""
 
 
 @dataclass(frozen=True)
@@ -208,7 +206,7 @@ class Plan:
 
     name: str
     title: str
-    draw: Draw
+    draw: turn_views.Draw
     caption: Callable[[Turn], str]
 
 
@@ -241,7 +239,7 @@ def pictures(turn: Turn) -> list[Picture]:
 def _picture(turn: Turn, plan: Plan) -> Picture:
     words = plan.caption(turn)
     try:
-        svg = draw_svg(plan.draw, turn, plan.name, plan.title)
+        svg = turn_views.draw_svg(plan.draw, turn, plan.name, plan.title)
         return Picture(plan.name, plan.title, words, svg)
     except ImportError:
         return Picture(plan.name, plan.title, words, missing=NO_MATPLOTLIB)

@@ -1,4 +1,4 @@
-"""The page of a report: HTML without external files."""
+"""The page of a report, HTML without external files, and every number on it."""
 
 from __future__ import annotations
 
@@ -7,20 +7,163 @@ import platform
 from collections.abc import Iterable, Sequence
 from datetime import datetime
 from html import escape
+from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
 from magcal_ros import __version__
+from magcal_ros.core.assessment.bounds import TURN_BOUNDS
 from magcal_ros.core.assessment.grading import Check, Grade, worst
 from magcal_ros.core.assessment.verdict import Verdict
+from magcal_ros.core.calibration import Estimate, Figure, common_figures
 from magcal_ros.core.doctor.health import Finding
 from magcal_ros.core.doctor.page import Page
 from magcal_ros.core.knowledge import Belief, Knowledge
 from magcal_ros.core.multi_turn.result import Several
 from magcal_ros.report.gallery import Picture
-from magcal_ros.report.numbers import Row, all_numbers, key_numbers, known_before, matrix_rows
 from magcal_ros.report.turn import Subject, Turn
+
+DEGREES = 180.0 / math.pi
+MICRO = 1e6
+
+
+class Row(NamedTuple):
+    """One line of a table: what it is, and its value with its unit."""
+
+    words: str
+    value: str
+
+
+class Unit(NamedTuple):
+    """How a figure is shown: its words, the factor from SI, and the unit."""
+
+    words: str
+    scale: float = 1.0
+    unit: str = ""
+
+
+FIGURES: dict[Figure, Unit] = {
+    b.figure: Unit(b.words.removesuffix(" by"), b.scale, b.unit) for b in TURN_BOUNDS
+} | {
+    Figure.HEADING_SIGMA_TILTED: Unit("predicted heading error at 10° of tilt (1σ)", DEGREES, "°"),
+    Figure.STEADY_ACCELERATION: Unit("steady linear acceleration taken off", DEGREES, "°"),
+    Figure.POSSIBLE_ACCELERATION: Unit(
+        "heading by a linear acceleration that nothing shows (1σ)", DEGREES, "°"
+    ),
+    Figure.CIRCLE_RADIUS: Unit("radius of the field's circle", MICRO, " µT"),
+    Figure.RADIUS_RATIO: Unit("circle radius over the reference's"),
+    Figure.ELLIPSE_RATIO: Unit("ellipse in the turn's plane, longer axis over shorter"),
+    Figure.AXIS_TILT: Unit("turn's axis off the vertical", DEGREES, "°"),
+    Figure.AXIAL_FIELD: Unit("field along the turn's axis, positive downwards", MICRO, " µT"),
+    Figure.AXIAL_HARD_IRON: Unit(
+        "hard iron along the turn's axis, positive downwards", MICRO, " µT"
+    ),
+    Figure.ACCELEROMETER_SPREAD: Unit("accelerometer's spread over six times its noise"),
+    Figure.FIELD_SPREAD: Unit("field's spread over six times its noise"),
+    Figure.RIVAL_ROLL: Unit("second solution, installation roll", DEGREES, "°"),
+    Figure.RIVAL_PITCH: Unit("second solution, installation pitch", DEGREES, "°"),
+    Figure.RIVAL_ANGLE: Unit("second solution, installation angle", DEGREES, "°"),
+    Figure.WOBBLE: Unit("wobble of the turn's axis (1σ per axis)", DEGREES, "°"),
+    Figure.SOFT_IRON: Unit("soft iron was fitted (1 yes, 0 no)"),
+    Figure.GYRO_CARRIED: Unit("the turn that the gyro measured explains the samples (1 yes, 0 no)"),
+    Figure.TURNS: Unit("turns that were joined"),
+    Figure.TURN_MISFIT: Unit("worst turn off the others, as many times as noise explains"),
+}
+for _sensor, _scale, _unit in (("accelerometer", 1.0, " g"), ("field", MICRO, " µT")):
+    for _axis in "xyz":
+        FIGURES[Figure(f"{_sensor}_range_{_axis}")] = Unit(
+            f"{_sensor}'s range along {_axis}, de-rotated", _scale, _unit
+        )
+
+
+def key_numbers(estimate: Estimate, samples: int) -> list[Row]:
+    """Return what a user wants to know first."""
+    figures = common_figures(estimate) | dict(estimate.figures)
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance)[9:], 0.0))
+    iron, sigma = estimate.correction.hard_iron * MICRO, sigma * MICRO
+    level, tilted = figures[Figure.HEADING_SIGMA], figures[Figure.HEADING_SIGMA_TILTED]
+    rows = [
+        Row("heading error on the level (1σ)", f"±{level * DEGREES:.2f}°"),
+        Row("heading error at 10° of tilt (1σ)", f"±{tilted * DEGREES:.2f}°"),
+    ]
+    rows += [
+        Row(f"hard iron {name} (±1σ)", f"{value:.2f} ± {spread:.2f} µT")
+        for name, value, spread in zip("xyz", iron, sigma, strict=True)
+    ]
+    if estimate.installation is not None:
+        rows.append(Row("installation roll", f"{estimate.installation.roll * DEGREES:.2f}°"))
+        rows.append(Row("installation pitch", f"{estimate.installation.pitch * DEGREES:.2f}°"))
+    if Figure.INSTALLATION_YAW_SIGMA in figures and estimate.installation is not None:
+        yaw, off = estimate.installation.yaw, figures[Figure.INSTALLATION_YAW_SIGMA]
+        words = f"{yaw * DEGREES:.2f} ± {off * DEGREES:.2f}°"
+        rows.append(Row("installation yaw (±1σ)", words))
+    believed = int(np.count_nonzero(estimate.inliers))
+    return [
+        *rows,
+        Row("turn seen", f"{estimate.arc * DEGREES:.0f}°"),
+        Row("samples believed", f"{believed} of {samples}"),
+        Row("field strength", f"{estimate.strength * MICRO:.2f} µT"),
+        Row("inclination, positive downwards", f"{estimate.inclination * DEGREES:.2f}°"),
+    ]
+
+
+def all_numbers(estimate: Estimate) -> list[Row]:
+    """Return everything else that was measured."""
+    axis = ", ".join(f"{value:.4f}" for value in estimate.axis)
+    rows = [
+        Row("turn's axis in body axes", f"({axis})"),
+        Row("noise of one field sample (1σ)", f"{estimate.noise_field * MICRO:.3g} µT"),
+        Row("noise of one tilt (1σ)", f"{estimate.noise_up * DEGREES:.3g}°"),
+    ]
+    figures = (common_figures(estimate) | dict(estimate.figures)).items()
+    return rows + [figure_row(name, value) for name, value in figures]
+
+
+def figure_row(name: Figure, value: float) -> Row:
+    """Name one figure; a name that is not known is shown as it is, in SI."""
+    if (unit := FIGURES.get(name)) is None:
+        return Row(str(name).replace("_", " "), f"{value:.6g} (SI)")
+    return Row(unit.words, f"{value * unit.scale:.4g}{unit.unit}")
+
+
+def matrix_rows(estimate: Estimate) -> list[list[str]]:
+    """Return the twelve numbers with their sigmas: three of A and one of h per line."""
+    sigma = np.sqrt(np.maximum(np.diag(estimate.covariance), 0.0))
+    a, h = estimate.correction.matrix, estimate.correction.hard_iron * MICRO
+    spread, iron = sigma[:9].reshape(3, 3), sigma[9:] * MICRO
+    return [
+        [
+            "xyz"[i],
+            *(f"{a[i, j]:.6f} ± {spread[i, j]:.6f}" for j in range(3)),
+            f"{h[i]:.4f} ± {iron[i]:.4f}",
+        ]
+        for i in range(3)
+    ]
+
+
+def known_before(knowledge: Knowledge) -> list[Row]:
+    """Return what was known beforehand."""
+    reference, mounting, iron = knowledge.reference, knowledge.mounting, knowledge.soft_iron
+    pose = "; ".join(" ".join(f"{value:.4g}" for value in row) for row in mounting.pose)
+    believed = f"±{iron.sigma_diagonal * 100:g}% on, ±{iron.sigma_cross * 100:g}% off the diagonal"
+    return [
+        Row("reference strength", _belief(reference.strength, MICRO, " µT")),
+        Row("reference inclination", _belief(reference.inclination, DEGREES, "°")),
+        Row("declination, positive east", _belief(reference.declination_belief, DEGREES, "°")),
+        Row("known soft-iron gains x, y, z", ", ".join(f"{gain:g}" for gain in mounting.gains)),
+        Row("nominal mounting, rows of the pose", pose),
+        Row("soft iron beyond the gains (1σ)", believed),
+    ]
+
+
+def _belief(belief: Belief, scale: float, unit: str) -> str:
+    if belief.is_unknown:
+        return "not known"
+    value = f"{belief.value * scale:.2f}"
+    return f"{value}{unit}" if belief.is_exact else f"{value} ± {belief.sigma * scale:.2f}{unit}"
+
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; form-action 'none'"
 """Even text that slipped through could load nothing and run nothing."""
@@ -40,23 +183,20 @@ def render(subject: Subject, turn: Turn, pictures: Sequence[Picture]) -> str:
         parts.append(_key(key_numbers(estimate, len(subject.window))))
     if outcome.several is not None:
         parts.append(_several(outcome.several))
-    parts.append(_pictures(pictures))
-    parts.append('<div class="tables">')
+    parts += [_pictures(pictures), '<div class="tables">']
     parts.append(_not_shown(outcome.verdict, estimate is not None))
-    parts.append(_checks(outcome.verdict.checks))
-    parts.append(_sensors(turn.sensors))
+    parts += [_checks(outcome.verdict.checks), _sensors(turn.sensors)]
     if estimate is not None:
         parts.append(_twelve(matrix_rows(estimate)))
         parts.append(f"<h2>All numbers</h2>{_table(all_numbers(estimate), 'numbers')}")
     parts.append(f"<h2>Method, versions, input</h2>{_table(_input(subject, turn), 'input')}")
-    parts.append(_repeat(subject))
-    parts.append("</div></body></html>\n")
-    return "\n".join(parts)
+    return "\n".join([*parts, _repeat(subject), "</div></body></html>\n"])
 
 
 def page_head(title: str, created: datetime, source: str) -> str:
     """Return the beginning of a page, its headline included."""
     words = escape(title)
+    style = files("magcal_ros.report").joinpath("page.css").read_text(encoding="utf-8")
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -64,7 +204,8 @@ def page_head(title: str, created: datetime, source: str) -> str:
 <meta http-equiv="Content-Security-Policy" content="{POLICY}">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{words}</title>
-<style>{CSS}</style>
+<style>
+{style}</style>
 </head>
 <body>
 <h1>{words}</h1>
@@ -93,9 +234,8 @@ def _verdict(verdict: Verdict, by_hand: bool) -> str:
 
 
 def _key(rows: Iterable[Row]) -> str:
-    cells = "".join(
-        f"<div><dt>{escape(row.words)}</dt><dd>{escape(row.value)}</dd></div>" for row in rows
-    )
+    pairs = ((escape(row.words), escape(row.value)) for row in rows)
+    cells = "".join(f"<div><dt>{words}</dt><dd>{value}</dd></div>" for words, value in pairs)
     return f'<dl class="key">{cells}</dl>'
 
 
@@ -120,9 +260,8 @@ def _pictures(pictures: Sequence[Picture]) -> str:
         f"<figcaption>{escape(picture.caption)}</figcaption></figure>"
         for picture in pictures
     ]
-    if not figures:
-        figures = [_missing("No picture: there are no samples.")]
-    return '<section class="pictures">' + "\n".join(figures) + "</section>"
+    drawn = "\n".join(figures) or _missing("No picture: there are no samples.")
+    return f'<section class="pictures">{drawn}</section>'
 
 
 def _missing(why: str) -> str:
@@ -140,7 +279,7 @@ def _not_shown(verdict: Verdict, found: bool) -> str:
 def _checks(checks: Sequence[Check]) -> str:
     ordered = sorted(checks, key=lambda check: (-check.grade.rank, check.aspect.value))
     rows = [(_chip(check.grade), check.aspect.value, escape(check.words)) for check in ordered]
-    return f"<h2>What was checked</h2>{checks_table(('grade', 'speaks for', 'what'), rows)}"
+    return f"<h2>What was checked</h2>{checks_table(('grade', 'aspect', 'what'), rows)}"
 
 
 def _sensors(page: Page) -> str:
@@ -158,11 +297,7 @@ def _sensors(page: Page) -> str:
 def _lines(findings: Sequence[Finding]) -> str:
     ordered = sorted(findings, key=lambda finding: -finding.grade.rank)
     rows = [
-        (
-            "not shown" if f.grade is Grade.GOOD else _chip(f.grade),
-            escape(f.name),
-            escape(_said(f)),
-        )
+        ("not shown" if f.grade is Grade.GOOD else _chip(f.grade), escape(f.name), escape(_said(f)))
         for f in ordered
     ]
     return checks_table(("grade", "what", "evidence, and what to change"), rows)
@@ -175,9 +310,8 @@ def _said(finding: Finding) -> str:
 
 
 def _twelve(lines: Sequence[Sequence[str]]) -> str:
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in line) + "</tr>" for line in lines
-    )
+    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in line) for line in lines)
+    rows = "".join(f"<tr>{line}</tr>" for line in cells)
     return (
         "<h2>The correction: field in body axes = A (raw field − h)</h2>"
         '<div class="scroll"><table class="twelve"><tr><th></th><th colspan="3">A (±1σ), '
@@ -224,8 +358,8 @@ def _input(subject: Subject, turn: Turn) -> list[Row]:
 def _repeat(subject: Subject) -> str:
     several = subject.outcome.several
     newest = several is not None and len(several.joined) > 1
-    note = " of the newest turn" if newest else ""
-    alone = " alone; <code>magcal fit</code> joins several recordings" if newest else ""
+    joins = " alone; <code>magcal fit</code> joins several recordings"
+    note, alone = (" of the newest turn", joins) if newest else ("", "")
     return (
         f"<h2>Repeat the fit</h2><p>Beside this page lies <code>samples.csv</code> with every "
         f"sample{note} in SI units; these lines fit it again{alone}.</p>"
@@ -241,12 +375,12 @@ def recipe(knowledge: Knowledge, method: str) -> str:
 from pathlib import Path
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.knowledge import Belief, Knowledge, Mounting, ReferenceField, SoftIron
-from magcal_ros.files.samples import read_samples
+from magcal_ros.files.recording import read_samples
 
 knowledge = Knowledge(
     ReferenceField(
-        {_belief(reference.strength)},
-        {_belief(reference.inclination)},
+        {_as_code(reference.strength)},
+        {_as_code(reference.inclination)},
         {declination!r}, {float(reference.declination_sigma)!r},
     ),
     Mounting(
@@ -260,97 +394,7 @@ print(outcome.verdict.summary)
 """
 
 
-def _belief(belief: Belief) -> str:
+def _as_code(belief: Belief) -> str:
     if math.isinf(belief.sigma):
         return "Belief.unknown()"
     return f"Belief({float(belief.value)!r}, {float(belief.sigma)!r})"
-
-
-CSS = """
-:root { color-scheme: light; --ink: #1c1f23; --soft: #5a626b; --line: #d9dde1; --pale: #f4f6f8; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1080px; padding: 20px 16px 40px; background: #fff;
-  color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, Arial, sans-serif;
-  overflow-wrap: anywhere; }
-h1 { margin: 0; font-size: 1.7rem; line-height: 1.2; }
-h2 { margin: 28px 0 10px; font-size: 1.15rem; }
-h3 { margin: 0 0 4px; font-size: 1rem; }
-p { margin: 0 0 8px; }
-.meta { margin: 4px 0 16px; color: var(--soft); font-size: .9rem; }
-.verdict { border: 1px solid var(--line); border-left: 8px solid; border-radius: 6px;
-  padding: 12px 16px; background: var(--pale); }
-.verdict p { margin: 8px 0 0; font-size: 1.05rem; }
-.grades { display: flex; flex-wrap: wrap; gap: 8px; }
-.grade { display: inline-block; border-radius: 4px; padding: 1px 9px; color: #fff;
-  font-weight: 600; white-space: nowrap; }
-.excellent { background: #00664b; } .good { background: #0072b2; }
-.warn { background: #f0b323; color: #1c1f23; } .refused { background: #a3230d; }
-.verdict.excellent, .verdict.good, .verdict.warn, .verdict.refused {
-  background: var(--pale); color: inherit; }
-.verdict.excellent { border-left-color: #00664b; } .verdict.good { border-left-color: #0072b2; }
-.verdict.warn { border-left-color: #f0b323; } .verdict.refused { border-left-color: #a3230d; }
-.key { display: grid; grid-template-columns: repeat(auto-fill, minmax(150px, 1fr)); gap: 8px;
-  margin: 14px 0 0; }
-.key div { border: 1px solid var(--line); border-radius: 6px; padding: 6px 10px; }
-.key dt { color: var(--soft); font-size: .78rem; line-height: 1.3; }
-.key dd { margin: 0; font-size: .95rem; font-weight: 600; font-variant-numeric: tabular-nums; }
-.pictures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 18px;
-  margin-top: 20px; }
-figure { margin: 0; border: 1px solid var(--line); border-radius: 6px; padding: 12px; }
-figure svg { display: block; width: 100%; height: auto; stroke-linejoin: round;
-  stroke-linecap: butt; }
-figure svg text { font-family: system-ui, "Segoe UI", Roboto, Arial, sans-serif !important; }
-figcaption { margin-top: 6px; color: var(--soft); font-size: .86rem; line-height: 1.4; }
-.missing { margin: 12px 0; border: 1px dashed #a9b0b7; border-radius: 6px; padding: 28px 14px;
-  background: var(--pale); text-align: center; }
-.scroll { overflow-x: auto; }
-table { width: 100%; border-collapse: collapse; font-size: .9rem; }
-th, td { border-bottom: 1px solid var(--line); padding: 4px 10px 4px 0; text-align: left;
-  vertical-align: top; }
-th { color: var(--soft); font-weight: 600; }
-td.value { text-align: right; padding-right: 0; font-variant-numeric: tabular-nums; }
-.checks td:nth-child(-n+2), .checks th { padding-right: 14px; white-space: nowrap; }
-.numbers, .input { table-layout: fixed; }
-.numbers td:first-child { width: 66%; } .input td:first-child { width: 38%; }
-.twelve td { white-space: nowrap; font-variant-numeric: tabular-nums; }
-.columns { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 32px;
-  align-items: start; }
-ul { margin: 0; padding-left: 20px; }
-code, pre { font: .82rem/1.45 ui-monospace, Menlo, Consolas, monospace; }
-pre { margin: 0; border-radius: 6px; padding: 10px; background: var(--pale); overflow-x: auto;
-  overflow-wrap: normal; }
-@media screen and (max-width: 760px) {
-  .pictures, .columns { grid-template-columns: minmax(0, 1fr); }
-  .key { grid-template-columns: repeat(2, minmax(0, 1fr)); }
-  .verdict p { font-size: 1rem; }
-  .checks tr { display: block; border-bottom: 1px solid var(--line); padding: 6px 0; }
-  .checks tr:first-child { display: none; }
-  .checks td { display: inline-block; border: 0; padding-bottom: 0; }
-  .checks td:last-child { display: block; }
-}
-@page { size: A4; margin: 10mm; }
-@media print {
-  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  body { max-width: none; padding: 0; font-size: 8pt; line-height: 1.3; }
-  h1 { font-size: 14pt; } h2 { margin: 7pt 0 3pt; font-size: 9.5pt; } h3 { font-size: 8.5pt; }
-  .meta { margin: 1pt 0 4pt; font-size: 7.5pt; display: -webkit-box; overflow: hidden;
-    -webkit-box-orient: vertical; -webkit-line-clamp: 2; }
-  .verdict { padding: 4pt 8pt; } .verdict p { margin-top: 3pt; font-size: 8pt; }
-  .key { grid-template-columns: repeat(6, minmax(0, 1fr)); gap: 3pt; margin-top: 4pt; }
-  .key div { padding: 1pt 4pt; } .key dt { font-size: 6pt; } .key dd { font-size: 8pt; }
-  .pictures { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 4pt; margin-top: 5pt; }
-  figure { padding: 4pt; break-inside: avoid; }
-  figure svg { width: auto; max-width: 100%; height: 44mm; margin: 0 auto; }
-  figcaption { margin-top: 1pt; font-size: 6.8pt; line-height: 1.2; }
-  .missing { padding: 10pt; }
-  h2 { break-after: avoid; }
-  .columns { grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 0 14pt; }
-  table { font-size: 6.5pt; line-height: 1.15; } th, td { padding: .6pt 6pt .6pt 0; }
-  .grade { padding: 0 4pt; } .checks .grade { font-size: 6.4pt; }
-  tr { break-inside: avoid; }
-  code, pre { font-size: 6pt; line-height: 1.15; }
-  pre { padding: 3pt; white-space: pre-wrap; }
-  .scroll, pre { overflow: visible; }
-  #sensors.fine, #sensors details { display: none; }
-}
-"""

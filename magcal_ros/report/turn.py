@@ -10,8 +10,7 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import Verdict
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration, Estimate
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Calibration, Estimate, Figure
 from magcal_ros.core.doctor.page import Page, examine_window
 from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import (
@@ -33,9 +32,7 @@ class Subject:
     """One calibration, or one attempt, that a report is about."""
 
     window: Window
-    """The samples."""
     knowledge: Knowledge
-    """What was known beforehand."""
     outcome: Outcome
     """What came of it; a refusal is reported too."""
     source: str
@@ -45,7 +42,6 @@ class Subject:
     created: datetime = field(default_factory=lambda: datetime.now().astimezone())
     """When the calibration was made; this moment unless given."""
     title: str = "Compass calibration"
-    """Headline of the report."""
     magnetometer_frame: str = ""
     imu_frame: str = ""
     """`frame_id` of field and IMU where they are known. Any text: it is escaped."""
@@ -54,13 +50,13 @@ class Subject:
 
     @property
     def answered_by(self) -> str:
-        """Name of the method that gave the answer: a turn may have been told better as a drive."""
+        """Name of the method that gave the result: a turn may have been fitted as a drive."""
         estimate = self.outcome.estimate
         return self.method if estimate is None else estimate.method
 
 
 MOST_POINTS = 400
-"""Points of one series in a picture: more cannot be told apart and weigh down the file."""
+"""Points of one series in a picture: more cannot be distinguished and make the file larger."""
 
 GYRO_BIAS_SIGMA = math.radians(0.5)
 GYRO_SCALE_SIGMA = 0.02
@@ -76,7 +72,6 @@ class Corrected:
     """What the estimate makes of the samples, one row per sample."""
 
     estimate: Estimate
-    """What was found."""
     field: FloatArray
     """Corrected field in body axes, tesla. Shape (n, 3)."""
     circle: FloatArray
@@ -116,11 +111,9 @@ class Turn:
     has_gyro: bool
     """Whether a gyro measured the angle."""
     believed: BoolArray
-    """Samples that the fit believed; all where there was none. Shape (n,)."""
+    """Inliers of the fit; all where there was none. Shape (n,)."""
     coverage: Coverage
-    """Which part of the turn was seen."""
     corrected: Corrected | None
-    """None if nothing could be found."""
     sensors: Page
     """What the samples show of the sensors themselves."""
     swing_bound: float | None = None

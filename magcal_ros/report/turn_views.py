@@ -29,7 +29,7 @@ SPHERE = "#B8B8B8"
 """Okabe and Ito's colours, which colour-blind people tell apart; markers differ besides."""
 
 LEFT_OUT = {"color": ODD, "marker": "x", "markersize": 4.0, "markeredgewidth": 0.9}
-"""How samples look that the fit did not believe."""
+"""The style of outliers."""
 
 MICRO = 1e6
 
@@ -58,18 +58,7 @@ _DRAWING = threading.Lock()
 
 
 def draw_svg(draw: Draw, turn: Turn, name: str, words: str) -> str:
-    """Draw a picture.
-
-    Returns
-    -------
-    str
-        An `svg` element that refers to nothing outside of itself.
-
-    Raises
-    ------
-    ImportError
-        If there is no matplotlib.
-    """
+    """Draw a picture as an `svg` element that refers to nothing outside of itself."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -113,9 +102,6 @@ def legend_below(figure: Figure, source: Any, columns: int = 2) -> None:
     handles, labels = source.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=columns, markerscale=2.2)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 POINTS = 200
 """Of each cloud in each of the four views."""
@@ -239,9 +225,6 @@ def _draw_solid(
         getattr(axes, f"set_{name}ticklabels")([])
     axes.set_title("3-D view", pad=4)
 
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 RAW_FIELD = (
     "Below, the raw field. On a turn two of its lines swing up and down like waves; flat lines "

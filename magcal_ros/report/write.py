@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import pickle
 import re
+import signal
+import sys
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 
-from magcal_ros.files.atomic import UNFINISHED, FileTrouble, write_atomically
-from magcal_ros.files.samples import REMEDY, write_samples
+from magcal_ros.core.errors import MagcalError
+from magcal_ros.files.disk import UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files.recording import REMEDY, write_samples
 from magcal_ros.report.gallery import pictures
 from magcal_ros.report.page import render
 from magcal_ros.report.turn import Subject, Turn
@@ -19,19 +23,10 @@ SAMPLES = "samples.csv"
 
 
 def write_report(folder: Path, subject: Subject) -> Path:
-    """Write `report.html` and `samples.csv` into a folder.
+    """Write `report.html` and `samples.csv` into a folder; returns the page.
 
-    Safe in any thread. Without matplotlib the page has no pictures and says what to install.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    FileTrouble
-        If the folder already holds a report, or cannot be written to.
+    Safe in any thread. Without matplotlib the page has no pictures and says what to install. A
+    FileTrouble if the folder already holds a report, or cannot be written to.
     """
     page = folder / PAGE
     for path in (page, folder / SAMPLES):
@@ -46,6 +41,20 @@ def write_report(folder: Path, subject: Subject) -> Path:
     return page
 
 
+def main() -> int:
+    """Write a report whose folder and subject come pickled on stdin; returns the exit status."""
+    # Signals that end the node do not end a report: it is quick to finish.
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, signal.SIG_IGN)
+    folder, subject = pickle.load(sys.stdin.buffer)
+    try:
+        write_report(folder, subject)
+    except MagcalError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    return 0
+
+
 IN_FORCE = "in_force.txt"
 """Marks the report of a turn whose calibration was put in force."""
 
@@ -56,25 +65,7 @@ DATED = re.compile(r"(\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d)(?:-(\d+))?")
 
 
 def new_folder(parent: Path, created: datetime) -> Path:
-    """Make a dated folder that was not there before.
-
-    Parameters
-    ----------
-    parent : Path
-        Holds the folders; made if it is missing.
-    created : datetime
-        Names the folder, `2024-05-31_14-03-07`; a second one of the same second ends in `-2`.
-
-    Returns
-    -------
-    Path
-        The new folder, marked as ours and empty otherwise.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be made.
-    """
+    """Make a dated folder, marked as ours; a second one of the same second ends in `-2`."""
     name = created.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         parent.mkdir(parents=True, exist_ok=True)
@@ -96,13 +87,7 @@ def new_folder(parent: Path, created: datetime) -> Path:
 
 
 def mark_in_force(folder: Path) -> None:
-    """Keep a report for good: its calibration is, or was, in force.
-
-    Raises
-    ------
-    OSError
-        If the mark cannot be made.
-    """
+    """Keep a report for good: its calibration is, or was, in force."""
     (folder / IN_FORCE).write_text("put in force: kept when older reports are removed\n")
 
 

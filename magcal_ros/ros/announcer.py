@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from types import TracebackType
 from typing import Protocol
 
 PAUSE = 10.0
@@ -18,13 +20,16 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class Log(Protocol):
-    """What the announcer needs of a logger."""
+    """What is needed of a logger."""
 
     def info(self, message: str) -> object:
-        """Say what happens."""
+        """Log an event."""
 
     def warning(self, message: str) -> object:
-        """Say what is wrong."""
+        """Log what is wrong."""
+
+    def error(self, message: str) -> object:
+        """Log a failure."""
 
 
 @dataclass
@@ -59,10 +64,10 @@ class Announcer:
         self._answer: object = None
 
     def tell(self, subject: str, text: str, *, wrong: bool = False) -> None:
-        """Say something on a subject, if it differs from what was said last.
+        """Log something on a subject, if it differs from what was logged last.
 
         What comes sooner than ten seconds after the last line waits for `catch_up`, and only the
-        newest of it is said.
+        newest of it is logged.
         """
         line = self._lines.setdefault(subject, _Line())
         line.text, line.wrong = text, wrong
@@ -74,9 +79,9 @@ class Announcer:
             self._say_if_due(line)
 
     def complain(self, complaints: Iterable[str]) -> None:
-        """Say what is wrong: once it has lasted, and again when it comes back.
+        """Log what is wrong: once it has lasted, and again when it comes back.
 
-        Numbers that go on do not make a complaint a new one.
+        A complaint in which only numbers change is the same one.
         """
         now = self._clock()
         found = {_NUMBER.sub("#", text): text for text in complaints}
@@ -106,3 +111,48 @@ class Announcer:
                 self._log.warning(line.text)
             else:
                 self._log.info(line.text)
+
+
+LONGEST = 300
+"""Characters of an error's own words that go into the log; some quote a whole message."""
+
+
+class CallbackErrors:
+    """Counts the errors of all callbacks and logs each kind, a type at a line of code, once."""
+
+    def __init__(self, log: Callable[[str], object]) -> None:
+        self._log = log
+        self._known: set[tuple[type[BaseException], str]] = set()
+        self.total = 0
+
+    def note(self, error: BaseException) -> str:
+        """Count an error that a callback raised, and log it if its kind is new; says what it is."""
+        self.total += 1
+        kind = type(error), _place(error.__traceback__)
+        words = " ".join(str(error).split())[:LONGEST]
+        said = f"an error in a callback, {kind[0].__name__} in {kind[1]}"
+        if _is_of_clock(error.__traceback__):
+            said = "the simulated time on /clock jumped to a time that ROS does not have"
+        if kind not in self._known:
+            self._known.add(kind)
+            self._log(
+                f"{said}: {words}.The node continues; from now on this kind is only counted,  "
+                "in Inputs of /diagnostics"
+            )
+        return said
+
+
+def _is_of_clock(trace: TracebackType | None) -> bool:
+    """Whether it comes of what rclpy does with a message on /clock."""
+    while trace is not None and trace.tb_frame.f_globals.get("__name__") != "rclpy.time_source":
+        trace = trace.tb_next
+    return trace is not None
+
+
+def _place(trace: TracebackType | None) -> str:
+    """Return file and line of the innermost call."""
+    if trace is None:
+        return "an unknown place"
+    while trace.tb_next is not None:
+        trace = trace.tb_next
+    return f"{os.path.basename(trace.tb_frame.f_code.co_filename)}, line {trace.tb_lineno}"

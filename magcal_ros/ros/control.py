@@ -1,7 +1,7 @@
-"""A turn in the running node: tells the state machine what happens, and does what it says.
+"""A turn in the running node: reports events to the state machine and carries out its commands.
 
-Collecting happens in the executor's thread, a few microseconds a sample; the fit has a process of
-its own and the disk a thread, so the corrected field and the yaw keep flowing.
+Collecting happens in the executor's thread, a few microseconds a sample. The fit has a process of
+its own and the disk a thread, so the corrected field and the yaw are not interrupted.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from typing import Any, Protocol, TypeVar
 from magcal_ros.core.calibrate import Outcome, predicted_sigma, take_turn
 from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.errors import in_words
+from magcal_ros.core.samples import FieldSample, ImuSample, Pairer, Streams, Window
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import FieldSample, ImuSample, Pairer, Streams
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.self_turn import Around, Order, SelfTurn
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.session.turn_machine import TurnMachine
-from magcal_ros.ros.keeper import Runner
+from magcal_ros.ros.keeper import Runner, Tell
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.worker_process import WorkerProcess
 
@@ -36,11 +35,24 @@ def _broken_off(error: Exception) -> str:
     return f"the turn was broken off by an error ({error}); the node's log says where"
 
 
-class House(Protocol):
-    """What a turn needs of the node around it."""
+class Robot(Protocol):
+    """What a turn needs of the node."""
 
-    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
-        """Apply a calibration at once; returns the work of storing it, which says what it did."""
+    def move(self, rate: float) -> None:
+        """Command the base to turn at a rate, rad/s."""
+
+    def look_around(self) -> Around:
+        """Return the state of sensors, base and guard."""
+
+    def note_error(self, error: Exception) -> None:
+        """Note an error that ends a turn."""
+
+
+class House(Protocol):
+    """What a turn needs of its magnetometer."""
+
+    def use(self, calibration: Calibration, tell: Tell) -> None:
+        """Apply a calibration at once and store it; answers when that is done."""
 
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
@@ -48,37 +60,23 @@ class House(Protocol):
     def describe_silence(self) -> str:
         """Say which sensor is missing, and what to look at."""
 
-    def move(self, rate: float) -> None:
-        """Tell the base to turn."""
-
-    def look_around(self) -> Around:
-        """Return what is around a robot that turns itself."""
-
     def turn_ended(self) -> None:
-        """Tell the world how a turn ended, before those who wait for it are told."""
-
-    def note_error(self, error: Exception) -> None:
-        """Take note of an error that ends a turn."""
+        """Publish how a turn ended, before those who wait for it are answered."""
 
 
 class Control:
-    """Runs one turn at a time.
-
-    Attributes
-    ----------
-    turn : TurnMachine
-        The state machine, to be looked at.
-    """
+    """Runs one turn at a time; `turn` is the state machine, to be read."""
 
     def __init__(
         self,
         streams: Streams,
         house: House,
+        node: Robot,
         robot: SelfTurn,
         fits: Runner,
         files: Runner,
     ) -> None:
-        self._house, self._fits, self._files = house, fits, files
+        self._house, self._node, self._fits, self._files = house, node, fits, files
         self._streams = streams
         self._pairer = Pairer(streams)
         self._worker = WorkerProcess()
@@ -134,7 +132,7 @@ class Control:
     def finish(self) -> ev.Conclusion | None:
         """End the session now and fit what there is; None means the fit is under way.
 
-        The verdict on a turn that ended by itself, and that nobody waited for, is told once.
+        The verdict on a turn that ended by itself, and that nobody waited for, is returned once.
         """
         self._collect()
         unreported, self._unreported = self._unreported, None
@@ -157,7 +155,7 @@ class Control:
         """Look at a robot that turns itself; returns whether there is still one to look at."""
         self._collect()
         if self.turn.progress is not None:
-            self._tell(self.turn.look, self._house.look_around(), now())
+            self._tell(self.turn.look, self._node.look_around(), now())
         return not self.turn.robot.is_quiet
 
     def give_up(self, reason: str) -> None:
@@ -176,7 +174,7 @@ class Control:
                 self._tell(self.turn.take, pair, now())
 
     def _tell(self, happened: Callable[..., T], *facts: Any) -> T:
-        """Tell the turn what happened and do what it says; returns its answer."""
+        """Report an event to the turn and carry out its commands; returns its answer."""
         before = self.state
         try:
             answer = happened(*facts)
@@ -193,13 +191,13 @@ class Control:
     def _do(self, command: ev.Command) -> None:
         try:
             self._carry_out(command)
-        except Exception as error:  # whatever has failed, those who wait are told
-            self._house.note_error(error)
+        except Exception as error:  # whatever has failed, all who wait are answered
+            self._node.note_error(error)
             self._tell(self.turn.break_off, _broken_off(error))
 
     def _carry_out(self, command: ev.Command) -> None:
         if isinstance(command, ev.MoveBase):
-            self._house.move(command.rate)
+            self._node.move(command.rate)
         elif isinstance(command, ev.Prepare):
             self._fits.run(self._worker.start, lambda _: None, lambda _: None)
         elif isinstance(command, ev.Preview):
@@ -209,7 +207,10 @@ class Control:
         elif isinstance(command, ev.Report):
             self._tell(self.turn.note_report, self._report(command))
         elif isinstance(command, ev.PutInForce):
-            self._put_in_force(command)
+            # The calibration is in force; a fault in storing it is only said.
+            self._house.use(
+                command.calibration, lambda done: self._tell(self.turn.note_saved, done.message)
+            )
         elif isinstance(command, ev.Conclude):
             self._conclude(command.conclusion)
 
@@ -235,23 +236,13 @@ class Control:
         try:
             return self._house.begin_report(asked.window, self._settings, asked.outcome)
         except Exception as error:  # the calibration matters more than a page about it
-            self._house.note_error(error)
+            self._node.note_error(error)
             return f"No report: {error}."
-
-    def _put_in_force(self, command: ev.PutInForce) -> None:
-        self._files.run(
-            self._house.put_in_force(command.calibration),
-            lambda words: self._tell(self.turn.note_saved, words),
-            # The calibration is in force; a fault in storing it is only said.
-            lambda error: self._tell(
-                self.turn.note_saved, f"In force, but not saved: {in_words(error)}"
-            ),
-        )
 
     def _conclude(self, conclusion: ev.Conclusion) -> None:
         listeners, self._listeners = self._listeners, []
         self._unreported = None if listeners else conclusion
-        # Whatever fails here, everyone who waits is told.
+        # Whatever fails here, all who wait are answered.
         with contextlib.ExitStack() as at_last:
             for listener in listeners:
                 at_last.callback(listener, conclusion)

@@ -1,15 +1,14 @@
 """A second process that stops the robot when the node no longer can.
 
-Nothing that the node does helps against SIGKILL, SIGSTOP, a fault in the interpreter, or a disk
-or terminal that blocks it. So the node tells a small process twenty times a second that it is
-alive; when that falls silent, or the line to it breaks, this process publishes zeros. It is there
-only while the robot turns itself. It has to answer each time what it would publish and where:
-a guard that is stopped, or that does something else, is no guard.
+Nothing that the node does helps against SIGKILL, SIGSTOP, a fault in the interpreter, or a disk or
+terminal that blocks it. So the node reports twenty times a second to a small process; when the
+reports stop, or the line breaks, this process publishes zeros. It exists only while the robot turns
+itself. Each time it has to answer what it would publish and where: a guard that is stopped, or that
+does something else, is no guard.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import math
 import os
@@ -19,7 +18,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from magcal_ros.processes import start
 
@@ -37,7 +36,6 @@ ASKED, ALIVE, DISMISSED = b"?", b".", b"q"
 the robot may move."""
 
 STOPPED = b"stopped the base"
-"""What the guard says at its end; all else are answers."""
 
 HANDLED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGUSR2", "SIGALRM")
 """Signals that are meant for the node: whoever ends both must not end the guard first."""
@@ -49,8 +47,7 @@ class Guard:
     def __init__(self, topic: str, stamped: bool, frame: str) -> None:
         self._process = start(
             __name__,
-            *("--topic", topic, "--frame", frame, "--silence", str(SILENCE)),
-            *(["--stamped"] if stamped else []),
+            *(topic, frame, "stamped" if stamped else "", str(SILENCE)),
             extra=_without_shared_memory(),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -147,26 +144,21 @@ def _without_shared_memory() -> dict[str, str]:
     return {name: os.environ.get(name, "UDPv4")}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Watch standard input; returns 0 if dismissed and 1 if the base was stopped."""
     for name in HANDLED:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
-    parser = argparse.ArgumentParser(description="Stops a base when its node is gone.")
-    parser.add_argument("--topic", required=True)
-    parser.add_argument("--frame", default="")
-    parser.add_argument("--stamped", action="store_true")
-    parser.add_argument("--silence", type=float, default=SILENCE)
-    options = parser.parse_args(arguments)
-    brake = Brake(options.topic, options.stamped, options.frame)
+    topic, frame, stamped, silence = sys.argv[1], sys.argv[2], bool(sys.argv[3]), float(sys.argv[4])
+    brake = Brake(topic, stamped, frame)
     # Whatever blocks the node's log must not block the guard.
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stderr.fileno())
 
     def answer(question: bytes) -> None:
         if brake.has_met_base:
-            _say(question + b" " + brake.duty(options.silence))
+            _say(question + b" " + brake.duty(silence))
 
-    if not is_needed(sys.stdin.fileno(), options.silence, answer):
+    if not is_needed(sys.stdin.fileno(), silence, answer):
         return 0
     brake.stop_base(lambda: _say(STOPPED))
     return 1
@@ -233,8 +225,8 @@ class Brake:
         """Return what this brake does, by its publisher's own word."""
         return duty(type(self._zero).__name__, self._out.topic_name, silence)
 
-    def stop_base(self, tell: Callable[[], None] = lambda: None) -> None:
-        """Publish zeros for a second; after the first of them somebody is told."""
+    def stop_base(self, tell: Callable[[], None]) -> None:
+        """Publish zeros for a second; `tell` is called after the first of them."""
         deadline = time.monotonic() + ZEROS_FOR
         self._out.publish(self._zero)
         tell()

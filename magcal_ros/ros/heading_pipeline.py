@@ -12,8 +12,7 @@ from dataclasses import field as member
 from rclpy.node import Node
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.position import Fix, Fixes
-from magcal_ros.core.earth_field.reference import Reference, made_elsewhere, resolve
+from magcal_ros.core.earth_field.reference import Fix, Fixes, Reference, made_elsewhere, resolve
 from magcal_ros.core.earth_field.wmm import year_of
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
@@ -93,19 +92,16 @@ class Sensor:
     def complaint(self) -> str:
         """Say that nothing comes, and what to look at; empty if messages flow."""
         if self.last_heard is None:
-            return (
-                f"nothing has arrived on {self.topic}: "
-                "is the driver running, and the topic remapped to it?"
-            )
+            why = "is the driver running, and the topic remapped to it?"
+            return f"nothing has arrived on {self.topic}: {why}"
         silent = self.age()
         if silent > SILENT_AFTER:
             return f"{self.topic} has been silent for {silent:.0f} s"
         if self.publishers > 1:
             return f"{self.publishers} publishers on {self.topic}: only one can be the sensor"
         if self.changes - self._changes_at_look[0] > 1:
-            names = " and ".join(
-                repr(known_as(f)) for f in sorted((self._frame_before, self.frame))
-            )
+            frames = map(known_as, sorted((self._frame_before, self.frame)))
+            names = " and ".join(map(repr, frames))
             return f"the frame of {self.topic} changes between {names}: only one can be the sensor"
         return ""
 
@@ -135,20 +131,14 @@ class Inputs:
         return found + complaints(self.streams, imu, mag)
 
     def _heard(self) -> tuple[Heard, Heard]:
-        imu, mag = (
-            Heard(sensor.topic, sensor.messages, Counter(drops))
-            for sensor, drops in (
-                (self.imu, self.streams.imu_drops),
-                (self.field, self.streams.field_drops),
-            )
+        imu, field, streams = self.imu, self.field, self.streams
+        return (
+            Heard(imu.topic, imu.messages, Counter(streams.imu_drops)),
+            Heard(field.topic, field.messages, Counter(streams.field_drops)),
         )
-        return imu, mag
 
 
-HALF_A_PLACE = (
-    "only one of reference.latitude_deg and reference.longitude_deg is given: give both, or leave "
-    "both out"
-)
+HALF_A_PLACE = "give reference.latitude_deg and reference.longitude_deg both, or neither"
 
 FIX_PAUSE = 0.2
 """Seconds after a look within which another fix brings no new one."""
@@ -203,12 +193,12 @@ class ReferenceSource:
     def _resolve(self) -> Reference:
         settings = self._settings = self._table.settings
         given = settings.knowledge.reference
-        place = settings.place or self._fixes.place
-        found = resolve(given, settings.local, place, None if place is None else self._year())
+        place = settings.given.place or self._fixes.place
+        found = resolve(given, settings.given.local, place, None if place is None else self._year())
         notes = list(found.complaints)
-        if settings.place is not None or not given.is_known:
-            notes += self._fixes.complaints(settings.place)
-        if settings.half_place:
+        if settings.given.place is not None or not given.is_known:
+            notes += self._fixes.complaints(settings.given.place)
+        if settings.given.half_place:
             notes.append(HALF_A_PLACE)
         if self._calibration is not None:
             notes.append(made_elsewhere(self._calibration, found.field))
@@ -234,16 +224,9 @@ FIRST = 1
 class HeadingPipeline:
     """Computes and publishes the heading from the messages of all magnetometers.
 
-    Attributes
-    ----------
-    motors : Motors
-        Follows what the motors do.
-    several : SeveralCompasses
-        Joins the magnetometers.
-    are_several : bool
-        Whether a calibration of a further one is in force, so that there is something to join.
-    lead : Calibration or None
-        In whose terms the heading is: that of the first magnetometer that has one.
+    `motors` follows the motors, and `several` joins the magnetometers. `are_several` says whether
+    a calibration of a further one is in force. `lead` is the calibration that the heading is based
+    on: that of the first magnetometer that has one.
     """
 
     def __init__(
@@ -257,7 +240,7 @@ class HeadingPipeline:
         travel: Travel,
     ) -> None:
         self._node, self.up, self._imu, self.streams = node, up, imu, streams
-        self.frames, self._reference, self._travel = frames, reference_source, travel
+        self.frames, self._reference, self.travel = frames, reference_source, travel
         self.motors = Motors(node, up, travel)
         self.headings = HeadingOutput(node, frames)
         self.fused = FusedOutput(node, up, frames)
@@ -283,7 +266,7 @@ class HeadingPipeline:
             self.headings.begin_anew(lead)
             self.fused.begin_anew(lead)
             self._reference.use(lead)
-            self._travel.use(self._origin.vehicle_yaw if self._origin else None)
+            self.travel.use(self._origin.vehicle_yaw if self._origin else None)
 
     def follow(self, settings: Settings, keeper: Keeper, turn: TurnState) -> None:
         """Take the parameters, use what was learnt of the motors and keep it, once a second."""
@@ -298,9 +281,9 @@ class HeadingPipeline:
         self.fused.on_imu(seconds, stamp, self.body_frame(), reference)
 
     def moment_of(self, compass: Compass, sample: FieldSample) -> Moment:
-        """Return what a field sample comes to by a compass."""
+        """Return the corrected field, up and heading of a field sample."""
         up = self.up.at(sample.stamp, self.streams.max_gap)
-        running = self.motors.as_used(compass, sample.stamp)
+        running = None if compass.motors is None else self.motors.running(sample.stamp)
         turning = self.up.rate if self.up.is_propagated else None
         return Moment.of(compass, sample, up, self.streams.newest_rate, running, turning)
 
@@ -315,7 +298,7 @@ class HeadingPipeline:
         reference = self._reference.reference.field
         self.headings.publish(moment, arrived.stamp, self.body_frame(), reference)
         self.fused.on_field(moment)
-        self._travel.on_moment(moment)
+        self.travel.on_moment(moment)
 
     def body_frame(self) -> str:
         """Return the IMU's frame."""
@@ -331,9 +314,4 @@ class HeadingPipeline:
     def origin_of(self, magnetometer_frame: str) -> Origin:
         """Return where a calibration that is made now comes from."""
         node = self._node.get_fully_qualified_name()
-        return Origin.now(magnetometer_frame, self._imu.frame, node, self._travel.yaw)
-
-    @property
-    def vehicle_words(self) -> str:
-        """How the IMU sits in the vehicle, for people; empty while it is not known."""
-        return self._travel.words
+        return Origin.now(magnetometer_frame, self._imu.frame, node, self.travel.yaw)

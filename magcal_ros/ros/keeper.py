@@ -8,16 +8,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import MotorField
+from magcal_ros.core.calibration import Calibration, MotorField
 from magcal_ros.core.errors import in_words
 from magcal_ros.core.heading.base_view import VehicleYaw
 from magcal_ros.core.session.turn_events import Conclusion
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.backups import keep_backup
-from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.calibration_file import (
+    Origin,
+    keep_backup,
+    read_calibration,
+    write_calibration,
+)
 from magcal_ros.files.default_paths import SensorFile, chosen_path, is_missing, known_as, numbered
-from magcal_ros.files.reading import plain, promptly
+from magcal_ros.files.disk import FileTrouble, plain, promptly
+from magcal_ros.ros.announcer import Log
 
 T = TypeVar("T")
 Tell = Callable[[Conclusion], None]
@@ -44,16 +47,6 @@ class Runner(Protocol):
         """Wait so many seconds for the work that was asked for."""
 
 
-class Log(Protocol):
-    """What is needed of a logger."""
-
-    def info(self, message: str) -> object:
-        """Say what happens."""
-
-    def error(self, message: str) -> object:
-        """Say what went wrong."""
-
-
 class Loaded(NamedTuple):
     """A calibration as a file has it."""
 
@@ -65,11 +58,10 @@ class Loaded(NamedTuple):
 class Keeper:
     """Holds the calibration in force and moves it to and from its file.
 
-    `name` is the node's namespace and name, part of the default path; a `number` above 1, of a
-    further magnetometer, stands in the file's name. `chosen` returns the parameter
-    calibration_file. Of any file that is named there after the start the network is not told what
-    it is. `apply` is called with the calibration (or None) and the magnetometer's frame whenever
-    it changes.
+    `name` is the node's namespace and name, part of the default path; a `number` above 1 stands in
+    the file's name. `chosen` returns the parameter calibration_file; of a file that is named there
+    after the start nothing is revealed to the network. `apply` is called with the calibration (or
+    None) and the magnetometer's frame whenever it changes.
     """
 
     def __init__(
@@ -117,7 +109,7 @@ class Keeper:
     def keep_motors(self, motors: MotorField) -> None:
         """Store what was learnt of the motors with the calibration in force, if there is one.
 
-        Nothing is applied anew: whoever learnt it uses it already.
+        Nothing is applied: the caller uses it already.
         """
         if self.calibration is not None:
             self.calibration = replace(self.calibration, motors=motors)
@@ -131,12 +123,8 @@ class Keeper:
     def store(self, with_backup: bool = True) -> Callable[[], str]:
         """Return the work of saving what is in force now, to be done in any thread.
 
-        With a backup another calibration that the file holds is kept beside it.
-
-        Raises
-        ------
-        FileTrouble
-            If nothing is in force.
+        With a backup, another calibration that the file holds is kept beside it. A FileTrouble if
+        nothing is in force.
         """
         calibration, origin = self.calibration, self.origin
         if calibration is None or origin is None:
@@ -192,10 +180,7 @@ class Keeper:
     def read(self, chosen: str, frame: str) -> Loaded:
         """Read the file of a sensor, in any thread; one that has not changed is not read again.
 
-        Raises
-        ------
-        FileTrouble
-            If the file is missing, damaged, foreign, or made for another sensor.
+        A FileTrouble if it is missing, damaged, foreign, or made for another sensor.
         """
         try:
             path = self._path_to_load(chosen, frame)
@@ -337,7 +322,7 @@ def _key_of(path: Path) -> object:
 
 
 def _require_sensor(path: Path, origin: Origin, frame: str) -> None:
-    """Refuse a calibration that was made for another sensor: both frames are known and differ."""
+    """Raise a FileTrouble for a calibration of another sensor: both frames are known and differ."""
     made_for, there = origin.magnetometer_frame, known_as(frame)
     if made_for and there and made_for != there:
         raise FileTrouble(

@@ -1,4 +1,4 @@
-"""Known headings: typed in where a robot stands, or told by a topic."""
+"""Known headings: given where a robot stands, or sent by a device such as two antennas."""
 
 from __future__ import annotations
 
@@ -9,44 +9,46 @@ from typing import TYPE_CHECKING, Any
 from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from sensor_msgs.msg import Imu
 
 from magcal_ros.core.errors import in_words
-from magcal_ros.core.samples.streams import FieldSample, Pair, Pairer
-from magcal_ros.core.session.external_heading import TUNING, ExternalHeading, TurnSince
+from magcal_ros.core.heading.fusion_tuning import FUSION
+from magcal_ros.core.keeping.jobs import Mode
+from magcal_ros.core.messages import heading_of
+from magcal_ros.core.samples.streams import FieldSample, HeadingSample, Pair, Pairer
+from magcal_ros.core.session import external_heading
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
-from magcal_ros.ros.antenna import Antenna
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.heading_pipeline import HeadingPipeline
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
+from magcal_ros.ros.magnetometers import Magnetometers
 from magcal_ros.ros.parameters import Settings
-from magcal_ros.ros.services import Turns
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
+from magcal_ros.ros.wire import Unreadable, by_rclpy
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
 if TYPE_CHECKING:
-    from magcal_ros.core.session.at_known_heading import HeadingResult
+    from magcal_ros.core.calibrate import Outcome
+    from magcal_ros.core.session.at_known_heading import HeadingCollector, HeadingLog, HeadingResult
     from magcal_ros.core.smoother.standings import Standing
 
-TICK = 0.2
-"""Seconds between looks while samples are collected."""
-NO_HEADING = (
-    "no known heading: set known_heading.yaw_deg (ENU: 0 to the east, 90 to the north, positive to "
-    "the left) and known_heading.north (true_north or magnetic_north), or publish a "
-    "sensor_msgs/Imu with an orientation on "
-)
-NO_NORTH = (
-    "say which north known_heading.yaw_deg is to: set known_heading.north to true_north (maps, "
-    "walls in plans, two antennas) or magnetic_north (a compass)"
+TOPIC = "heading"
+FRESH = 1.0
+"""Seconds for which a heading of the topic counts as the present one."""
+MISSED = 10
+"""Headings in a row that disagree with the fused yaw, after which it is reported."""
+NO_DECLINATION = (
+    "it is to true north, and the declination here is not known: give reference.latitude_deg and "
+    "longitude_deg, or wait for gps/fix"
 )
 
 
-class KnownHeadings:
-    """Calibrates where the robot stands at a known heading.
+class Antenna:
+    """Uses the topic `heading`: for the fused yaw, and for a calibration along the way.
 
-    Attributes
-    ----------
-    antenna : Antenna
-        Listens to the topic.
+    While `is_heard`, it needs IMU and field samples. `collected` takes each heading while it is a
+    list.
     """
 
     def __init__(
@@ -57,29 +59,199 @@ class KnownHeadings:
         fits: BackgroundThread,
         group: CallbackGroup,
     ) -> None:
-        self._magnetometer, self._settled = magnetometer, pipeline.settled
-        self._frames, self._follower, self._fits = pipeline.frames, pipeline.up, fits
-        self._streams = pipeline.streams
+        self._magnetometer, self._pipeline, self._fits = magnetometer, pipeline, fits
+        self._say = node.get_logger().info
+        self._worker = WorkerProcess()
+        self.topic = node.resolve_topic_name(TOPIC)
+        self.is_heard = False
+        self.collected: list[HeadingSample] | None = None
+        self._heard_at = -math.inf
+        self._collector: HeadingCollector | None = None
+        self._is_fitting = False
+        self._missed, self._gap = 0, 0.0
+        self._fault = self._answer = self._north = ""
+        self.subscription = node.create_subscription(
+            Imu, TOPIC, self._on_heading, SENSOR_DATA, raw=True, callback_group=group
+        )
+
+    def end(self) -> None:
+        """End the process that fits for good."""
+        self._worker.end()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        if self._collector is not None:
+            self._collector.log = None
+        self._answer, self._north, self._missed = "", "", 0
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the topic gives a heading now."""
+        return time.monotonic() - self._heard_at < FRESH
+
+    @property
+    def silence(self) -> str:
+        """Why it does not, in words that follow its name."""
+        if self._fault:
+            return f" (it sends, but {self._fault})"
+        return "" if self._collector is None else " (its last heading came too long ago)"
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is wrong with the headings, in words."""
+        words = [self._fault]
+        if self.is_heard and self._collector is not None:
+            words += [self._collector.check.fault, self._north]
+        if self.is_heard and self._missed >= MISSED:
+            words.append(
+                f"it differs from the fused yaw by {math.degrees(self._gap):.0f}°, far more than "
+                "the variances of both allow, and is not used: check which north it is to "
+                "(known_heading.topic_north), that its zero is to the east, and that the yaw of "
+                "the antennas in the vehicle is part of it; or the calibration is out of date "
+                "(~/reset)"
+            )
+        return [f"{self.topic}: {each}" for each in words if each]
+
+    def facts(self) -> dict[str, Any] | None:
+        """Return the part of `~/status` on the topic; None where no heading has come."""
+        if self._collector is None:
+            return None
+        kept = 0 if self._collector.log is None else len(self._collector.log.standings)
+        return {"topic": self.topic, "speaks": self.is_heard, "kept": kept, "found": self._answer}
+
+    def on_imu(self, stamp: float) -> None:
+        """Take the turn up to an IMU message that the up follower has received already."""
+        if self._collector is not None:
+            self._collector.on_imu(stamp)
+
+    def on_field(self, sample: FieldSample) -> None:
+        """Take a field sample while the topic sends."""
+        collector, view = self._collector, self._pipeline.frames.view
+        if collector is None or sample.stamp - collector.newest.stamp > FRESH:
+            self.is_heard = False
+            return
+        if view is None:
+            return
+        settings = self._pipeline.settled()
+        north = settings.heading_is_true, settings.knowledge.reference
+        is_enough = collector.on_field(sample, view.pose[0], *north)
+        if is_enough and collector.log is not None and not self._is_fitting:
+            self._fit(settings, collector.log)
+
+    def _on_heading(self, data: bytes) -> None:
+        try:
+            sample = heading_of(by_rclpy(data, Imu))
+        except Unreadable as error:
+            sample = str(error)
+        if isinstance(sample, str):
+            self._fault = sample
+            return
+        if self._collector is None:
+            # What only headings need is loaded with the first one.
+            from magcal_ros.core.session.at_known_heading import HeadingCollector
+
+            self._collector = HeadingCollector(self._pipeline.up)
+        self._collector.on_heading(sample)
+        self._heard_at, self.is_heard = time.monotonic(), True
+        if self.collected is not None:
+            self.collected.append(sample)
+        settings, view = self._pipeline.settled(), self._pipeline.frames.view
+        given = ExternalHeading(sample.yaw, sample.sigma, settings.heading_is_true)
+        shift = given.to_magnetic(settings.knowledge.reference)
+        self._fault = NO_DECLINATION if shift is None else ""
+        yaw = self._pipeline.fused.yaw
+        if self._collector.check.fault or shift is None or view is None or yaw is None:
+            return
+        x, y, z = view.pose[0].tolist()
+        missed = yaw.take_heading(sample.stamp, sample.yaw + shift, sample.sigma**2, (x, y, z))
+        if missed is not None:
+            self._missed = self._missed + 1 if missed > FUSION.heading_gate else 0
+            self._gap = yaw.last_heading_gap
+
+    def _fit(self, settings: Settings, log: HeadingLog) -> None:
+        self._is_fitting = True
+        standings = log.take()
+
+        def work() -> tuple[Outcome, str]:
+            from magcal_ros.core.session.at_known_heading import fit_log
+
+            return self._worker.run(fit_log, standings, settings.knowledge)
+
+        self._fits.run(work, lambda found: self._note(*found, log), self._lost)
+
+    def _lost(self, error: Exception) -> None:
+        self._is_fitting = False
+        if not isinstance(error, Stopped):
+            self._answer = f"the fit failed: {error}"
+
+    def _note(self, outcome: Outcome, north: str, log: HeadingLog) -> None:
+        self._worker.stop()
+        self._is_fitting = False
+        if self._collector is None or log is not self._collector.log:
+            return
+        self._answer, self._north = outcome.verdict.summary, north
+        found, before = outcome.calibration, self._magnetometer.keeper.calibration
+        if self._pipeline.settled().self_calibration == Mode.OFF.value:
+            return
+        if (
+            found is None
+            or not outcome.verdict.accepted
+            or not external_heading.replaces(found, before)
+        ):
+            return
+        self._say(f"{self.topic} calibrates the compass: {self._answer}")
+        is_another = before is None or not external_heading.is_by_headings(before)
+        self._magnetometer.use(found, lambda done: self._say(done.message), is_another)
+
+
+TICK = 0.2
+"""Seconds between checks while samples are collected."""
+NO_HEADING = (
+    "no known heading: set known_heading.yaw_deg (ENU: 0 to the east, 90 to the north, positive to "
+    "the left) and known_heading.north (true_north or magnetic_north), or publish a "
+    "sensor_msgs/Imu with an orientation on "
+)
+NO_NORTH = (
+    "say which north known_heading.yaw_deg is to: set known_heading.north to true_north (maps, "
+    "walls in plans, two antennas) or magnetic_north (a compass)"
+)
+NO_POSE = (
+    "the pose of the IMU in base_frame is not known, so that a heading of that frame says nothing "
+    "of the IMU's: publish robot_description, or leave base_frame empty and give the IMU's heading"
+)
+
+
+class KnownHeadings:
+    """Calibrates where the robot stands at a known heading; `antenna` uses the topic."""
+
+    def __init__(
+        self,
+        node: Node,
+        magnetometer: Magnetometer,
+        pipeline: HeadingPipeline,
+        fits: BackgroundThread,
+        group: CallbackGroup,
+    ) -> None:
+        self._magnetometer, self._pipeline, self._fits = magnetometer, pipeline, fits
         self.antenna = Antenna(node, magnetometer, pipeline, fits, group)
         self._worker = WorkerProcess()
         self._standings: tuple[Standing, ...] = ()
         self._epoch = 0
-        self._sensors = ""
-        self._since: TurnSince | None = None
+        self._sensors = self._answer = ""
+        self._since: external_heading.TurnSince | None = None
         self._pairs: list[Pair] = []
-        self._pairer = Pairer(self._streams)
+        self._pairer = Pairer(pipeline.streams)
         self._given: ExternalHeading | None = None
         self._tell: Tell | None = None
         self._deadline = math.inf
         self._is_collecting = False
-        self._answer = ""
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(TICK, self._on_tick, clock=steady)
         self._timer.cancel()
 
     @property
     def follows(self) -> bool:
-        """Whether it wants each IMU sample."""
+        """Whether it needs each IMU sample."""
         return self._since is not None or self.antenna.is_heard
 
     def end(self) -> None:
@@ -89,48 +261,40 @@ class KnownHeadings:
 
     def forget(self) -> None:
         """Begin anew with the next heading."""
-        self._standings, self._since = (), None
+        self._standings, self._since, self._answer = (), None, ""
         self._epoch += 1
-        self._answer = ""
         self.antenna.forget()
 
     def note_sensors(self, sensors: str) -> None:
-        """Take note of which sensors are heard: where others stood says nothing of these."""
+        """Take which sensors send now; what others measured is forgotten."""
         if self._sensors and sensors != self._sensors:
             self.forget()
         self._sensors = sensors
 
-    def calibrate(self, turns: Turns, tell: Tell) -> None:
-        """Collect where the robot stands now, and tell what its heading shows."""
+    def calibrate(self, turns: Magnetometers, tell: Tell) -> None:
+        """Collect where the robot stands now, and answer what its heading shows."""
+        settings = self._pipeline.settled()
+        refusal = self._why_not(turns, settings)
+        if refusal:
+            tell(Conclusion(False, refusal))
+            return
+        self._tell, self._given = tell, settings.known_heading
+        self._pairs, self.antenna.collected = [], []
+        self._pairer = Pairer(self._pipeline.streams)
+        self._deadline = time.monotonic() + external_heading.TUNING.patience
+        self._is_collecting = True
+        self._timer.reset()
+
+    def _why_not(self, turns: Magnetometers, settings: Settings) -> str:
         if turns.state is not TurnState.IDLE:
-            tell(Conclusion(False, "a turn is under way: wait for its verdict first"))
-            return
+            return "a turn is under way: wait for its verdict first"
         if self._tell is not None:
-            tell(Conclusion(False, "already collecting at a known heading: wait for its answer"))
-            return
-        settings = self._settled()
-        given = settings.known_heading
+            return "already collecting at a known heading: wait for its answer"
         if settings.north_is_missing:
-            tell(Conclusion(False, NO_NORTH))
-        elif given is None and not self.antenna.is_fresh:
-            words = f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
-            tell(Conclusion(False, words))
-        elif self._frames.view is None:
-            tell(
-                Conclusion(
-                    False,
-                    "the pose of the IMU in base_frame is not known, so that a heading of that "
-                    "frame says nothing of the IMU's: publish robot_description, or leave "
-                    "base_frame empty and give the IMU's heading",
-                )
-            )
-        else:
-            self._tell, self._given = tell, given
-            self._pairs, self.antenna.collected = [], []
-            self._pairer = Pairer(self._streams)
-            self._deadline = time.monotonic() + TUNING.patience
-            self._is_collecting = True
-            self._timer.reset()
+            return NO_NORTH
+        if settings.known_heading is None and not self.antenna.is_fresh:
+            return f"{NO_HEADING}{self.antenna.topic}{self.antenna.silence}"
+        return NO_POSE if self._pipeline.frames.view is None else ""
 
     def on_field(self, sample: FieldSample) -> None:
         """Take a field sample."""
@@ -141,29 +305,27 @@ class KnownHeadings:
         self._pairer.offer(sample)
         self._pairs += self._pairer.take()
         pairs = self._pairs
-        if pairs and pairs[-1].field.stamp - pairs[0].field.stamp >= TUNING.seconds:
+        if (
+            pairs
+            and pairs[-1].field.stamp - pairs[0].field.stamp >= external_heading.TUNING.seconds
+        ):
             self._fit()
 
     def on_imu(self, stamp: float) -> None:
-        """Go on to an IMU message, of which up knows already, since the last standing."""
+        """Take the turn up to an IMU message that the up follower has received already."""
         if self.antenna.is_heard:
             self.antenna.on_imu(stamp)
-        up, since, follower = self._follower.newest, self._since, self._follower
-        if since is None or up is None:
+        follower, since = self._pipeline.up, self._since
+        if since is None or follower.newest is None:
             return
-        if not follower.is_propagated:
-            # What turned meanwhile nobody knows.
+        if follower.is_propagated:
+            since.add(stamp, follower.newest, follower.mean_rate, follower.gyro_bias.variance)
+        else:
+            # The turn since the last standing is not known any more.
             self._since = None
-            return
-        since.add(stamp, up, follower.mean_rate, follower.gyro_bias.variance)
-
-    @property
-    def complaints(self) -> list[str]:
-        """What is wrong with the topic's headings, in words."""
-        return self.antenna.complaints
 
     def facts(self) -> dict[str, Any] | None:
-        """Return what `~/status` tells; None where there is no known heading."""
+        """Return the part of `~/status` on known headings; None where there is none."""
         topic = self.antenna.facts()
         if not self._standings and topic is None and not self._answer:
             return None
@@ -181,20 +343,20 @@ class KnownHeadings:
             self._fit()
 
     def _fit(self) -> None:
-        # The timer ends itself: cancelled by another thread it may be on its way already.
+        # The timer cancels itself: another thread might do it while its callback is due.
         self._is_collecting = False
-        settings = self._settled()
-        given = self._given or self._given_by_topic(settings)
-        view = self._frames.view
+        settings, follower = self._pipeline.settled(), self._pipeline.up
+        heard, self.antenna.collected = self.antenna.collected or [], None
+        given = self._given or external_heading.mean_heading(heard, settings.heading_is_true)
+        view = self._pipeline.frames.view
         if given is None or view is None:
             self._conclude(Conclusion(False, f"{self.antenna.topic} fell silent meanwhile"))
             return
-        follower, forward = self._follower, view.pose[0]
         bias = follower.gyro_bias.rate if follower.is_propagated else (0.0, 0.0, 0.0)
-        pairs, since, knowledge = tuple(self._pairs), self._since, settings.knowledge
+        known = given, settings.knowledge, view.pose[0], self._since, bias
+        pairs, self._pairs = tuple(self._pairs), []
         before, epoch = self._standings, self._epoch
         in_force = self._magnetometer.keeper.calibration
-        self._pairs = []
 
         def work() -> HeadingResult:
             # What only a fit needs is loaded when one is made, beside the messages.
@@ -203,35 +365,23 @@ class KnownHeadings:
                 calibrate_standing,
             )
 
-            collected = CollectedSamples(pairs, given, knowledge, forward, since, bias)
+            collected = CollectedSamples(pairs, *known)
             return self._worker.run(calibrate_standing, before, collected, in_force)
 
         self._fits.run(work, lambda result: self._note(result, epoch), self._lost)
 
-    def _given_by_topic(self, settings: Settings) -> ExternalHeading | None:
-        """Return the mean of the topic's headings while the robot stood."""
-        heard, self.antenna.collected = self.antenna.collected, None
-        if not heard:
-            return None
-        east = sum(math.cos(each.yaw) for each in heard)
-        north = sum(math.sin(each.yaw) for each in heard)
-        # What is wrong in one message of a receiver is wrong in the next, too.
-        sigma = max(each.sigma for each in heard)
-        return ExternalHeading(math.atan2(north, east), sigma, settings.heading_is_true)
-
     def _lost(self, error: Exception) -> None:
-        words = "the node ends" if isinstance(error, Stopped) else in_words(error)
-        self._conclude(Conclusion(False, f"nothing was found: {words}"))
+        why = "the node ends" if isinstance(error, Stopped) else in_words(error)
+        self._conclude(Conclusion(False, f"nothing was found: {why}"))
 
     def _note(self, result: HeadingResult, epoch: int) -> None:
         self._worker.stop()
         if epoch != self._epoch:
-            words = "~/reset was called, or another sensor met, meanwhile: call again"
-            self._conclude(Conclusion(False, words))
+            self._conclude(Conclusion(False, "~/reset, or another sensor, meanwhile: call again"))
             return
         calibration = result.outcome.calibration
         if calibration is not None:
-            self._standings, self._since = result.standings, TurnSince()
+            self._standings, self._since = result.standings, external_heading.TurnSince()
         if not result.applies or calibration is None:
             # A heading that agrees with a better calibration is no failure.
             self._conclude(Conclusion(result.outcome.verdict.accepted, result.words))

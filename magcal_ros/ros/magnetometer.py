@@ -15,24 +15,22 @@ from magcal_ros.core.calibration.calibration import Calibration
 from magcal_ros.core.heading.compass import Compass
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.monitoring.watch import Watch
+from magcal_ros.core.samples import Drop, FieldSample, Window
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import Drop, FieldSample
-from magcal_ros.core.samples.window import Window
-from magcal_ros.core.session.self_turn import Around, SelfTurn
+from magcal_ros.core.session.self_turn import SelfTurn
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.ros.background_thread import BackgroundThread
-from magcal_ros.ros.control import Control
+from magcal_ros.ros.control import Control, Robot
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs
 from magcal_ros.ros.keeper import Keeper, Tell
 from magcal_ros.ros.outputs import FieldOutput
 from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.reporter import Reporter
-from magcal_ros.ros.sensor_loop import SENSOR_DATA
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
 from magcal_ros.ros.wire import Unreadable, read_field
 
 
-class Owner(Protocol):
+class Owner(Robot, Protocol):
     """What happens in the node when something happens to a magnetometer."""
 
     def sensors_changed(self, magnetometer: Magnetometer) -> None:
@@ -45,16 +43,7 @@ class Owner(Protocol):
         """Use the calibration that is in force from now on."""
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
-
-    def note_error(self, error: Exception) -> None:
-        """Take note of an error that ends a turn."""
-
-    def move(self, rate: float) -> None:
-        """Tell the base to turn at a rate, rad/s."""
-
-    def look_around(self) -> Around:
-        """Return what is around a robot that turns itself."""
+        """Publish how a turn ended, before those who wait for it are answered."""
 
 
 class Magnetometer:
@@ -81,19 +70,14 @@ class Magnetometer:
         self._topic = topic_of(number)
         name, log = (node.get_namespace(), node.get_name()), node.get_logger()
         self.keeper = Keeper(name, files, log, self._apply, chosen, number)
-        self.control = Control(inputs.streams, self, robot, fits, files)
+        self.control = Control(inputs.streams, self, owner, robot, fits, files)
         self._reporter = Reporter(log.error)
         self.compass: Compass | None = None
         self.watch: Watch | None = None
         """Watches the calibration of the first magnetometer."""
         self._out = FieldOutput(node, self._topic) if number == FIRST else None
         self.subscription = node.create_subscription(
-            MagneticField,
-            self._topic,
-            self._on_field,
-            SENSOR_DATA,
-            raw=True,
-            callback_group=group,
+            MagneticField, self._topic, self._on_field, SENSOR_DATA, raw=True, callback_group=group
         )
 
     @property
@@ -113,7 +97,7 @@ class Magnetometer:
         self._note_sensors()
         settings = self._pipeline.settled(self.number, self.inputs.field.frame)
         if self.number != FIRST:
-            # The robot is turned by whoever turns the first.
+            # The first magnetometer's turn commands the robot.
             settings = replace(settings, rotation=replace(settings.rotation, enabled=False))
         return self.control.start(settings, gyro)
 
@@ -160,15 +144,10 @@ class Magnetometer:
         frame = self.inputs.field.frame
         return self._pipeline.settled(self.number, frame).knowledge if is_idle else None
 
-    def put_in_force(self, calibration: Calibration) -> Callable[[], str]:
-        """Apply a calibration at once; returns the work of storing it, which says what it did."""
-        origin = self._pipeline.origin_of(self.inputs.field.frame)
-        self.keeper.put_in_force(calibration, origin)
-        return self.keeper.store()
-
     def begin_report(self, window: Window, settings: Settings, outcome: Outcome) -> str:
         """Begin the report on a turn; returns where it will lie, in words."""
-        sensors, words = (self.inputs.field, self.inputs.imu), self._pipeline.vehicle_words
+        sensors, yaw = (self.inputs.field, self.inputs.imu), self._pipeline.travel.yaw
+        words = "" if yaw is None else yaw.words
         return self._reporter.report(window, settings, outcome, *sensors, words)
 
     def describe_silence(self) -> str:
@@ -176,21 +155,9 @@ class Magnetometer:
         complaints = self.inputs.complaints()
         return "; ".join(complaints) or "no new field sample with an acceleration has come"
 
-    def move(self, rate: float) -> None:
-        """Tell the base to turn at a rate, rad/s."""
-        self._owner.move(rate)
-
-    def look_around(self) -> Around:
-        """Return what is around a robot that turns itself."""
-        return self._owner.look_around()
-
     def turn_ended(self) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
+        """Publish how a turn ended, before those who wait for it are answered."""
         self._owner.turn_ended(self)
-
-    def note_error(self, error: Exception) -> None:
-        """Take note of an error that ends a turn."""
-        self._owner.note_error(error)
 
     def _apply(self, calibration: Calibration | None, magnetometer_frame: str) -> None:
         self.compass = None if calibration is None else Compass(calibration)

@@ -1,13 +1,18 @@
-"""All magnetometers of the node: one heading of all, and one turn for all."""
+"""All magnetometers of the node, one heading and one turn for all; the services that ask them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from std_srvs.srv import Trigger
 
 from magcal_ros.core.heading.several_compasses import SeveralCompasses
 from magcal_ros.core.samples.rest import GyroAtRest
@@ -18,11 +23,10 @@ from magcal_ros.ros.parameters import Settings
 from magcal_ros.ros.wire import diagnostic
 
 Ask = Callable[[Tell], object]
-"""Asks for something that is answered later."""
 
 
 class Magnetometers:
-    """All magnetometers of the node: who is there, the heading of all, and turns of all at once."""
+    """All magnetometers of the node: which send, the heading of all, and turns of all at once."""
 
     def __init__(self, first: Magnetometer, several: SeveralCompasses) -> None:
         self._several = several
@@ -85,7 +89,8 @@ class Magnetometers:
         found = [text for each in self.further for text in each.inputs.complaints()]
         if not self.are_calibrated:
             return found
-        topics, shares = self._topics, self._several.shares
+        topics = {each.number: each.topic for each in self.heard}
+        shares = self._several.shares
         # What disturbs all of them alike is no fault of one.
         if not all(share.why for share in shares.values()):
             for number, share in shares.items():
@@ -93,16 +98,16 @@ class Magnetometers:
                 found += [f"{topics[number]} {part}: {share.why}"] if share.why else []
         apart = math.degrees(self._several.disagreement)
         if apart:
+            names = " and ".join(topics[number] for number in shares)
             found.append(
-                f"the headings of {' and '.join(topics[k] for k in shares)} are "
-                f"{apart:.0f}° apart, and nothing tells which is wrong: the published sigma holds "
-                "it. Calibrate all in one turn, and see whether each sits as mount_rpy_deg and "
-                "mount_2_rpy_deg say"
+                f"the headings of {names} are {apart:.0f}° apart, and the samples do not show "
+                "which is wrong: the published sigma includes it. Calibrate all in one turn, and "
+                "check that each is mounted as mount_rpy_deg and mount_2_rpy_deg say"
             )
         return found
 
     def facts(self) -> list[dict[str, Any]]:
-        """Return what `~/status` tells; nothing while only the first is there."""
+        """Return the part of `~/status` on them; nothing while only the first is there."""
         shares = self._several.shares
         return [
             {
@@ -142,10 +147,6 @@ class Magnetometers:
     def keepers(self) -> dict[int, Keeper]:
         """Who has what is in force, by the magnetometers' numbers."""
         return {each.number: each.keeper for each in self.heard}
-
-    @property
-    def _topics(self) -> dict[int, str]:
-        return {each.number: each.topic for each in self.heard}
 
     @property
     def _busy(self) -> list[Magnetometer]:
@@ -205,3 +206,101 @@ def joined(conclusions: Mapping[str, Conclusion]) -> Conclusion:
         return next(iter(conclusions.values()))
     words = "; ".join(f"{topic}: {each.message}" for topic, each in conclusions.items())
     return Conclusion(all(each.success for each in conclusions.values()), words)
+
+
+CALLS = QoSProfile(depth=100)
+"""With the usual depth of 10, calls of a storm overwrite each other before they are read."""
+
+
+class Services:
+    """Offers the services.
+
+    `short` ones answer at once, one of them is `start`; `slow` ones answer when they are done.
+    `note` is given each error in a service, of which its caller is informed as well.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        turns: Magnetometers,
+        short: Mapping[str, Callable[[], Conclusion]],
+        slow: Mapping[str, Callable[[Tell], None]],
+        note: Callable[[Exception], object],
+    ) -> None:
+        self._node, self._turns, self._note = node, turns, note
+        self._start = short["start"]
+        # A waiting coroutine holds its group: with one of its own nothing else starves, and
+        # being reentrant it lets a second call in, to be refused with the reason.
+        waiting = ReentrantCallbackGroup()
+        waiting_for = {name: self._wait_for(action) for name, action in slow.items()}
+        long = {"calibrate": self._calibrate, "finish": self._finish, **waiting_for}
+        for name, answer in long.items():
+            node.create_service(
+                Trigger,
+                f"~/{name}",
+                self._late_answer(answer),
+                qos_profile=CALLS,
+                callback_group=waiting,
+            )
+        for name, action in short.items():
+            node.create_service(Trigger, f"~/{name}", self._answer(action), qos_profile=CALLS)
+
+    async def _calibrate(self) -> Conclusion:
+        opened = self._start()
+        return await self._conclusion() if opened.success else opened
+
+    async def _finish(self) -> Conclusion:
+        if self._turns.state is TurnState.IDLE:
+            return self._turns.finish() or Conclusion(False, "")
+        done = self._conclusion()
+        self._turns.finish()
+        return await done
+
+    def _wait_for(self, action: Callable[[Tell], None]) -> Callable[[], Awaitable[Conclusion]]:
+        async def answer() -> Conclusion:
+            future = self._future()
+            action(future.set_result)
+            return await future
+
+        return answer
+
+    def _late_answer(
+        self, action: Callable[[], Awaitable[Conclusion]]
+    ) -> Callable[[Any, Any], Any]:
+        async def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                return _fill(response, await action())
+            except Exception as error:  # whatever it is, the caller is answered
+                return _fill(response, self._failed(error))
+
+        return answer
+
+    def _answer(self, action: Callable[[], Conclusion]) -> Callable[[Any, Any], Any]:
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                return _fill(response, action())
+            except Exception as error:  # whatever it is, the caller is answered
+                return _fill(response, self._failed(error))
+
+        return answer
+
+    def _failed(self, error: Exception) -> Conclusion:
+        self._note(error)
+        return Conclusion(False, f"an error in the node: {error}; its log says where")
+
+    def _future(self) -> Future:
+        future: Future = Future(executor=self._node.executor)
+        # An rclpy before 2026 does not wake for a future that a coroutine waits for, but for a
+        # callback of it.
+        future.add_done_callback(lambda _: None)
+        return future
+
+    def _conclusion(self) -> Future:
+        future = self._future()
+        self._turns.when_done(future.set_result)
+        return future
+
+
+def _fill(response: Trigger.Response, conclusion: Conclusion) -> Trigger.Response:
+    response.success, response.message = conclusion.success, conclusion.message
+    return response

@@ -1,9 +1,9 @@
 """The executable `ros2 run magcal_ros calibrator`.
 
-Signals that end the process come from a person, a supervisor or a terminal that goes away. rclpy's
-own handlers take the context down first, and then nothing can be published any more: a robot that
-turns would turn on. Here the process is left as it is and a listener is called in a thread of its
-own, so that a callback that does not return cannot stand in the way.
+Signals that end the process come from a person, a supervisor or a closed terminal. rclpy's own
+handlers take the context down first, and then nothing can be published any more: a robot that turns
+would not be stopped. Here a signal calls a listener in a thread of its own, so that a callback that
+does not return cannot delay it.
 """
 
 from __future__ import annotations
@@ -21,27 +21,13 @@ from rclpy.signals import SignalHandlerOptions
 from magcal_ros.processes import bound_memory, leave_out_current_folder, use_one_thread
 from magcal_ros.ros.node import Calibrator
 
-SIGNALS = (
-    signal.SIGINT,
-    signal.SIGTERM,
-    signal.SIGHUP,
-    signal.SIGQUIT,
-    signal.SIGABRT,
-    signal.SIGUSR1,
-    signal.SIGUSR2,
-    signal.SIGALRM,
-    signal.SIGVTALRM,
-    signal.SIGPROF,
-    signal.SIGXCPU,
-)
+NAMES = ("INT", "TERM", "HUP", "QUIT", "ABRT", "USR1", "USR2", "ALRM", "VTALRM", "PROF", "XCPU")
+SIGNALS = tuple(getattr(signal, f"SIG{name}") for name in NAMES)
 """Every one that would end the process and can be caught: a robot that turns must be stopped."""
 
 
 class EndSignals:
-    """Notes that the process was told to end.
-
-    To be made in the main thread, before the middleware starts threads.
-    """
+    """Notes that the process was told to end; to be made before the middleware starts threads."""
 
     def __init__(self) -> None:
         self._told = threading.Event()
@@ -57,7 +43,7 @@ class EndSignals:
         threading.Thread(target=self._watch, name="magcal-signals", daemon=True).start()
 
     def when_given(self, listener: Callable[[], None]) -> None:
-        """Call back once, from another thread; at once if the process was told already."""
+        """Call back once, from another thread; at once if a signal has come already."""
         with self._lock:
             self._listener = listener
             if not self._told.is_set():
@@ -78,7 +64,7 @@ SWITCH_INTERVAL = 0.0005
 message that waits. With Python's own 5 ms a message that came then would be late by as much."""
 
 LAST_RESORT = 8.0
-"""Seconds after which a process that was told to end is gone, whatever it still waits for: a lock
+"""Seconds after which a process that is to end is gone, whatever it still waits for: a lock
 of the middleware that another process took with it, say. `ros2 launch` kills after 10."""
 
 ENDING = 1.0
@@ -86,7 +72,7 @@ ENDING = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until it is told to stop; returns the exit status."""
+    """Run the node until a signal ends it; returns the exit status."""
     # Fits and reports are computed in processes started from here.
     use_one_thread()
     signals = EndSignals()

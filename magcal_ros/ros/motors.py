@@ -18,7 +18,7 @@ from magcal_ros.core.keeping.motor_learning import MotorLearning
 from magcal_ros.core.messages import seconds
 from magcal_ros.core.samples.streams import FieldSample
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.sensor_loop import SENSOR_DATA
+from magcal_ros.ros.threads import SENSOR_DATA
 from magcal_ros.ros.travel import Travel
 
 BETTER = 0.7
@@ -26,14 +26,14 @@ BETTER = 0.7
 PAUSE = 60
 """Seconds of learning between two writings of the file."""
 SILENT = 1.5
-"""Seconds without a message after which nobody knows the current any more."""
+"""Seconds without a message after which the current counts as unknown."""
 
 
 class Commands:
-    """Hears the speed that the robot is told to drive, while somebody tells it.
+    """Receives the commanded speed while something publishes it.
 
-    The type is that of whoever publishes. Nothing is subscribed to while wheels tell a speed, or
-    while this node turns the robot and asks who listens to its commands.
+    The type is that of the publisher. Nothing is subscribed to while the wheels measure a speed, or
+    while this node turns the robot and counts the subscribers of its commands.
     """
 
     def __init__(self, node: Node, up: UpFollower) -> None:
@@ -49,7 +49,7 @@ class Commands:
         return math.isfinite(self._speed)
 
     def speed_near(self, stamp: float) -> float:
-        """Return the commanded speed, m/s; NaN where nobody told one near a stamp, seconds."""
+        """Return the commanded speed, m/s; NaN without a command near a stamp, seconds."""
         return self._speed if abs(stamp - self._received) < SILENT else math.nan
 
     def follow(self, is_wanted: bool) -> None:
@@ -85,9 +85,9 @@ class Commands:
 
 
 class Motors:
-    """Follows what the motors do, by gyro, wheels and battery, and learns what they add.
+    """Follows what the motors do, by gyro, wheels and battery, and learns the field that they add.
 
-    It learns where wheels or a battery tell, unless self-calibration is off.
+    It learns while wheels or a battery send, unless self-calibration is off.
     """
 
     def __init__(self, node: Node, up: UpFollower, travel: Travel) -> None:
@@ -112,10 +112,6 @@ class Motors:
         if math.isnan(speed):
             speed = self.commands.speed_near(stamp)
         return self._sense.at(stamp, rate, self._up.is_at_rest, speed, current)
-
-    def as_used(self, compass: Compass, stamp: float) -> Running | None:
-        """Return the same; None where a compass knows no motors."""
-        return None if compass.motors is None else self.running(stamp)
 
     def take(self, compass: Compass | None, sample: FieldSample) -> FieldSample:
         """Learn from a sample; returns it without what the motors add, as a compass knows them."""
@@ -157,7 +153,7 @@ class Motors:
         return motors
 
     def _use(self, compass: Compass | None) -> None:
-        """Another calibration is in force; the motors are the same, and so are their inputs."""
+        """Take another calibration; the motors are the same, and so are their inputs."""
         before = None if self._compass is None else self._compass.motors
         self._compass, self._learning, self._has_learnt = compass, None, False
         self._kept = None if compass is None else compass.motors

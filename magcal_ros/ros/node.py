@@ -16,29 +16,19 @@ from magcal_ros.core.samples.streams import Drop, FieldSample, Streams
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Topics
 from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros import status
+from magcal_ros.ros.announcer import Announcer, CallbackErrors
 from magcal_ros.ros.heading_pipeline import FIRST, HeadingPipeline, Inputs, ReferenceSource, Sensor
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.known_headings import KnownHeadings
 from magcal_ros.ros.magnetometer import Magnetometer, topic_of
-from magcal_ros.ros.magnetometers import Magnetometers
-from magcal_ros.ros.outputs import LATCHED, RELIABLE, TurnMarkers
+from magcal_ros.ros.magnetometers import Magnetometers, Services
+from magcal_ros.ros.outputs import RELIABLE, TurnMarkers
 from magcal_ros.ros.parameters import Parameters
 from magcal_ros.ros.rotator import PERIOD, Rotator
 from magcal_ros.ros.self_keeping import SelfKeeping
-from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.sensor_loop import SENSOR_DATA, CallbackErrors, SensorGroup, Spinner
-from magcal_ros.ros.services import Services
-from magcal_ros.ros.status import (
-    calibration_diagnostic,
-    diagnostic_array,
-    diagnostic_name,
-    field_diagnostic,
-    inputs_diagnostic,
-    status_json,
-    watch_diagnostic,
-)
+from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread, SensorGroup, Spinner
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.wire import Unreadable, read_imu
 
@@ -231,7 +221,7 @@ class Calibrator(Node):
         return Around(*ages, self._rotator.listeners, is_allowed, self._rotator.is_guarded)
 
     def turn_ended(self, magnetometer: Magnetometer) -> None:
-        """Publish how a turn ended, before those who wait for it are told."""
+        """Publish how a turn ended, before those who wait for it are answered."""
         if magnetometer is self._first:
             self._frames.note_outcome(self._control.turn.last_outcome)
             self._publish_status()
@@ -271,26 +261,31 @@ class Calibrator(Node):
         if news is not None:
             self._keeper.keep_vehicle_yaw(news)
         complaints = self._inputs.complaints() + self._frames.complaints + self._travel.complaints
-        complaints += [*self._known.complaints, *filter(None, [self._pipeline.headings.rivals()])]
+        complaints += [
+            *self._known.antenna.complaints,
+            *filter(None, [self._pipeline.headings.rivals()]),
+        ]
         self._announcer.complain(dict.fromkeys(complaints + self._magnetometers.complaints()))
         now = self.get_clock().now().to_msg()
         for each in self._magnetometers.heard:
             each.repeat_bias(now)
-        name = diagnostic_name(self.get_fully_qualified_name())
+        name = self.get_fully_qualified_name().lstrip("/")
         statuses = [
-            calibration_diagnostic(name, self._first),
-            field_diagnostic(
+            status.calibration_diagnostic(name, self._first),
+            status.field_diagnostic(
                 name, self._pipeline.headings.moment, self._pipeline.lead, self._reference.reference
             ),
             self._pipeline.fused.diagnostic(name),
-            watch_diagnostic(name, self._first.watch, self._keeping),
+            status.watch_diagnostic(name, self._first.watch, self._keeping),
             *self._travel.diagnostics(name),
             *self._magnetometers.diagnostics(name),
-            inputs_diagnostic(
+            status.inputs_diagnostic(
                 name, self._inputs, complaints + self._table.complaints, self._callback_errors.total
             ),
         ]
-        self._diagnostics_out.publish(diagnostic_array(statuses, self._inputs.field.frame, now))
+        self._diagnostics_out.publish(
+            status.diagnostic_array(statuses, self._inputs.field.frame, now)
+        )
         self._publish_status()
 
     def _publish_status(self) -> None:
@@ -300,7 +295,7 @@ class Calibrator(Node):
         turns_itself = self._table.settings.rotation.enabled
         shown = self._travel, self._keeping, self._magnetometers, self._pipeline.motors
         reference = self._reference.reference
-        status = status_json(self._first, reference, turns_itself, *shown, self._known)
-        if status != self._status:
-            self._status = status
-            self._status_out.publish(String(data=status))
+        text = status.status_json(self._first, reference, turns_itself, *shown, self._known)
+        if text != self._status:
+            self._status = text
+            self._status_out.publish(String(data=text))

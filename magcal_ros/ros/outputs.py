@@ -14,15 +14,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Point
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import ColorRGBA, Float64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.errors import Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import true_yaw, unit
+from magcal_ros.core.geometry import FloatArray, true_yaw, unit
 from magcal_ros.core.geometry.planes import Circle, fit_circle_in_space
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.compass import Compass, Moment
@@ -32,20 +31,11 @@ from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.core.up import UpFollower
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
+from magcal_ros.ros import wire
 from magcal_ros.ros.control import Control
-from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.wire import (
-    AttitudeTemplate,
-    FieldArrival,
-    FieldTemplate,
-    NumberTemplate,
-    azimuth_message,
-    bias_message,
-    diagnostic,
-)
+from magcal_ros.ros.sensor_frames import LATCHED, SensorFrames
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RELIABLE = QoSProfile(depth=10)
 
 
@@ -55,7 +45,7 @@ class FieldOutput:
     def __init__(self, node: Node, topic: str) -> None:
         self._field_out = node.create_publisher(MagneticField, f"{topic}_unbiased", RELIABLE)
         self._bias_out = node.create_publisher(MagneticField, f"{topic}_bias", LATCHED)
-        self._field = FieldTemplate()
+        self._field = wire.FieldTemplate()
         self._covariance_in = b""
         self._covariance: tuple[float, ...] = ()
         self._bias: MagneticField | None = None
@@ -68,7 +58,7 @@ class FieldOutput:
         self._bias = None
         if compass is not None:
             correction = compass.calibration.correction
-            self._bias = bias_message(correction, magnetometer_frame)
+            self._bias = wire.bias_message(correction, magnetometer_frame)
             self.repeat_bias(None)
 
     def repeat_bias(self, stamp: Time | None) -> None:
@@ -78,7 +68,7 @@ class FieldOutput:
                 self._bias.header.stamp = stamp
             self._bias_out.publish(self._bias)
 
-    def publish(self, field: Triple, arrived: FieldArrival, frame: str) -> None:
+    def publish(self, field: Triple, arrived: wire.FieldArrival, frame: str) -> None:
         """Publish a corrected field, tesla, in the IMU's frame."""
         if _is_wanted(self._field_out):
             covariance = self._carried(arrived.covariance)
@@ -98,10 +88,7 @@ class FieldOutput:
 
 
 class HeadingOutput:
-    """Publishes the heading that follows from each field message.
-
-    What nobody listens to is not filled in.
-    """
+    """Publishes the heading of each field message; what nobody subscribes to is not filled in."""
 
     def __init__(self, node: Node, frames: SensorFrames) -> None:
         self._node, self._frames = node, frames
@@ -115,11 +102,11 @@ class HeadingOutput:
                 north: node.create_publisher(self._azimuth, f"compass/{north}/enu/rad", RELIABLE)
                 for north in ("mag", "true")
             }
-        self._attitude = AttitudeTemplate()
-        self._yaw = NumberTemplate()
+        self._attitude = wire.AttitudeTemplate()
+        self._yaw = wire.NumberTemplate()
         self._doubt: FieldDoubt | None = None
         self.moment: Moment | None = None
-        """The newest field message under the calibration in force, its yaw as uncertain as told."""
+        """The newest field message under the calibration in force, with the published variance."""
 
     def rivals(self) -> str:
         """Say that another node publishes the same heading; empty if none does."""
@@ -160,7 +147,7 @@ class HeadingOutput:
         for north, out in self._azimuth_outs.items():
             known = None if north == "mag" else reference
             if _is_wanted(out) and (known is None or declination is not None):
-                out.publish(azimuth_message(self._azimuth, stamp, frame, heading, known))
+                out.publish(wire.azimuth_message(self._azimuth, stamp, frame, heading, known))
 
     def _doubted(self, moment: Moment) -> Moment:
         """Return the moment with a yaw that is as uncertain as its field is wrong."""
@@ -188,29 +175,30 @@ TOPIC = "compass/fused/enu/imu"
 
 
 class FusedOutput:
-    """Publishes the fused yaw while a calibration is in force and somebody listens."""
+    """Publishes the fused yaw while a calibration is in force and something subscribes."""
 
     def __init__(self, node: Node, follower: UpFollower, frames: SensorFrames) -> None:
         self._frames = frames
         self.patience = PATIENCE
         self.is_needed = False
-        """Whether the yaw is propagated although nobody listens."""
+        """Whether the yaw is propagated without a subscriber."""
         self._out = node.create_publisher(Imu, TOPIC, RELIABLE)
         self._follower = follower
         self._calibration: Calibration | None = None
-        self._attitude = AttitudeTemplate()
-        self._fused: FusedYaw | None = None
+        self._attitude = wire.AttitudeTemplate()
+        self.yaw: FusedYaw | None = None
+        """The yaw that is propagated; None while none is."""
 
     def begin_anew(self, calibration: Calibration | None) -> None:
         """Forget the yaw: another calibration is in force, or none.
 
-        While two antennas tell it, no compass is needed to know it.
+        While two antennas measure it, no compass is needed.
         """
         self._calibration = calibration
-        if calibration is not None and self._fused is not None and self._fused.has_external_yaw:
-            self._fused.use(calibration, self.patience)
+        if calibration is not None and self.yaw is not None and self.yaw.has_external_yaw:
+            self.yaw.use(calibration, self.patience)
         else:
-            self._fused = None
+            self.yaw = None
 
     def on_imu(self, seconds: float, stamp: bytes, frame: str, reference: ReferenceField) -> None:
         """Propagate the yaw to an IMU message, and publish it there."""
@@ -218,11 +206,11 @@ class FusedOutput:
             return
         is_heard = bool(self._out.get_subscription_count())
         if not (is_heard or self.is_needed):
-            self._fused = None
+            self.yaw = None
             return
-        if self._fused is None:
-            self._fused = FusedYaw(self._calibration, self.patience)
-        fused, up = self._fused, self._follower.at(seconds, 0.0)
+        if self.yaw is None:
+            self.yaw = FusedYaw(self._calibration, self.patience)
+        fused, up = self.yaw, self._follower.at(seconds, 0.0)
         if up is None or not self._follower.is_propagated:
             fused.restart()
             return
@@ -240,25 +228,20 @@ class FusedOutput:
 
     def on_field(self, moment: Moment) -> None:
         """Let a field message correct the yaw."""
-        if self._fused is None or not self._follower.is_propagated:
+        if self.yaw is None or not self._follower.is_propagated:
             return
         if moment.up is not None and moment.heading is not None:
-            self._fused.detector.patience = self.patience
-            self._fused.correct(moment.stamp, moment.field, moment.up, moment.heading)
-
-    @property
-    def yaw(self) -> FusedYaw | None:
-        """The yaw that is propagated; None while none is."""
-        return self._fused
+            self.yaw.detector.patience = self.patience
+            self.yaw.correct(moment.stamp, moment.field, moment.up, moment.heading)
 
     def diagnostic(self, name: str) -> DiagnosticStatus:
-        """Say whether the yaw is published, and whether the field is believed."""
+        """Say whether the yaw is published, and whether the field corrects it."""
         silence, level = self._silence(), DiagnosticStatus.OK
         if silence:
-            level = level if self._fused is None else DiagnosticStatus.WARN
-            return diagnostic(name, "Fused", silence, level=level)
-        assert self._fused is not None
-        detector, heading = self._fused.detector, self._fused.heading()
+            level = level if self.yaw is None else DiagnosticStatus.WARN
+            return wire.diagnostic(name, "Fused", silence, level=level)
+        assert self.yaw is not None
+        detector, heading = self.yaw.detector, self.yaw.heading()
         departure = f"{detector.departure:.1f} sigma"
         values = {"field": detector.trust.value, "field departure": departure}
         message = "the compass corrects the gyro"
@@ -272,14 +255,14 @@ class FusedOutput:
         if heading is not None:
             values["yaw"] = f"{math.degrees(heading.yaw):.1f}° (ENU, magnetic)"
             values["yaw sigma"] = f"{math.degrees(math.sqrt(heading.yaw_variance)):.2f}°"
-        return diagnostic(name, "Fused", message, values, level)
+        return wire.diagnostic(name, "Fused", message, values, level)
 
     def _silence(self) -> str:
         """Say why nothing is published; empty if something is."""
         if self._calibration is None:
             return "no fused yaw before a calibration is in force"
-        if self._fused is None or not self._out.get_subscription_count():
-            return f"nobody listens to {TOPIC}"
+        if self.yaw is None or not self._out.get_subscription_count():
+            return f"nothing subscribes to {TOPIC}"
         if not self._follower.gyro_is_believed:
             return (
                 f"nothing on {TOPIC}: the gyro turns against the accelerometer; "
@@ -291,7 +274,7 @@ class FusedOutput:
             )
         if not self._follower.is_propagated:
             return f"nothing on {TOPIC}: the IMU has no gyro"
-        if self._fused.heading() is None:
+        if self.yaw.heading() is None:
             return f"nothing on {TOPIC} yet: no field has come"
         return ""
 
@@ -333,14 +316,9 @@ class TurnMarkers:
 def turn_markers(
     window: Window, to_body: FloatArray, estimate: Estimate | None, frame: str
 ) -> MarkerArray:
-    """Draw a turn under way (without an estimate), or a fitted one.
+    """Draw a turn under way (without an estimate), or a fitted one, in place of what was drawn.
 
     `to_body` (3, 3) turns the magnetometer's axes to nominal body axes; all is in the IMU's frame.
-
-    Returns
-    -------
-    MarkerArray
-        Replaces what was drawn before.
     """
     every = max(1, len(window) // MOST_POINTS)
     raw = window.field @ to_body.T
@@ -384,7 +362,7 @@ def _marker(
     width: float,
     height: float = 0.0,
 ) -> Marker:
-    """Draw points of the field; what width and height are of depends on the kind."""
+    """Draw points of the field; the meaning of width and height depends on the kind."""
     marker = Marker(ns=name, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     marker.scale.x, marker.scale.y = width, height

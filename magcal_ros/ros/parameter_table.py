@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple, TypeAlias
+
 from magcal_ros.core.calibrate import METHODS
 from magcal_ros.core.earth_field.wmm import VALIDITY
 from magcal_ros.core.heading.disturbance import PATIENCE
@@ -12,10 +18,180 @@ from magcal_ros.core.knowledge import (
     STRENGTH_SIGMA_UT,
 )
 from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.ros.spec import MAGNETIC_NORTH, TRUE_NORTH, UNSET, Later, Spec
+from magcal_ros.files.disk import plain
+
+Value: TypeAlias = "bool | int | float | str | tuple[float, ...]"
+LONGEST_TEXT = 4096
+"""Characters of a text, as many as a path may have: it is shown, published and handed on."""
+MOST_SHOWN = 20  # items of a list where it is refused
+TRUE_NORTH, MAGNETIC_NORTH = "true_north", "magnetic_north"
+"""Choices of a north; plain `true` would be no text in YAML."""
+UNSET = math.nan
+"""Stands for a number that is not known; in YAML it is written .nan or left out."""
+
+
+class Later(Enum):
+    """What of a parameter may be changed while the node runs, by whoever reaches its network."""
+
+    ANYTHING = "anything"
+    NOTHING = "nothing"
+    FILE = "a file below the package's own folder, or the one that was given at start"
+    FOLDER = "a folder below the package's own or the one that was given at start"
+    SWITCH_OFF = "switched off, and on only where that was allowed at start"
+
+
+class Span(NamedTuple):
+    """The allowed range of a number, and its unit."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+
+
+ANY = Span()
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One row of the table."""
+
+    name: str
+    default: Value
+    """Default, which also fixes the type."""
+    description: str
+    span: Span = ANY
+    choices: tuple[str, ...] = ()
+    """Allowed texts; empty for any."""
+    later: Later = Later.ANYTHING
+    words: tuple[str, ...] = ("",)
+    """Texts that are no path, of a parameter that is one otherwise."""
+
+    @property
+    def may_be_unset(self) -> bool:
+        """Whether .nan is allowed and means "not known"."""
+        default = self.default[0] if isinstance(self.default, tuple) else self.default
+        return isinstance(default, float) and math.isnan(default)
+
+    def parse(self, value: Any) -> Value:
+        """Return a value in the right type; a ValueError says what would be right."""
+        if isinstance(self.default, bool):
+            if isinstance(value, bool):
+                return value
+            raise ValueError(f"{self.name} must be true or false, not {_shown(value)}")
+        if isinstance(self.default, str):
+            return self._parse_text(value)
+        if isinstance(self.default, tuple):
+            return self._parse_list(value, len(self.default))
+        if isinstance(self.default, int):
+            number = _number(value)
+            if number is None or not number.is_integer():
+                raise ValueError(f"{self.name} must be a whole number, not {_shown(value)}")
+            return int(self._within(number))
+        return self._parse_number(value)
+
+    def _parse_text(self, value: Any) -> str:
+        if not isinstance(value, str):
+            raise ValueError(f"{self.name} must be a text, not {_shown(value)}")
+        if self.choices and value not in self.choices:
+            raise ValueError(f"{self.name} must be {self.constraints}, not {_shown(value)}")
+        if len(value) > LONGEST_TEXT:
+            raise ValueError(f"{self.name} must be no longer than {LONGEST_TEXT} characters")
+        return value
+
+    def _parse_list(self, value: Any, count: int) -> tuple[float, ...]:
+        items = _items(value) or ()
+        if len(items) != count:
+            raise ValueError(
+                f"{self.name} must be {count} numbers, as in {self.yaml_default}, "
+                f"not {_shown(value)}"
+            )
+        numbers = tuple(self._parse_number(item) for item in items)
+        if len({math.isnan(number) for number in numbers}) > 1:
+            raise ValueError(f"{self.name} must be known as a whole or not, not {_shown(value)}")
+        return numbers
+
+    def _parse_number(self, value: Any) -> float:
+        number = _number(value)
+        if number is None:
+            raise ValueError(f"{self.name} must be a number, not {_shown(value)}")
+        return UNSET if math.isnan(number) and self.may_be_unset else self._within(number)
+
+    def _within(self, number: float) -> float:
+        low, high, unit = self.span
+        if not low <= number <= high:
+            within = f"between {low:g} and {high:g} {unit}".rstrip()
+            raise ValueError(f"{self.name} must lie {within}, not {number:g}")
+        return number
+
+    @property
+    def constraints(self) -> str:
+        """What is allowed, in words; empty for anything."""
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        low, high, unit = self.span
+        if math.isinf(low):
+            return ""
+        unset = " or .nan" if self.may_be_unset else ""
+        return f"{low:g} to {high:g} {unit}".rstrip() + unset
+
+    @property
+    def yaml_default(self) -> str:
+        """The default as it is written in YAML."""
+        return _yaml(self.default)
+
+
+def _yaml(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(_yaml(item) for item in value) + "]"
+    if isinstance(value, str):
+        return value or '""'
+    return ".nan" if math.isnan(value) else repr(value)
+
+
+def _number(value: Any) -> float | None:
+    """Return a number, also one that came as text; None for anything else.
+
+    `ros2 param load` and `set` send NaN and 1e-5 as texts, which Python and YAML 1.1 write
+    differently.
+    """
+    if isinstance(value, str):
+        text = value.strip().lower()
+        try:
+            return math.nan if text == ".nan" else float(text)
+        except ValueError:
+            return None
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def _items(value: Any) -> list[Any] | None:
+    """Return a list's items, also of one that `ros2 param` sends as text; None if it is none."""
+    if isinstance(value, str):
+        text = value.strip()
+        return text[1:-1].split(",") if text[:1] == "[" and text[-1:] == "]" else None
+    if hasattr(value, "tolist"):
+        return list(value.tolist())
+    return list(value) if isinstance(value, Sequence) else None
+
+
+def _shown(value: Any) -> str:
+    """Write a value as a person would have typed it, or how it begins: it may be of any size."""
+    items = None if isinstance(value, str) else _items(value)
+    if items is not None:
+        more = ", …]" if len(items) > MOST_SHOWN else "]"
+        return "[" + ", ".join(map(_shown, items[:MOST_SHOWN])) + more
+    if value is None:
+        return "nothing"
+    return plain(str(value).lower() if isinstance(value, bool) else repr(value))
+
 
 MAY_BE_ENABLED = "rotate.may_be_enabled"
-
 PARAMETERS: tuple[Spec, ...] = (
     Spec(
         "calibration_file",
@@ -39,17 +215,14 @@ PARAMETERS: tuple[Spec, ...] = (
         50,
         "How many reports stay beside those of turns that were put in force; older ones are "
         "removed",
-        1,
-        100_000,
+        Span(1, 100_000),
     ),
     Spec(
         "memory_limit_mb",
         1024,
         "How much more memory than at its start the node may take; a request that claims to hold "
         "millions of values ends there. Read when the node starts; fits are not bounded",
-        256,
-        1_000_000,
-        "MB",
+        Span(256, 1_000_000, "MB"),
         later=Later.NOTHING,
     ),
     Spec("method", METHODS[0], "How a turn is turned into a calibration", choices=METHODS),
@@ -71,80 +244,52 @@ PARAMETERS: tuple[Spec, ...] = (
         "reference.strength_ut",
         UNSET,
         "Strength of the Earth's field here; .nan to take it from the World Magnetic Model",
-        15.0,
-        100.0,
-        "µT",
+        Span(15.0, 100.0, "µT"),
     ),
     Spec(
         "reference.strength_sigma_ut",
         STRENGTH_SIGMA_UT,
         "What crust and iron near by do to the strength (1 σ); indoors rather 7",
-        0.0,
-        100.0,
-        "µT",
+        Span(0.0, 100.0, "µT"),
     ),
     Spec(
         "reference.inclination_deg",
         UNSET,
         "Inclination (dip) of the Earth's field here, positive down; .nan for the model's",
-        -90.0,
-        90.0,
-        "°",
+        Span(-90.0, 90.0, "°"),
     ),
     Spec(
         "reference.inclination_sigma_deg",
         INCLINATION_SIGMA_DEG,
         "What crust and iron near by do to the inclination (1 σ); indoors rather 5",
-        0.0,
-        90.0,
-        "°",
+        Span(0.0, 90.0, "°"),
     ),
     Spec(
         "reference.declination_deg",
         UNSET,
         "Declination here, positive east; .nan for the model's",
-        -180.0,
-        180.0,
-        "°",
+        Span(-180.0, 180.0, "°"),
     ),
     Spec(
         "reference.declination_sigma_deg",
         DECLINATION_SIGMA_DEG,
         "What crust and iron near by do to the declination (1 σ); indoors rather 5",
-        0.0,
-        90.0,
-        "°",
+        Span(0.0, 90.0, "°"),
     ),
     Spec(
         "reference.latitude_deg",
         UNSET,
         "Where the robot is, for the model, positive north; .nan to take it from gps/fix",
-        -90.0,
-        90.0,
-        "°",
+        Span(-90.0, 90.0, "°"),
     ),
-    Spec(
-        "reference.longitude_deg",
-        UNSET,
-        "The same, positive east",
-        -180.0,
-        180.0,
-        "°",
-    ),
+    Spec("reference.longitude_deg", UNSET, "The same, positive east", Span(-180.0, 180.0, "°")),
     Spec(
         "reference.altitude_m",
         0.0,
         "The same, above the sea or the ellipsoid; a kilometre changes the strength by 0.05%",
-        *VALIDITY.altitudes,
-        "m",
+        Span(*VALIDITY.altitudes, "m"),
     ),
-    Spec(
-        "soft_iron_gains",
-        (1.0, 1.0, 1.0),
-        "Known gains of the magnetometer's axes",
-        0.1,
-        10.0,
-    ),
+    Spec("soft_iron_gains", (1.0, 1.0, 1.0), "Known gains of the sensor's axes", Span(0.1, 10.0)),
     Spec(
         "base_frame",
         "",
@@ -156,34 +301,27 @@ PARAMETERS: tuple[Spec, ...] = (
         UNSET,
         "Yaw of the IMU in the vehicle by hand, to the left of its front, for base_frame; .nan for "
         "what the robot's description says, corrected by up to 15° by what driving shows",
-        -360.0,
-        360.0,
-        "°",
+        Span(-360.0, 360.0, "°"),
     ),
     Spec(
         "mount_rpy_deg",
         (UNSET, UNSET, UNSET),
         "Nominal roll, pitch, yaw of the magnetometer in the IMU's frame, as in a URDF; .nan for "
         "what the robot's description says if base_frame is set, else zero",
-        -360.0,
-        360.0,
-        "°",
+        Span(-360.0, 360.0, "°"),
     ),
     Spec(
         "mount_2_rpy_deg",
         (UNSET, UNSET, UNSET),
         "The same of the magnetometer on imu/mag_2",
-        -360.0,
-        360.0,
-        "°",
+        Span(-360.0, 360.0, "°"),
     ),
     Spec(
         "magnetometers",
         2,
         "How many magnetometers are listened to: imu/mag, imu/mag_2, imu/mag_3 and so on. One that "
         "is silent from the start does not count. Read when the node starts",
-        1,
-        8,
+        Span(1, 8),
         later=Later.NOTHING,
     ),
     Spec(
@@ -191,18 +329,14 @@ PARAMETERS: tuple[Spec, ...] = (
         0.5,
         "Predicted heading error (1 σ, on the level) at which a complete turn is enough; so is up "
         "to twice as much where turning on no longer makes it more certain, or after 1.2 turns",
-        0.01,
-        10.0,
-        "°",
+        Span(0.01, 10.0, "°"),
     ),
     Spec(
         "known_heading.yaw_deg",
         UNSET,
         "Heading at which the robot stands when ~/calibrate_at_heading is called: ENU yaw, 0 to "
         "the east, 90 to the north, positive to the left; .nan for that of the topic heading",
-        -360.0,
-        360.0,
-        "°",
+        Span(-360.0, 360.0, "°"),
     ),
     Spec(
         "known_heading.north",
@@ -214,9 +348,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "known_heading.sigma_deg",
         2.0,
         "How far known_heading.yaw_deg may be off (1 σ)",
-        0.05,
-        30.0,
-        "°",
+        Span(0.05, 30.0, "°"),
     ),
     Spec(
         "known_heading.topic_north",
@@ -228,33 +360,25 @@ PARAMETERS: tuple[Spec, ...] = (
         "window.timeout_s",
         90.0,
         "A turn is used or refused after this time, whatever was seen",
-        2.0,
-        3600.0,
-        "s",
+        Span(2.0, 3600.0, "s"),
     ),
     Spec(
         "window.silence_s",
         10.0,
         "A turn ends when a sensor was silent for so long",
-        0.5,
-        600.0,
-        "s",
+        Span(0.5, 600.0, "s"),
     ),
     Spec(
         "window.max_gap_s",
         STREAMS.max_gap,
         "IMU samples further apart are not interpolated between",
-        0.001,
-        5.0,
-        "s",
+        Span(0.001, 5.0, "s"),
     ),
     Spec(
         "fused.patience_s",
         PATIENCE,
         "A field that departs from the calibrated one for so long is taken for the new one",
-        1.0,
-        3600.0,
-        "s",
+        Span(1.0, 3600.0, "s"),
     ),
     Spec(
         "rotate.enabled",
@@ -270,7 +394,7 @@ PARAMETERS: tuple[Spec, ...] = (
         "Read when the node starts",
         later=Later.NOTHING,
     ),
-    Spec("rotate.speed_rad_s", 0.4, "How fast it turns", 0.1, 1.0, "rad/s"),
+    Spec("rotate.speed_rad_s", 0.4, "How fast it turns", Span(0.1, 1.0, "rad/s")),
     Spec("rotate.stamped", False, "Whether cmd_vel is a TwistStamped instead of a Twist"),
     Spec("rotate.frame_id", "base_link", "Frame of the TwistStamped"),
 )

@@ -16,17 +16,21 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from magcal_ros.core.earth_field.reference import Local
-from magcal_ros.core.earth_field.wmm import Place
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.earth_field.reference import Given
+from magcal_ros.core.geometry import FloatArray, rotation_from_rpy
 from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.default_paths import chosen_path, lies_within, own_folder
-from magcal_ros.ros.parameter_table import MAY_BE_ENABLED, PARAMETERS
-from magcal_ros.ros.spec import TRUE_NORTH, Later, Spec, Value
+from magcal_ros.files.disk import FileTrouble
+from magcal_ros.ros.parameter_table import (
+    MAY_BE_ENABLED,
+    PARAMETERS,
+    TRUE_NORTH,
+    Later,
+    Spec,
+    Value,
+)
 
 
 @dataclass(frozen=True)
@@ -34,26 +38,22 @@ class Rotation:
     """Whether and how the robot turns itself."""
 
     enabled: bool
-    """Whether it does."""
     speed: float
     """rad/s."""
     stamped: bool
-    """Whether velocities are TwistStamped."""
     frame: str
-    """Their frame_id then."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """The parameters' values in SI units and in the core's own types.
 
-    `knowledge` is what was given by hand; `place`, `local` and the World Magnetic Model fill in
-    what its reference field lacks. `half_place` tells that only one of two coordinates was given,
-    `mount_is_given` that the magnetometer's pose was; `second_mount` is that of the second one.
-    An empty `base_frame` is the IMU's.
-    `vehicle_yaw` is that of the IMU in the vehicle by hand, radians; None without.
-    `known_heading` is the heading typed in; None without, or while its north is not said.
-    `heading_is_true` tells which north the topic `heading` is to.
+    `knowledge` is what was given by hand; `given` and the World Magnetic Model fill in what its
+    reference field lacks. `mount_is_given` tells whether the magnetometer's pose was given,
+    `second_mount` is that of the second one. An empty `base_frame` is the IMU's. `vehicle_yaw` is
+    that of the IMU in the vehicle by hand, radians; None without. `known_heading` is the heading
+    typed in; None without, or while its north is not said. `heading_is_true` tells which north the
+    topic `heading` is to.
     """
 
     calibration_file: str
@@ -65,9 +65,7 @@ class Settings:
     limits: Limits
     max_gap: float
     patience: float
-    place: Place | None
-    half_place: bool
-    local: Local
+    given: Given
     rotation: Rotation
     base_frame: str
     mount_is_given: bool
@@ -84,18 +82,11 @@ class Settings:
         """Build from checked values by parameter name."""
         mount = values["mount_rpy_deg"]
         mount_is_given = not any(math.isnan(angle) for angle in mount)
-        knowledge = knowledge_of(
-            values["reference.strength_ut"],
-            values["reference.strength_sigma_ut"],
-            values["reference.inclination_deg"],
-            values["reference.inclination_sigma_deg"],
-            values["reference.declination_deg"],
-            values["soft_iron_gains"],
-            mount if mount_is_given else (0.0, 0.0, 0.0),
-            values["reference.declination_sigma_deg"],
-        )
-        spot = (values["reference.latitude_deg"], values["reference.longitude_deg"])
-        unset = [math.isnan(angle) for angle in spot]
+        given = Given.of({name.removeprefix("reference."): v for name, v in values.items()})
+        mounting = knowledge_of(
+            soft_iron_gains=values["soft_iron_gains"],
+            mount_rpy_deg=mount if mount_is_given else (0.0, 0.0, 0.0),
+        ).mounting
         by_hand = values["vehicle_yaw_deg"]
         return cls(
             values["calibration_file"],
@@ -103,7 +94,7 @@ class Settings:
             values["reports_kept"],
             values["method"],
             values["accumulate"],
-            knowledge,
+            Knowledge(given.field, mounting),
             Limits(
                 values["window.timeout_s"],
                 values["window.silence_s"],
@@ -111,13 +102,7 @@ class Settings:
             ),
             values["window.max_gap_s"],
             values["fused.patience_s"],
-            None if any(unset) else Place(*spot, values["reference.altitude_m"]),
-            unset[0] is not unset[1],
-            Local(
-                values["reference.strength_sigma_ut"] * 1e-6,
-                math.radians(values["reference.inclination_sigma_deg"]),
-                math.radians(values["reference.declination_sigma_deg"]),
-            ),
+            given,
             Rotation(
                 values["rotate.enabled"],
                 values["rotate.speed_rad_s"],
@@ -168,7 +153,7 @@ class Parameters:
         self._given = dict(self._values)
         self.settings = Settings.of(self._values)
         node.add_on_set_parameters_callback(self._check)
-        # Humble has nothing that tells when everybody agreed.
+        # Humble has no callback after all have agreed.
         when_agreed = getattr(node, "add_post_set_parameters_callback", None)
         self._effects_come_later = when_agreed is not None
         if when_agreed is not None:
@@ -190,7 +175,7 @@ class Parameters:
         return value
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
-        """Say whether changes are allowed; whoever is asked after this may still refuse them."""
+        """Say whether changes are allowed; a later callback may still refuse them."""
         try:
             Settings.of(self._changed(changes))
             for change in changes:
@@ -233,12 +218,12 @@ class Parameters:
             )
 
     def _put_in_effect(self, changes: list[Parameter]) -> None:
-        """Use what everybody agreed to."""
+        """Use what all callbacks have accepted."""
         self._values = self._changed(changes)
         self.settings = Settings.of(self._values)
 
     def _put_in_effect_afterwards(self, changes: list[Parameter]) -> None:
-        """Look, when the call is over, what became of it (Humble has nothing that tells)."""
+        """Read the values when the call is over: Humble has no callback for that."""
 
         def look() -> None:
             names = [change.name for change in changes if self._node.has_parameter(change.name)]
@@ -260,9 +245,7 @@ class Parameters:
 def _descriptor(spec: Spec) -> ParameterDescriptor:
     # Dynamic typing lets `-p reference.strength_ut:=48` and `[0, 0, 0]` pass as numbers.
     return ParameterDescriptor(
-        description=spec.description,
-        additional_constraints=spec.constraints,
-        dynamic_typing=True,
+        description=spec.description, additional_constraints=spec.constraints, dynamic_typing=True
     )
 
 
@@ -271,10 +254,12 @@ def _with_range(descriptor: ParameterDescriptor, spec: Spec) -> ParameterDescrip
     if isinstance(spec.default, (bool, str, tuple)) or spec.may_be_unset:
         return descriptor
     if isinstance(spec.default, int):
-        whole = IntegerRange(from_value=int(spec.low), to_value=int(spec.high), step=1)
+        whole = IntegerRange(from_value=int(spec.span.low), to_value=int(spec.span.high), step=1)
         descriptor.integer_range = [whole]
     else:
         descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
+            FloatingPointRange(
+                from_value=float(spec.span.low), to_value=float(spec.span.high), step=0.0
+            )
         ]
     return descriptor

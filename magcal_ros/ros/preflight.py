@@ -1,4 +1,4 @@
-"""What a calibration and `doctor` need from the graph, and what is heard there."""
+"""What a calibration and `doctor` need from the graph, and what is received there."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.executors import SingleThreadedExecutor
@@ -16,15 +16,14 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, MagneticField
 
 from magcal_ros.core.errors import MagcalError, Misuse
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
+from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray
 from magcal_ros.core.geometry.frame_tree import FrameTrouble
 from magcal_ros.core.messages import field_sample, imu_sample, seconds
 from magcal_ros.core.samples.stamps import bursts_in_words, long_gaps
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.core.samples.units import likely_field_unit
+from magcal_ros.core.samples.units import likely_acceleration_unit, likely_field_unit
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.sensor_frames import Description
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
@@ -33,7 +32,7 @@ MOST_FRAMES = 5
 """Names of frames that are shown."""
 
 FEWEST_STAMPS = 10
-"""Of which it is told whether they come in bursts."""
+"""Stamps that are needed to see whether they come in bursts."""
 
 SLOWEST_FIELD = 5.0
 """Hertz, below which a turn of 12 s gives too few samples."""
@@ -62,8 +61,7 @@ class Heard:
         return ordered[len(ordered) // 2] if ordered else math.nan
 
 
-@dataclass(frozen=True)
-class Preflight:
+class Preflight(NamedTuple):
     """The findings, each a line for people, and whether a turn makes sense."""
 
     lines: tuple[str, ...]
@@ -74,26 +72,17 @@ def inspect(node: Node, calibrator: str, duration: float = 2.0) -> Preflight:
     """Listen to the sensors of a running calibrator."""
     topics = _sensor_topics(node, calibrator)
     if topics is None:
-        return Preflight(
-            (
-                f"the node {calibrator} is not there: start it with "
-                "`ros2 run magcal_ros calibrator`, or name it with --node",
-            ),
-            False,
-        )
+        remedy = "start it with `ros2 run magcal_ros calibrator`, or name it with --node"
+        return Preflight((f"the node {calibrator} is not there: {remedy}",), False)
     sensors = [Heard(name, kind) for name, kind in topics]
     _listen(node, sensors, duration)
     lines = []
-    ready = True
     for heard in sensors:
-        judge = _judge_imu if heard.kind == IMU_TYPE else _judge_field
         if heard.stamps:
-            lines.append(_describe(heard, duration))
-            lines += judge(heard, duration)
+            lines += [_describe(heard, duration), *_judge(heard, duration)]
         else:
             lines += _explain_silence(heard)
-            ready = False
-    return Preflight(tuple(lines), ready)
+    return Preflight(tuple(lines), all(heard.stamps for heard in sensors))
 
 
 def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
@@ -109,7 +98,7 @@ def _sensor_topics(node: Node, calibrator: str) -> list[tuple[str, str]] | None:
         imus.sort(key=lambda topic: ("heading" in topic, not node.count_publishers(topic)))
         fields = sorted((topic for topic, kinds in found if kinds[0] == FIELD_TYPE), key=len)
         if imus and fields:
-            # A further magnetometer that nobody publishes is not there.
+            # A further magnetometer without a publisher does not exist.
             spoken = [topic for topic in fields if node.count_publishers(topic)] or fields[:1]
             return [(imus[0], IMU_TYPE), *((topic, FIELD_TYPE) for topic in spoken)]
         time.sleep(0.1)
@@ -157,25 +146,7 @@ def _describe(heard: Heard, duration: float) -> str:
     return f"{heard.topic}: {heard.rate(duration):.0f} Hz, frame {frames}, {measured}"
 
 
-def _judge_imu(heard: Heard, _: float) -> list[str]:
-    found = _judge_stamps(heard)
-    if not 0.8 < heard.size / STANDARD_GRAVITY < 1.2:
-        in_g = " (published in g?)" if 0.8 < heard.size < 1.2 else ""
-        found.append(f"  gravity should read 9.81 m/s² at rest{in_g}")
-    return found
-
-
-def _judge_field(heard: Heard, duration: float) -> list[str]:
-    found = _judge_stamps(heard)
-    unit = likely_field_unit(heard.size)
-    if unit:
-        found.append(f"  {unit}")
-    if heard.rate(duration) < SLOWEST_FIELD:
-        found.append("  slower than 5 Hz: turn slowly, a full circle in 30 s or more")
-    return found
-
-
-def _judge_stamps(heard: Heard) -> list[str]:
+def _judge(heard: Heard, duration: float) -> list[str]:
     found = []
     if not any(heard.stamps):
         found.append("  stamps are zero: the driver must stamp its messages")
@@ -184,6 +155,15 @@ def _judge_stamps(heard: Heard) -> list[str]:
         found += [f"  {bursts_in_words(long)}"] if len(long) else []
     if heard.publishers > 1:
         found.append(f"  {heard.publishers} publishers on one topic: only one can be the sensor")
+    if heard.kind == IMU_TYPE:
+        if not 0.8 < heard.size / STANDARD_GRAVITY < 1.2:
+            unit = likely_acceleration_unit(heard.size)
+            found.append(f"  gravity should read 9.81 m/s² at rest{unit and ': '}{unit}")
+        return found
+    unit = likely_field_unit(heard.size)
+    found += [f"  {unit}"] if unit else []
+    if heard.rate(duration) < SLOWEST_FIELD:
+        found.append("  slower than 5 Hz: turn slowly, a full circle in 30 s or more")
     return found
 
 
@@ -209,12 +189,7 @@ USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
 def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     """Return the topic of a sensor: as wanted, else the only one of this type, or the usual one.
 
-    Raises
-    ------
-    Misuse
-        If several would do.
-    MagcalError
-        If there is none.
+    Misuse if several would do, a MagcalError if there is none.
     """
     if wanted:
         return node.resolve_topic_name(wanted)
@@ -238,13 +213,7 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
 
 
 class Listener:
-    """Subscribes to both sensors and hands on what they say.
-
-    Attributes
-    ----------
-    heard : list of int
-        Messages of the IMU and of the field.
-    """
+    """Subscribes to both sensors and passes on their samples; `heard` counts messages of each."""
 
     def __init__(
         self,
@@ -282,7 +251,7 @@ class Listener:
 
     @property
     def described_pose(self) -> FloatArray | None:
-        """The magnetometer's pose in the IMU by the robot's description; None if untold."""
+        """The magnetometer's pose in the IMU by the robot's description; None without one."""
         imu, field = map(known_as, self._frames)
         tree = self._description.tree
         if not imu or not field or imu == field or field not in tree.frames:

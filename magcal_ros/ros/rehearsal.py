@@ -1,4 +1,4 @@
-"""A simulated robot in the graph, and a user who calibrates it: the demo's and the tests' actor."""
+"""Sensors in the graph: a replayed recording, or a simulated robot with a user who turns it."""
 
 from __future__ import annotations
 
@@ -11,20 +11,101 @@ from typing import Any
 import numpy as np
 import rclpy
 from rclpy.node import Node
-from sensor_msgs.msg import Imu
+from rclpy.qos import qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.geometry.rotations import rotation_from_quaternion, rpy_from_rotation
+from magcal_ros.core.geometry import rotation_from_quaternion, rpy_from_rotation, wrap_angle
 from magcal_ros.core.heading.compass import Compass
-from magcal_ros.core.messages import seconds
+from magcal_ros.core.messages import ABSENT, seconds
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
 from magcal_ros.core.simulation.ride import Ride
 from magcal_ros.core.simulation.simulator import Robot
-from magcal_ros.ros.outputs import LATCHED
-from magcal_ros.ros.sensor_source import SensorSource
+from magcal_ros.files.recording import Recording
+from magcal_ros.files.sources import FIRST_STAMP
+from magcal_ros.ros.sensor_frames import LATCHED
+
+
+class SensorSource:
+    """A driver for an IMU and a magnetometer."""
+
+    def __init__(
+        self, node: Node, imu_frame: str = "imu_link", field_frame: str = "mag_link"
+    ) -> None:
+        self._imu_out = node.create_publisher(Imu, "imu/data_raw", qos_profile_sensor_data)
+        self._field_out = node.create_publisher(MagneticField, "imu/mag", qos_profile_sensor_data)
+        self._imu, self._field = Imu(), MagneticField()
+        self._imu.header.frame_id = imu_frame
+        self._imu.orientation_covariance[0] = ABSENT
+        self._field.header.frame_id = field_frame
+
+    @property
+    def listeners(self) -> int:
+        """How many subscriptions both topics have, the less-heard one counting."""
+        return min(self._imu_out.get_subscription_count(), self._field_out.get_subscription_count())
+
+    def publish(self, sample: ImuSample | FieldSample) -> None:
+        """Publish one sample under its own stamp."""
+        if isinstance(sample, ImuSample):
+            self._publish_imu(sample)
+        else:
+            self._publish_field(sample)
+
+    def _publish_imu(self, sample: ImuSample) -> None:
+        message = self._imu
+        set_time(message.header.stamp, sample.stamp)
+        force, rate = message.linear_acceleration, message.angular_velocity
+        force.x, force.y, force.z = sample.force
+        has_rate = all(math.isfinite(value) for value in sample.rate)
+        rate.x, rate.y, rate.z = sample.rate if has_rate else (0.0, 0.0, 0.0)
+        message.angular_velocity_covariance[0] = 0.0 if has_rate else ABSENT
+        self._imu_out.publish(message)
+
+    def _publish_field(self, sample: FieldSample) -> None:
+        message = self._field
+        set_time(message.header.stamp, sample.stamp)
+        field = message.magnetic_field
+        field.x, field.y, field.z = sample.field
+        self._field_out.publish(message)
+
+
+def set_time(time: Any, stamp: float) -> None:
+    """Put a stamp in seconds into a builtin_interfaces/Time."""
+    time.sec, time.nanosec = divmod(round(stamp * 1e9), 1_000_000_000)
+
+
+def replay(
+    node: Node,
+    source: SensorSource,
+    recording: Recording,
+    rate: float,
+    between: Callable[[float], None],
+    clock: bool = False,
+) -> int:
+    """Publish a recording under its own stamps, in its own time or `rate` times faster.
+
+    `between` is called with the seconds to wait before the next sample; it may spin or sleep.
+    Returns the number of samples.
+    """
+    clock_out, message = node.create_publisher(Clock, "/clock", 10) if clock else None, Clock()
+    shift = max(0.0, FIRST_STAMP - float(min(recording.imu[0, 0], recording.field[0, 0])))
+    started: float | None = None
+    count = 0
+    for sample in recording.samples():
+        moved = sample._replace(stamp=sample.stamp + shift) if shift else sample
+        if started is None:
+            started = time.monotonic() - moved.stamp / rate
+        between(max(0.0, started + moved.stamp / rate - time.monotonic()))
+        if clock_out is not None:
+            set_time(message.clock, moved.stamp)
+            clock_out.publish(message)
+        source.publish(moved)
+        count += 1
+    return count
+
 
 TURN_RATE = 0.5
 SAMPLES_PER_HEADING = 20
@@ -80,7 +161,7 @@ class Rehearsal:
             self._settled_yaws.append(float(rpy_from_rotation(body_to_world)[2]))
 
     def wait_for_node(self, patience: float = PATIENCE) -> None:
-        """Wait until the node listens to the sensors and has told its state."""
+        """Wait until the node listens to the sensors and has published its state."""
         deadline = time.monotonic() + patience
         while not (self.source.listeners and self.status):
             if time.monotonic() > deadline:
@@ -159,8 +240,8 @@ class Rehearsal:
     ) -> list[float]:
         """Stand at all headings and tilts (degrees) and compare the published yaw, radians.
 
-        The yaw is that of `compass/mag/enu/imu`: its stamp says of which pose it is, however
-        late it comes on a busy machine.
+        The yaw is that of `compass/mag/enu/imu`: its stamp identifies the pose, however late it
+        comes.
         """
         if self._attitudes is None:
             self._attitudes = self.node.create_subscription(
@@ -181,7 +262,7 @@ class Rehearsal:
         self.run(PATIENCE, stop=lambda: len(self._settled_yaws) >= SAMPLES_PER_HEADING)
         if not self._settled_yaws:
             raise MagcalError("no yaw is published")
-        return _mean_angle(self._settled_yaws)
+        return float(np.angle(np.mean(np.exp(1j * np.array(self._settled_yaws)))))
 
     def uncalibrated_errors(self, tilts: Sequence[tuple[float, float]]) -> list[float]:
         """Compare the yaw that the raw field and the true tilt give, radians."""
@@ -210,7 +291,3 @@ def _first_of_both(ride: Ride) -> tuple[ImuSample, FieldSample]:
             else:
                 field = sample
     return imu, field
-
-
-def _mean_angle(angles: Sequence[float]) -> float:
-    return math.atan2(float(np.mean(np.sin(angles))), float(np.mean(np.cos(angles))))

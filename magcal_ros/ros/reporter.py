@@ -33,12 +33,12 @@ ENDING = 1.0
 
 
 class Reporter:
-    """Writes one report after another without holding up the node.
+    """Writes one report after another without delaying the node.
 
-    Drawing takes a second or two of one core and loads a plotting library: neither belongs into
-    a process that passes on messages for months. The other process has a session of its own, so
-    that a report is finished although the node was ended right after the turn. There is one such
-    process at a time; of the reports that come meanwhile the newest waits for its end.
+    Drawing takes a second or two of one core and loads a plotting library: neither belongs into a
+    process that passes on messages for months. The other process has a session of its own, so that
+    a report is finished although the node was ended right after the turn. There is one such process
+    at a time; of the reports that come meanwhile, the newest waits for its end.
     """
 
     def __init__(self, say: Callable[[str], object], draw: Draw | None = None) -> None:
@@ -142,13 +142,7 @@ class Reporter:
 
 
 def reports_of(parent: str) -> Path:
-    """Return where reports go, by the parameter report_folder.
-
-    Raises
-    ------
-    FileTrouble
-        If it lies in a home that does not exist.
-    """
+    """Return where reports go, by the parameter report_folder."""
     return chosen_path(parent) if parent else own_folder() / "reports"
 
 
@@ -183,7 +177,7 @@ def _draw_elsewhere(folder: Path, subject: Subject) -> subprocess.Popen[bytes]:
         pickle.dump((folder, subject), handover)
         handover.seek(0)
         return start(
-            "magcal_ros.report.__main__",
+            "magcal_ros.report.write",
             stdin=handover,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

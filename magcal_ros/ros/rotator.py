@@ -1,7 +1,7 @@
 """Commands the base of a robot that turns itself, and sends zeros at every end.
 
-A guard in a process of its own stands by from the request until the closing zeros are sent, for
-the ways out on which this process can send none.
+A guard in a process of its own stands by from the request until the closing zeros are sent, for the
+cases in which this process can send none.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Rotator:
                 self._may_move = True
 
     def rest(self) -> None:
-        """Note that the base was told to stand, often enough; the guard may go."""
+        """Note that enough zeros were sent; the guard may go."""
         self._may_move = False
         self._dismiss_guard()
 

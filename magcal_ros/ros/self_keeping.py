@@ -18,10 +18,10 @@ from magcal_ros.core.keeping.jobs import Decision, DriveJob, Findings, Mode, Ver
 from magcal_ros.core.keeping.self_calibration import SelfCalibration
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.samples.streams import FieldSample, ImuSample
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.keeper import Tell
 from magcal_ros.ros.magnetometer import Magnetometer
 from magcal_ros.ros.reporter import NO_REPORTS, reports_of
+from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.travel import Travel
 from magcal_ros.ros.worker_process import Stopped, WorkerProcess
 
@@ -35,7 +35,7 @@ IDLE_LOOKS = 300
 
 
 class SelfKeeping:
-    """Lets a calibration keep itself."""
+    """Runs self-calibration for one magnetometer."""
 
     def __init__(self, node: Node, magnetometer: Magnetometer) -> None:
         self._magnetometer, self._say = magnetometer, node.get_logger().info
@@ -91,7 +91,7 @@ class SelfKeeping:
         self._magnetometer.use(proposal.on_users_word(), tell)
 
     def facts(self) -> dict[str, Any]:
-        """Return what `~/status` tells."""
+        """Return the part of `~/status` on self-calibration."""
         machine = self._machine
         return {
             "mode": machine.mode.value,
@@ -150,7 +150,7 @@ class SelfKeeping:
         self._say(f"self-calibration: {words}")
 
     def _leave_page(self, calibration: Calibration) -> None:
-        """Have a page written on what was driven, believed and decided."""
+        """Have a page written on the drive, the samples used and the decisions."""
         if self._reports == NO_REPORTS:
             return
         from magcal_ros.core.keeping.story import DriveStory

@@ -32,8 +32,8 @@ from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.up import UpFollower
 from magcal_ros.files.default_paths import known_as
 from magcal_ros.files.robot_description import LARGEST, joints_of
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.parameters import Settings
+from magcal_ros.ros.threads import BackgroundThread
 from magcal_ros.ros.wire import by_rclpy
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -44,7 +44,7 @@ MOST_FRAMES = 10_000
 
 
 class Description:
-    """Keeps what `robot_description` and the static transforms tell, once somebody asks for it.
+    """Keeps what `robot_description` and the static transforms contain, once `listen` is called.
 
     Both are whatever the network sends. They are read in a thread of their own, and no more than
     `LARGEST` bytes at a time.
@@ -82,11 +82,7 @@ class Description:
             self._node.create_subscription(kind, topic, take, quality, raw=True)
 
     def _take(
-        self,
-        topic: str,
-        kind: type,
-        joints_in: Callable[[Any], Iterable[FrameJoint]],
-        data: bytes,
+        self, topic: str, kind: type, joints_in: Callable[[Any], Iterable[FrameJoint]], data: bytes
     ) -> None:
         if self._unread + len(data) > LARGEST:
             self._complain(f"{topic} brings more than {LARGEST} bytes at a time, and is not read")
@@ -156,10 +152,8 @@ class SensorFrames:
 
     def note_sensors(self, imu_frame: str, magnetometer_frame: str) -> None:
         """Take the frames that the sensors' messages name."""
-        self._imu_frame, self._magnetometer_frame = (
-            known_as(imu_frame),
-            known_as(magnetometer_frame),
-        )
+        self._imu_frame = known_as(imu_frame)
+        self._magnetometer_frame = known_as(magnetometer_frame)
         self._look()
 
     @property
@@ -239,12 +233,10 @@ class SensorFrames:
         given = settings.knowledge.mounting.pose if settings.mount_is_given else None
         self._poses = sensor_poses(self._frames, self._description.tree, given)
         self._contradiction = ""
-        by_hand, found = settings.vehicle_yaw, self._vehicle_yaw
         imu = self._poses.imu
-        corrected = self._corrected = corrected_pose(
-            imu if settings.base_frame else None, by_hand, found
-        )
-        pose = imu if corrected.pose is None else corrected.pose
+        described = imu if settings.base_frame else None
+        self._corrected = corrected_pose(described, settings.vehicle_yaw, self._vehicle_yaw)
+        pose = imu if self._corrected.pose is None else self._corrected.pose
         view = None if pose is None else BaseView(pose)
         if view is None or self._view is None or not np.array_equal(view.pose, self._view.pose):
             self._view = view

@@ -19,7 +19,7 @@ from magcal_ros.core.monitoring.watch import Watch, Watched
 from magcal_ros.core.session.session import Progress
 from magcal_ros.core.session.turn_events import TurnState
 from magcal_ros.files.default_paths import known_as
-from magcal_ros.files.reading import plain
+from magcal_ros.files.disk import plain
 from magcal_ros.ros.heading_pipeline import Inputs
 from magcal_ros.ros.keeper import Keeper
 from magcal_ros.ros.known_headings import KnownHeadings
@@ -232,11 +232,6 @@ def inputs_diagnostic(
     values["callback errors"] = str(callback_errors)
     level = DiagnosticStatus.ERROR if complaints else DiagnosticStatus.OK
     return diagnostic(name, "Inputs", "; ".join(complaints) or "both sensors arrive", values, level)
-
-
-def diagnostic_name(full_name: str) -> str:
-    """Return what the names of a node's diagnostics begin with: its full name, no slash first."""
-    return full_name.lstrip("/")
 
 
 def diagnostic_array(

@@ -16,7 +16,7 @@ from sensor_msgs.msg import NavSatFix
 from magcal_ros.core.driving.driving_tuning import SpeedSource
 from magcal_ros.core.driving.mounting_watch import fault_words
 from magcal_ros.core.driving.travelling import Travelling
-from magcal_ros.core.earth_field.position import Fix, LocalPlane
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.heading.base_view import (
     FRONT,
@@ -35,18 +35,11 @@ from magcal_ros.core.monitoring.recorded_course import (
 )
 from magcal_ros.core.samples.streams import ImuSample, SpeedSample, VelocitySample
 from magcal_ros.core.up import UpFollower
+from magcal_ros.ros import wire
 from magcal_ros.ros.announcer import Announcer
-from magcal_ros.ros.background_thread import BackgroundThread
 from magcal_ros.ros.sensor_frames import SensorFrames
-from magcal_ros.ros.sensor_loop import SENSOR_DATA
-from magcal_ros.ros.wire import (
-    Unreadable,
-    diagnostic,
-    read_fix,
-    read_speed,
-    read_stamp,
-    read_velocity,
-)
+from magcal_ros.ros.threads import SENSOR_DATA, BackgroundThread
+from magcal_ros.ros.wire import Unreadable
 
 Sample = TypeVar("Sample", SpeedSample, VelocitySample, Fix)
 
@@ -55,12 +48,9 @@ BETTER = 0.7
 
 
 class Travel:
-    """Listens to `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
+    """Receives `odom`, `gps/vel` and `gps/fix`; without any of them it does nothing.
 
-    Attributes
-    ----------
-    subscriptions : list of Subscription
-        Of wheels, velocity and fixes; their callbacks take bytes.
+    `subscriptions` are those of wheels, velocity and fixes; their callbacks take bytes.
     """
 
     def __init__(
@@ -73,7 +63,7 @@ class Travel:
         self._node, self._thread, self._tell_fix = node, thread, on_fix
         self._plane = LocalPlane()
         self._odd: dict[str, str] = {}
-        self._topics = {
+        self._topics: dict[SpeedSource | None, str] = {
             SpeedSource.ODOMETRY: node.resolve_topic_name("odom"),
             SpeedSource.VELOCITY: node.resolve_topic_name("gps/vel"),
             SpeedSource.FIXES: node.resolve_topic_name("gps/fix"),
@@ -81,7 +71,7 @@ class Travel:
         self._travelling = Travelling(run=self._run)
         self.front = Front()
         self.own_acceleration: Triple | None = None
-        """Of the vehicle at the newest IMU sample, m/s², body axes; None where nobody knows."""
+        """Of the vehicle at the newest IMU sample, m/s², body axes; None where it is unknown."""
         self.kept: VehicleYaw | None = None
         """The yaw that lies beside the calibration in force."""
         self.subscriptions = [
@@ -103,11 +93,6 @@ class Travel:
             return kept
         return found
 
-    @property
-    def words(self) -> str:
-        """How the IMU sits in the vehicle, for people; empty while it is not known."""
-        return "" if self.yaw is None else self.yaw.words
-
     def on_imu(self, sample: ImuSample, follower: UpFollower) -> Triple | None:
         """Take an IMU sample; returns the vehicle's own acceleration where it is known."""
         self.own_acceleration = self._travelling.add_imu(sample, follower.gyro_bias.rate)
@@ -118,12 +103,6 @@ class Travel:
         """The newest speed, m/s; NaN where it is unknown."""
         track = self._travelling.speedometer.track
         return math.nan if track is None else track.last
-
-    @property
-    def speed_from(self) -> str | None:
-        """The topic whose speed is used; None where there is none."""
-        source = self._travelling.source
-        return None if source is None else self._topics[source]
 
     @property
     def has_wheels(self) -> bool:
@@ -220,7 +199,7 @@ class Travel:
             return None
         course = travelling.course
         return {
-            "speed_from": self.speed_from,
+            "speed_from": self._topics.get(travelling.source),
             "own_acceleration_taken_off": travelling.own.is_used,
             "metres": round(travelling.metres, -1),
             "drifts": travelling.drift.is_drifting,
@@ -240,7 +219,7 @@ class Travel:
         wrong = [*self.complaints, *([verdict] if verdict else [])]
         level = DiagnosticStatus.WARN if wrong else DiagnosticStatus.OK
         values = {key: str(value) for key, value in (self.facts() or {}).items()}
-        return [diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
+        return [wire.diagnostic(name, "Drive", "; ".join([front, *wrong]), values, level)]
 
     def _run(self, work: Callable[[], Any], then: Callable[[Any], None]) -> None:
         def fail(error: Exception) -> None:
@@ -250,19 +229,19 @@ class Travel:
         self._thread.run(work, then, fail)
 
     def _on_odometry(self, data: bytes) -> None:
-        if not self._travelling.wants_speed(read_stamp(data)):
+        if not self._travelling.wants_speed(wire.read_stamp(data)):
             return
-        sample = self._read(SpeedSource.ODOMETRY, read_speed, data)
+        sample = self._read(SpeedSource.ODOMETRY, wire.read_speed, data)
         if sample is not None:
             self._travelling.add_speed(sample)
 
     def _on_velocity(self, data: bytes) -> None:
-        sample = self._read(SpeedSource.VELOCITY, read_velocity, data)
+        sample = self._read(SpeedSource.VELOCITY, wire.read_velocity, data)
         if sample is not None:
             self._travelling.add_velocity(sample)
 
     def _on_fix(self, data: bytes) -> None:
-        fix = self._read(SpeedSource.FIXES, read_fix, data)
+        fix = self._read(SpeedSource.FIXES, wire.read_fix, data)
         if fix is None:
             return
         # What is wrong with fixes is said where the place is looked up.

@@ -1,9 +1,9 @@
 """The node's messages as bytes: read on arrival, filled before sending.
 
-rclpy turns each message into Python objects and back, which costs more than everything that is
-computed with it. The few messages of the node have fixed places for all their numbers, so these
-are read and written where they lie: a template is serialized once by rclpy and then filled. What
-is laid out otherwise goes through rclpy.
+rclpy turns each message into Python objects and back, which costs more than all computation on it.
+The few messages of the node have fixed places for all their numbers, so these are read and written
+in place: a template is serialized once by rclpy and then filled. Anything laid out otherwise goes
+through rclpy.
 """
 
 from __future__ import annotations
@@ -53,7 +53,6 @@ class ImuArrival(NamedTuple):
     """What the node takes from a sensor_msgs/Imu."""
 
     frame: str
-    """The IMU's."""
     sample: ImuSample | None
     """Its numbers; None if it carries no acceleration."""
     stamp: bytes
@@ -64,9 +63,7 @@ class FieldArrival(NamedTuple):
     """What the node takes from a sensor_msgs/MagneticField."""
 
     frame: str
-    """The magnetometer's."""
     sample: FieldSample
-    """Its numbers."""
     stamp: bytes
     """Seconds and nanoseconds, little-endian, as every answer to this message carries them."""
     covariance: bytes
@@ -74,13 +71,7 @@ class FieldArrival(NamedTuple):
 
 
 def read_imu(data: bytes) -> ImuArrival:
-    """Return what a serialized sensor_msgs/Imu says.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
+    """Return the content of a serialized sensor_msgs/Imu; Unreadable if it is none."""
     if wire.is_plain_cdr(data):
         try:
             frame, sample = _parse_imu(data)
@@ -93,13 +84,7 @@ def read_imu(data: bytes) -> ImuArrival:
 
 
 def read_field(data: bytes) -> FieldArrival:
-    """Return what a serialized sensor_msgs/MagneticField says.
-
-    Raises
-    ------
-    Unreadable
-        If it is none.
-    """
+    """Return the content of a serialized sensor_msgs/MagneticField; Unreadable if it is none."""
     if wire.is_plain_cdr(data):
         try:
             frame, sample, covariance = _parse_field(data)
@@ -133,7 +118,7 @@ def _travel_reader(
 
 
 def read_stamp(data: bytes) -> float:
-    """Return the stamp of a message with a header, seconds; NaN where a look does not tell it."""
+    """Return the stamp of a message with a header, seconds; NaN if it is laid out otherwise."""
     if wire.is_plain_cdr(data):
         with suppress(struct.error):
             return stamp_in(data)
@@ -150,13 +135,7 @@ def _packed(stamp: Time) -> bytes:
 
 
 def by_rclpy(data: bytes, kind: type) -> Any:
-    """Return a message of any kind.
-
-    Raises
-    ------
-    Unreadable
-        If the bytes are none.
-    """
+    """Return a message of any kind; Unreadable if the bytes are none."""
     try:
         return deserialize_message(data, kind)
     except Exception as error:  # rclpy has several roots, and a message from outside no manners
@@ -167,9 +146,6 @@ DOUBLE = 8
 _STAMP_END = CDR_START + STAMP.size
 _FRAME_PLACE = _STAMP_END + 4
 """After the stamp comes the frame's length in four bytes."""
-
-Nine = tuple[float, ...]
-"""A 3 x 3 matrix, row-major."""
 
 
 class Template:
@@ -213,7 +189,7 @@ class FieldTemplate(Template):
     def __init__(self) -> None:
         super().__init__(MagneticField(), 3 + 9)
 
-    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: Nine) -> Any:
+    def fill(self, stamp: bytes, frame: str, field: Triple, covariance: tuple[float, ...]) -> Any:
         """Return what to publish for a field (tesla) and its covariance (T²)."""
         data = self._filled(stamp, frame, field + covariance)
         if data is not None:

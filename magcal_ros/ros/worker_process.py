@@ -59,11 +59,7 @@ class WorkerProcess:
     def start(self) -> subprocess.Popen[bytes]:
         """Start the process, if it does not run, and return it.
 
-        Raises
-        ------
-        Lost
-            If the system cannot start it, or after `end`: a process that is started while the node
-            ends would have nobody to serve.
+        Lost if the system cannot start it, or after `end`.
         """
         import subprocess
 
@@ -89,10 +85,7 @@ class WorkerProcess:
     def run(self, function: Callable[..., T], *arguments: Any) -> T:
         """Return what a function of a module returns, or raise what it raises.
 
-        Raises
-        ------
-        Lost
-            If the process could not be started, or ended or was stopped meanwhile.
+        Lost if the process could not be started, or ended or was stopped meanwhile.
         """
         process = self.start()
         call = pickle.dumps((function, arguments))

@@ -5,7 +5,7 @@ from types import SimpleNamespace as Message
 
 import pytest
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane
+from magcal_ros.core.earth_field.reference import Fix, LocalPlane
 from magcal_ros.core.messages import speed_of, velocity_of
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from long_form import rounds
 
-from magcal_ros.files.atomic import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
+from magcal_ros.files.disk import LEFT_BEHIND, UNFINISHED, FileTrouble, write_atomically
 
 pytestmark = pytest.mark.faults
 
@@ -18,7 +18,7 @@ KILLS = rounds(15, 1000)
 REWRITER = """
 import sys
 from pathlib import Path
-from magcal_ros.files.atomic import write_atomically
+from magcal_ros.files.disk import write_atomically
 path = Path(sys.argv[1])
 print("ready", flush=True)
 while True:
@@ -29,7 +29,7 @@ while True:
 LIMITED = """
 import resource, signal, sys
 from pathlib import Path
-from magcal_ros.files.atomic import FileTrouble, write_atomically
+from magcal_ros.files.disk import FileTrouble, write_atomically
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:

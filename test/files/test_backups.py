@@ -8,9 +8,14 @@ import pytest
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.simulation import Robot, measure, turn
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.backups import backup_files, keep_backup
-from magcal_ros.files.calibration_file import Origin, read_calibration, write_calibration
+from magcal_ros.files.calibration_file import (
+    Origin,
+    backup_files,
+    keep_backup,
+    read_calibration,
+    write_calibration,
+)
+from magcal_ros.files.disk import FileTrouble
 
 pytestmark = pytest.mark.faults
 

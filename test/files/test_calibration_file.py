@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from magcal_ros.core.calibration import Calibration, Correction, Evidence, MotorField, MotorInput
 from magcal_ros.core.heading.base_view import VehicleYaw
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.calibration_file import (
     LARGEST_FILE,
     Origin,
     read_calibration,
     write_calibration,
 )
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.plausibility import BOUNDS
 
 pytestmark = pytest.mark.faults

@@ -4,7 +4,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.files.atomic import FileTrouble
 from magcal_ros.files.default_paths import (
     LONGEST_FRAME,
     RESERVED,
@@ -15,6 +14,7 @@ from magcal_ros.files.default_paths import (
     ros_home,
     safe_name,
 )
+from magcal_ros.files.disk import FileTrouble
 
 pytestmark = pytest.mark.faults
 

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import NotOrdinary, promptly, read_small
+from magcal_ros.files.disk import FileTrouble, NotOrdinary, promptly, read_small
 
 pytestmark = pytest.mark.faults
 

@@ -6,10 +6,10 @@ import pytest
 from drives import STORE2, drive, message, write_bag
 from ros_bags import rosbag2_py
 
-from magcal_ros.core.earth_field.position import Place
+from magcal_ros.core.earth_field.reference import Place
 from magcal_ros.core.errors import Misuse
 from magcal_ros.core.messages import fix_of
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
 from magcal_ros.files.wire import fix_in
 

@@ -6,7 +6,7 @@ import pytest
 from drives import drive, write_csv
 
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
 
 

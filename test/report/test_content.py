@@ -237,7 +237,7 @@ def test_without_matplotlib_the_report_is_still_written(tmp_path, request):
 
 def test_matplotlib_is_imported_only_when_a_picture_is_drawn():
     code = (
-        "import sys, magcal_ros.report, magcal_ros.files.samples\n"
+        "import sys, magcal_ros.report, magcal_ros.files.recording\n"
         "assert not {'matplotlib', 'rclpy'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=240)

@@ -11,7 +11,7 @@ import pytest
 from long_form import rounds
 from subjects import good
 
-from magcal_ros.files.samples import read_samples
+from magcal_ros.files.recording import read_samples
 
 pytestmark = pytest.mark.faults
 
@@ -37,7 +37,7 @@ def test_killed_at_any_moment(tmp_path, attempt):
 def test_a_page_that_cannot_be_written_is_said_by_the_exit_status(tmp_path):
     (tmp_path / "report.html").write_text("mine")
     handover = pickle.dumps((tmp_path, good()))
-    command = [sys.executable, "-m", "magcal_ros.report"]
+    command = [sys.executable, "-c", "from magcal_ros.report.write import main; exit(main())"]
     done = subprocess.run(command, input=handover, capture_output=True, check=False)
     assert done.returncode == 1
     assert "stays; choose another folder" in done.stderr.decode()

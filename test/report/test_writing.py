@@ -9,8 +9,8 @@ from subjects import CREATED, good, refused
 
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.samples import Window
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.samples import read_samples, write_samples
+from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.recording import read_samples, write_samples
 from magcal_ros.report import new_folder, write_report
 from magcal_ros.report.page import recipe
 

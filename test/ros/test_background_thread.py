@@ -7,7 +7,7 @@ import pytest
 from rclpy.executors import SingleThreadedExecutor
 from support import wait_until
 
-from magcal_ros.ros.background_thread import BackgroundThread
+from magcal_ros.ros.threads import BackgroundThread
 
 
 def test_an_executor_that_is_shut_down_ends_no_work(graph):

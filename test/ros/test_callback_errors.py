@@ -7,7 +7,7 @@ from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
 from support import PATIENCE, REFERENCE, goes_on
 
-from magcal_ros.ros.sensor_loop import LONGEST, CallbackErrors
+from magcal_ros.ros.announcer import LONGEST, CallbackErrors
 
 
 def raised(fail, *arguments):

@@ -12,7 +12,7 @@ from support import REFERENCE, ROBOT
 from magcal_ros.core.samples import ImuSample, Streams
 from magcal_ros.core.session.self_turn import SelfTurn
 from magcal_ros.core.session.session import Session
-from magcal_ros.core.session.turn_events import TurnState
+from magcal_ros.core.session.turn_events import Conclusion, TurnState
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros import worker_process
 from magcal_ros.ros.control import Control
@@ -43,8 +43,8 @@ class House:
     def __init__(self):
         self.errors = []
 
-    def put_in_force(self, _):
-        return lambda: "In force."
+    def use(self, _, tell):
+        tell(Conclusion(True, "In force."))
 
     def begin_report(self, *_):
         return ""
@@ -70,7 +70,7 @@ def settings_of_a_turn():
 def begun_in(house):
     """Return the control of a turn that nobody has ended yet."""
     streams = Streams(0.2)
-    control = Control(streams, house, SelfTurn(), AtOnce(), AtOnce())
+    control = Control(streams, house, house, SelfTurn(), AtOnce(), AtOnce())
     assert control.start(settings_of_a_turn()).success
     ride = Ride(ROBOT, np.random.default_rng(3), start=1000.0, imu_rate=50.0, steps_per_field=2)
     for _ in range(800):
@@ -138,7 +138,7 @@ def test_no_room_for_the_report():
 
 def test_no_room_for_putting_it_in_force():
     house = House()
-    house.put_in_force = no_room
+    house.use = no_room
     answer = turn_in(house)
     assert not answer.success
     assert "Too many open files" in answer.message
@@ -171,7 +171,7 @@ def test_no_room_for_looking_at_the_turn(monkeypatch, what):
 
 
 def test_a_turn_that_cannot_be_opened_is_not_under_way(monkeypatch):
-    control = Control(Streams(0.2), House(), SelfTurn(), AtOnce(), AtOnce())
+    control = Control(Streams(0.2), House(), House(), SelfTurn(), AtOnce(), AtOnce())
     monkeypatch.setattr(Session, "progress", no_room)
     with pytest.raises(OSError, match="Too many open files"):
         control.start(settings_of_a_turn())

@@ -11,7 +11,7 @@ from std_msgs.msg import Float64
 from magcal_ros.cli.main import main
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros import rehearsal
-from magcal_ros.ros.sensor_source import set_time
+from magcal_ros.ros.rehearsal import set_time
 
 DEMO = ["demo", "--speed", "8"]
 

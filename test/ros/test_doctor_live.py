@@ -19,15 +19,15 @@ from std_msgs.msg import String
 from support import PATIENCE, ROBOT, wait_until
 
 from magcal_ros.cli import doctor
-from magcal_ros.cli.doctor_live import Asking, gathered
+from magcal_ros.cli.doctor import Asking, gathered
 from magcal_ros.core.doctor.guide import Guide
-from magcal_ros.core.doctor.page import examine
 from magcal_ros.core.knowledge import Mounting
 from magcal_ros.core.samples import ImuSample
+from magcal_ros.core.samples.window import SensorLog
 from magcal_ros.core.simulation import Ride
 from magcal_ros.ros.preflight import Listener
+from magcal_ros.ros.rehearsal import SensorSource
 from magcal_ros.ros.sensor_frames import LATCHED
-from magcal_ros.ros.sensor_source import SensorSource
 
 COMMAND = [sys.executable, "-m", "magcal_ros.cli.main", "doctor", "--json"]
 PLACE = ["--reference-strength-ut", "48", "--reference-inclination-deg", "65"]
@@ -127,9 +127,9 @@ def looked(graph):
         wait_until(lambda: executor.spin_once(0.01) or listener.described_pose is not None)
         executor.shutdown()
         parser = argparse.ArgumentParser()
-        doctor.add_to(parser.add_subparsers())
+        doctor.add_doctor(parser.add_subparsers())
         heard = gathered(parser.parse_args(["doctor", *PLACE]), listener, samples, Guide(0.0))
-        return heard.page_with(examine(heard.log, heard.knowledge, heard.answers))
+        return heard.page_of(SensorLog.of(samples))
 
     yield run
     for each in (node, other):

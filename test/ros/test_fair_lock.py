@@ -3,7 +3,7 @@
 import threading
 import time
 
-from magcal_ros.ros.sensor_loop import FairLock
+from magcal_ros.ros.threads import FairLock
 
 
 def test_who_lets_go_and_wants_it_again_at_once_lets_the_other_in_between():

@@ -10,7 +10,7 @@ from support import PATIENCE, assert_silent
 from visualization_msgs.msg import MarkerArray
 
 from magcal_ros.core.samples import FieldSample, ImuSample
-from magcal_ros.ros.outputs import LATCHED
+from magcal_ros.ros.sensor_frames import LATCHED
 
 pytestmark = pytest.mark.faults
 

@@ -8,7 +8,7 @@ import pytest
 
 import magcal_ros.ros
 from magcal_ros.ros.node import Calibrator
-from magcal_ros.ros.sensor_loop import SensorGroup
+from magcal_ros.ros.threads import SensorGroup
 
 DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit"}
 """Public in spite of their names: those of named tuples, and of `os`."""

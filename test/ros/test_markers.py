@@ -7,7 +7,7 @@ import pytest
 from support import REFERENCE
 from visualization_msgs.msg import Marker, MarkerArray
 
-from magcal_ros.ros.outputs import LATCHED
+from magcal_ros.ros.sensor_frames import LATCHED
 
 
 def drawn(array):

@@ -141,7 +141,7 @@ def test_ranges_are_real_ones_where_nan_is_no_value(start_node, tools):
         is_number = type(spec.default) in (int, float) and not spec.may_be_unset
         assert len(ranges) == int(is_number), spec.name
         if ranges:
-            assert (ranges[0].from_value, ranges[0].to_value) == (spec.low, spec.high)
+            assert (ranges[0].from_value, ranges[0].to_value) == (spec.span.low, spec.span.high)
         assert descriptor.description == spec.description
 
 

@@ -6,9 +6,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.ros.parameter_table import PARAMETERS
+from magcal_ros.ros.parameter_table import PARAMETERS, Spec
 from magcal_ros.ros.parameters import Settings
-from magcal_ros.ros.spec import Spec
 
 NUMBERS = [s for s in PARAMETERS if isinstance(s.default, float)]
 LISTS = [s for s in PARAMETERS if isinstance(s.default, tuple)]
@@ -65,12 +64,15 @@ def test_a_huge_value_is_refused_in_few_words(spec, huge):
 @rows(NUMBERS)
 class TestNumbers:
     def test_integers_are_numbers(self, spec):
-        value = math.ceil(spec.low)
+        value = math.ceil(spec.span.low)
         found = spec.parse(value)
         assert (found, type(found)) == (float(value), float)
 
     def test_both_ends_belong_to_the_range(self, spec):
-        assert (spec.parse(spec.low), spec.parse(spec.high)) == (spec.low, spec.high)
+        assert (spec.parse(spec.span.low), spec.parse(spec.span.high)) == (
+            spec.span.low,
+            spec.span.high,
+        )
 
     def test_the_infinite_is_out_of_range(self, spec):
         for outside in (math.inf, -math.inf):
@@ -78,12 +80,14 @@ class TestNumbers:
                 spec.parse(outside)
 
     def test_what_lies_outside_is_refused_with_the_range_and_its_unit(self, spec):
-        for value in (just_below(spec.low), just_above(spec.high)):
+        for value in (just_below(spec.span.low), just_above(spec.span.high)):
             with pytest.raises(ValueError, match="must lie between") as caught:
                 spec.parse(value)
             words = str(caught.value)
-            assert words.startswith(f"{spec.name} must lie between {spec.low:g} and {spec.high:g}")
-            assert spec.unit in words
+            assert words.startswith(
+                f"{spec.name} must lie between {spec.span.low:g} and {spec.span.high:g}"
+            )
+            assert spec.span.unit in words
 
     def test_nan_is_allowed_only_where_it_means_not_known(self, spec):
         if math.isnan(spec.default):
@@ -99,7 +103,7 @@ class TestNumbers:
 
     def test_a_number_that_came_as_text_is_one(self, spec):
         """YAML 1.1 leaves 1e-05 a text, and `ros2 param load` sends NaN as one."""
-        middle = (spec.low + spec.high) / 2.0
+        middle = (spec.span.low + spec.span.high) / 2.0
         assert spec.parse(f"{middle:.17e}") == middle
         for text in ("nan", ".nan", "NaN", ".NaN"):
             if spec.may_be_unset:
@@ -116,7 +120,7 @@ class TestNumbers:
 @rows(WHOLE)
 class TestWholeNumbers:
     def test_both_ends_belong_to_the_range_and_stay_whole(self, spec):
-        for end in (spec.low, spec.high):
+        for end in (spec.span.low, spec.span.high):
             assert (spec.parse(end), type(spec.parse(float(end)))) == (end, int)
 
     def test_what_is_not_whole_is_refused(self, spec):
@@ -125,7 +129,7 @@ class TestWholeNumbers:
                 spec.parse(wrong)
 
     def test_what_lies_outside_is_refused(self, spec):
-        for value in (spec.low - 1, spec.high + 1):
+        for value in (spec.span.low - 1, spec.span.high + 1):
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse(value)
 
@@ -171,7 +175,7 @@ class TestLists:
                 spec.parse(values)
 
     def test_each_number_must_lie_in_the_range(self, spec):
-        for bad in (just_below(spec.low), just_above(spec.high)):
+        for bad in (just_below(spec.span.low), just_above(spec.span.high)):
             with pytest.raises(ValueError, match="must lie between"):
                 spec.parse([*spec.default[:2], bad])
 

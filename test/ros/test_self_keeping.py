@@ -16,8 +16,7 @@ from test_travel import Car
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.keeping.jobs import Decision, Findings, Verb
 from magcal_ros.core.simulation import Robot, measure, turn
-from magcal_ros.files.backups import backup_files
-from magcal_ros.files.calibration_file import read_calibration
+from magcal_ros.files.calibration_file import backup_files, read_calibration
 from magcal_ros.ros.status import watch_diagnostic
 from magcal_ros.ros.worker_process import Stopped
 

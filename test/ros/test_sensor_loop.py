@@ -13,7 +13,7 @@ from std_msgs.msg import Float64
 from support import PATIENCE, wait_until
 
 from magcal_ros.ros import sensor_loop
-from magcal_ros.ros.sensor_loop import MOST_AT_ONCE, SensorGroup, Spinner
+from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
 
 
 class Served:

@@ -91,7 +91,7 @@ def command(node_process):
 def wait_for_turn(graph_node):
     from std_msgs.msg import String
 
-    from magcal_ros.ros.outputs import LATCHED
+    from magcal_ros.ros.sensor_frames import LATCHED
 
     heard = []
     graph_node.create_subscription(

@@ -23,7 +23,7 @@ from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.streams import PositionSample, SpeedSample, VelocitySample
 from magcal_ros.core.simulation import Robot
 from magcal_ros.files.calibration_file import read_calibration
-from magcal_ros.ros.outputs import LATCHED
+from magcal_ros.ros.sensor_frames import LATCHED
 
 DEGREE = math.pi / 180.0
 VEHICLE = Vehicle(Robot(noise_force=0.05, noise_rate=2e-3), imu_yaw=8.0 * DEGREE)

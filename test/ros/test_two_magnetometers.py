@@ -15,7 +15,7 @@ from support import DEGREE, PATIENCE, ROBOT, store_calibration
 from magcal_ros.core.samples import FieldSample
 from magcal_ros.files.calibration_file import read_calibration
 from magcal_ros.ros.preflight import inspect
-from magcal_ros.ros.sensor_source import set_time
+from magcal_ros.ros.rehearsal import set_time
 
 FRAME = "mag_link"
 

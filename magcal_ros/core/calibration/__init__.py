@@ -16,10 +16,7 @@ from magcal_ros.core.calibration.correction import (
     MotorInput,
     Running,
 )
-from magcal_ros.core.calibration.figure import (
-    Figure,
-    along,
-)
+from magcal_ros.core.calibration.figure import Figure, along
 from magcal_ros.core.calibration.heading_sigma import (
     arc_sigma,
     calibration_sigma,

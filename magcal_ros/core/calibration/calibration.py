@@ -56,9 +56,7 @@ class Estimate:
     """The result of one method on one window."""
 
     method: str
-    """Name of the method."""
     correction: Correction
-    """The twelve numbers."""
     covariance: FloatArray
     """Of the twelve numbers (A row by row, then h in tesla), what the turn could not show included.
     It is singular where a direction is fixed by convention. Shape (12, 12)."""
@@ -70,22 +68,21 @@ class Estimate:
     """Radians of the turn that were seen."""
     strength: float
     inclination: float
-    """Of the reference field as the method believes it after the fit: tesla, radians."""
+    """Of the reference field after the fit: tesla, radians."""
     noise_field: float
     noise_up: float
     """Standard deviations found in the samples: tesla per axis, radians of tilt per axis."""
     inliers: BoolArray
-    """Samples that the fit believed. Shape (n,)."""
+    """Samples that are no outliers of the fit. Shape (n,)."""
     residual: FloatArray
     """Raw field minus the model's, tesla. Shape (n, 3)."""
     figures: Mapping[Figure, float] = field(default_factory=dict)
     """Everything else the method measured; SI units."""
     message: str = ""
-    """Why it stopped."""
     swing: GyroSwing | None = None
     """What `Figure.GYRO_COMPASS_SWING` was judged by, where gyro and compass were compared."""
     motors: MotorField | None = None
-    """What the motors add while they run, where the method tells."""
+    """What the motors add while they run, where the method finds it."""
 
     def __post_init__(self) -> None:
         shape = (PARAMETERS, PARAMETERS)
@@ -94,21 +91,13 @@ class Estimate:
 
     @property
     def circle_radius(self) -> float:
-        """Horizontal part of the reference field as the method believes it, tesla."""
+        """Horizontal part of the reference field after the fit, tesla."""
         return self.strength * math.cos(self.inclination)
 
     def heading_sigma(self, up: FloatArray, field_body: FloatArray) -> FloatArray:
-        """Return the yaw's standard deviation from the twelve numbers' covariance alone.
+        """Return the yaw's sigma by the covariance of the twelve numbers alone, radians.
 
-        Parameters
-        ----------
-        up, field_body : ndarray, shape (..., 3)
-            The pose: up and the true field in body axes, any length for up, tesla for the field.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            Radians.
+        `up` and the true field (tesla), both (..., 3), are in body axes; the result is (...).
         """
         jacobian = yaw_jacobian(self.correction, up, field_body)
         variance = np.einsum("...i,ij,...j->...", jacobian, self.covariance, jacobian)
@@ -127,13 +116,9 @@ def yaw_jacobian(correction: Correction, up: FloatArray, field_body: FloatArray)
 
 
 def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Return the derivative by the twelve numbers of what has this gradient by the field.
+    """Return the derivative by the twelve numbers of a quantity with this gradient by the field.
 
-    Parameters
-    ----------
-    correction : Correction
-    field_body, gradient : ndarray, shape (..., 3)
-        Corrected field, and the gradient there, body axes.
+    The corrected field and the gradient are (..., 3) in body axes.
     """
     uncorrected = correction.undo(field_body) - correction.hard_iron
     by_matrix = gradient[..., :, None] * uncorrected[..., None, :]
@@ -144,15 +129,13 @@ def by_twelve(correction: Correction, field_body: FloatArray, gradient: FloatArr
 
 @dataclass(frozen=True)
 class Evidence:
-    """Why a calibration is believed, as it is stored beside the twelve numbers."""
+    """The evidence for a calibration, stored beside the twelve numbers."""
 
     method: str
-    """Name of the method that found it."""
     quality: str
     confidence: str
     """The verdict's two grades."""
     summary: str
-    """The verdict in one sentence."""
     reasons: tuple[str, ...] = ()
     not_shown: tuple[str, ...] = ()
     """The verdict's reasons, and what the turn could not show."""
@@ -172,7 +155,6 @@ class Calibration:
     """A correction with its certainty."""
 
     correction: Correction
-    """The twelve numbers."""
     covariance: FloatArray
     """Of A row by row, then h in tesla. Shape (12, 12)."""
     noise_field: float
@@ -183,7 +165,6 @@ class Calibration:
     inclination: float
     """The reference field as found, tesla and radians."""
     evidence: Evidence
-    """Why it is believed."""
     motors: MotorField | None = None
     """What the motors add while they run; None where nothing has shown it."""
 
@@ -196,7 +177,7 @@ class Calibration:
 
     @classmethod
     def from_estimate(cls, estimate: Estimate, evidence: Evidence) -> Calibration:
-        """Bring a method's estimate, with why it is believed, into the form that is applied."""
+        """Bring a method's estimate and its evidence into the form that is applied."""
         return cls(
             estimate.correction,
             estimate.covariance,

@@ -22,12 +22,9 @@ PARAMETERS = 12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Takes the raw field to the field in body axes, `A (m_raw - h)`.
+    """Maps the raw field to the field in body axes, `A (m_raw - h)`.
 
-    Raises
-    ------
-    ValueError
-        If a number is not finite, or if `matrix` is singular or mirrors the axes.
+    A ValueError if a number is not finite, or if `matrix` is singular or mirrors the axes.
     """
 
     matrix: FloatArray
@@ -90,7 +87,7 @@ class MotorInput(str, Enum):
 
     @property
     def unit(self) -> str:
-        """The unit that the field is told for."""
+        """The unit that the field is given per."""
         units = {"turn_rate": "rad/s", "speed": "m/s", "current": "A"}
         words = {"moving": "while it moves", "side": "while it turns left, less right"}
         return {**units, **words}[self.value]
@@ -122,7 +119,6 @@ class MotorField:
     """The field of the motors, `K u` beside the hard iron, with its certainty."""
 
     inputs: tuple[MotorInput, ...]
-    """What u holds."""
     gain: FloatArray
     """K by inputs: tesla per unit of each, in the magnetometer's own axes. Shape (n, 3)."""
     covariance: FloatArray
@@ -133,7 +129,7 @@ class MotorField:
     """Tesla per axis that the field deviates by while the robot moves, beside K u."""
     usual: tuple[float, ...]
     """Root mean square of each input while the robot moves: what is expected of an input that
-    nobody tells."""
+    is not measured."""
 
     def __post_init__(self) -> None:
         count = len(self.inputs)
@@ -148,10 +144,11 @@ class MotorField:
             raise ValueError("the motors' inputs must differ, and each has one usual size")
 
     def known(self, running: Running) -> tuple[FloatArray, FloatArray]:
-        """Return the inputs, shape (n,), and their covariance, shape (n, n).
+        """Return the inputs (n,) and their covariance (n, n).
 
-        An unknown one counts as zero, and varies as usual while the robot moves. Where nobody knows
-        whether it moves, or whether it turns, both the step and its side are in doubt.
+        An unknown input counts as zero, and varies as usual while the robot moves. Where it is
+        uncertain whether the robot moves, or to which side it turns, the step and its side are
+        uncertain too.
         """
         values = np.array([running[INPUTS.index(each)] for each in self.inputs])
         unknown = np.isnan(values)
@@ -183,10 +180,10 @@ class MotorField:
         return replace(self, beside=np.zeros_like(self.beside))
 
     def with_side(self, side: float) -> MotorField:
-        """Return the same where a step may change side with the turn.
+        """Return the same field with a step that may change its sign with the side of the turn.
 
-        Turns to one side do not tell a step with motion from one that changes side: either may be
-        all of it.
+        Turns to one side cannot separate a step with motion from one that changes sign: either may
+        be all of it.
         """
         at, count = self.inputs.index(MotorInput.MOVING), 3 * len(self.inputs)
         split, apart = np.eye(count + 3, count), np.zeros((count + 3, 3))

@@ -20,11 +20,11 @@ class Figure(str, Enum):
     HEADING_SIGMA_TILTED = "heading_sigma_tilted"
     """The same on slopes of 10 degrees to all sides."""
     RESIDUAL_RATIO = "residual_ratio"
-    """RMS of the believed samples' field residual over the level field."""
+    """RMS of the inliers' field residual over the level field."""
     OUTLIER_SHARE = "outlier_share"
-    """Share of the samples that it did not believe."""
+    """Share of the samples that are outliers."""
     SAMPLES = "samples"
-    """Number of believed samples."""
+    """Number of inliers."""
     ARC = "arc"
     """Radians of the turn that were seen."""
     RADIUS_RATIO = "radius_ratio"
@@ -74,7 +74,7 @@ class Figure(str, Enum):
     where samples or a rest beside the turn exclude it; absent without a gyro."""
     MOTOR_FIELD = "motor_field"
     """Field that is there while the robot turns and not while it rests beside its turn, or that
-    switched on the way, tesla; zero where chance explains it, absent where nothing tells."""
+    switched on the way, tesla; zero where chance explains it, absent where nothing shows it."""
     ON_THE_SPOT = "on_the_spot"
     """Probability that the robot turned on the spot and did not drive, by the smoother."""
     LATENCY = "latency"
@@ -134,7 +134,7 @@ class Figure(str, Enum):
     DRIVING_TIME = "driving_time"
     """Seconds of a drive, standing included."""
     METRES = "metres"
-    """Metres of a drive; absent where nobody measured the speed."""
+    """Metres of a drive; absent where the speed was not measured."""
     STREET = "street"
     """Disturbance of the field along a drive that changes with the place, tesla per axis."""
     LOCAL_FIELD = "local_field"
@@ -216,11 +216,5 @@ class Figure(str, Enum):
 
 
 def along(name: str, values: FloatArray) -> dict[Figure, float]:
-    """Return the three figures of a quantity along x, y and z, from its values (3,).
-
-    Raises
-    ------
-    ValueError
-        If there are none of that name.
-    """
+    """Return the three figures of a quantity along x, y and z, from its values (3,)."""
     return {Figure(f"{name}_{axis}"): float(v) for axis, v in zip("xyz", values, strict=True)}

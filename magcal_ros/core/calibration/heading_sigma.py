@@ -19,21 +19,7 @@ HEADINGS = 24
 
 
 def common_figures(estimate: Estimate) -> dict[Figure, float]:
-    """Measure an estimate.
-
-    Returns
-    -------
-    dict of Figure to float
-        heading_sigma, heading_sigma_tilted : rad, predicted, root mean square over all headings
-        on the level and on slopes of 10°;
-        local_sigma : rad, the part of it by local disturbances, of a drive;
-        residual_ratio : rms residual of the believed samples over the level field;
-        outlier_share : share of the samples that was not believed;
-        installation_angle : rad, where the method knows one;
-        radius_misfit : relative, where the method compared radii;
-        ellipse_excess : longer axis of the turn's ellipse over the shorter less one, where the
-        method measured it and did not take it as soft iron.
-    """
+    """Return the figures that every estimate has, and those that follow from its own."""
     residual = estimate.residual[estimate.inliers]
     rms = math.sqrt(float(np.mean(residual**2))) if len(residual) else math.inf
     figures = {
@@ -54,38 +40,23 @@ def common_figures(estimate: Estimate) -> dict[Figure, float]:
 
 
 def predicted_heading_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's standard deviation: of the calibration, and of the field where it drove.
+    """Return the yaw's sigma by the calibration and by the field along the drive, radians.
 
-    Parameters
-    ----------
-    estimate : Estimate or Calibration
-        What was found.
-    tilt : float
-        Radians. Zero for the level; otherwise over slopes to all four sides.
-
-    Returns
-    -------
-    float
-        Radians, root mean square over 24 headings.
+    It is the root mean square over 24 headings, on the level or on slopes of `tilt` (rad) to four
+    sides.
     """
     return math.hypot(calibration_sigma(estimate, tilt), local_sigma(estimate, tilt))
 
 
 def calibration_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's standard deviation from the covariance of the twelve numbers.
-
-    Parameters and unit as of `predicted_heading_sigma`.
-    """
+    """Return the same by the covariance of the twelve numbers alone."""
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, tilt)
     return rms_sigma(jacobian, estimate.covariance)
 
 
 def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
-    """Return the yaw's standard deviation by local disturbances along the way that was driven.
-
-    Parameters and unit as of `predicted_heading_sigma`. Zero where no drive has shown any.
-    """
+    """Return the same by local magnetic disturbances along the drive; zero where none was found."""
     size = local_field(estimate)
     if size == 0.0:
         return 0.0
@@ -95,21 +66,17 @@ def local_sigma(estimate: Estimate | Calibration, tilt: float = 0.0) -> float:
 
 
 def local_field(estimate: Estimate | Calibration) -> float:
-    """Return by how much the field deviates where it was driven (`Figure.LOCAL_FIELD`), tesla."""
+    """Return the disturbance of the field along the drive (`Figure.LOCAL_FIELD`), tesla."""
     if isinstance(estimate, Calibration):
         return estimate.evidence.figure(Figure.LOCAL_FIELD, 0.0)
     return estimate.figures.get(Figure.LOCAL_FIELD, 0.0)
 
 
 def arc_sigma(estimate: Estimate) -> float:
-    """Return the standard deviation of the arc that the compass saw, from the covariance.
+    """Return the sigma of the arc that the compass saw, on the level, radians.
 
-    Returns
-    -------
-    float
-        Radians on the level, of the arc whose first and last heading differ most uncertainly: of
-        part of a turn the position of the circle's centre is known least along its middle, and
-        that is the direction that changes the arc.
+    It is that of the arc whose first and last heading differ most uncertainly: a partial turn shows
+    the circle's centre least along its middle, and that is the direction that changes the arc.
     """
     reference = field_in_enu(estimate.strength, estimate.inclination)
     jacobian = heading_jacobian(estimate.correction, reference, 0.0)
@@ -121,14 +88,8 @@ def arc_sigma(estimate: Estimate) -> float:
 def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float) -> FloatArray:
     """Return the derivative of the yaw by the twelve numbers over all headings, radians each.
 
-    Parameters
-    ----------
-    correction : Correction
-        The twelve numbers.
-    field_enu : ndarray, shape (3,)
-        The Earth's field, tesla.
-    tilt : float
-        Radians. Zero for the level; otherwise over slopes to all four sides.
+    The field (3,) is the Earth's in ENU, tesla. With a `tilt` (rad) it is over slopes to four
+    sides.
     """
     leanings = [(0.0, 0.0)] if tilt == 0.0 else [(tilt, 0), (-tilt, 0), (0, tilt), (0, -tilt)]
     poses = np.concatenate([_all_headings(roll, pitch) for roll, pitch in leanings])
@@ -138,10 +99,7 @@ def heading_jacobian(correction: Correction, field_enu: FloatArray, tilt: float)
 def headings_apart(
     right: Correction, other: Correction, strength: float, inclination: float
 ) -> FloatArray:
-    """Return yaw by another correction less by the right one over level headings, (24,), radians.
-
-    In a field of so many tesla and radians.
-    """
+    """Return yaw by another correction less by the right one, level headings (24,), radians."""
     poses = _all_headings()
     up, field = poses[:, :, 2], poses @ field_in_enu(strength, inclination)
     seen = yaw_from_up_and_field(up, other.apply(right.undo(field)))
@@ -161,7 +119,7 @@ def _all_headings(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
 
 
 def rms_sigma(jacobian: FloatArray, covariance: FloatArray) -> float:
-    """Return the root mean square over rows of what a covariance means for them."""
+    """Return the root mean square over the rows of a Jacobian of the sigma by a covariance."""
     variance = np.einsum("ki,ij,kj->k", jacobian, covariance, jacobian)
     return math.sqrt(max(float(variance.mean()), 0.0))
 
@@ -170,8 +128,8 @@ def sideways_acceleration(window: Window) -> float:
     """Return the angle between the gyro's mean axis and the mean specific force, radians.
 
     Over a full turn about any axis the true up averages to that axis. What is left is a steady
-    pull to one side, as of a car in a circle. The mean goes over the angle, so a pause does not
-    weigh.
+    lateral acceleration, as of a car in a circle. The mean is over the angle, so a pause has no
+    weight.
     """
     rate = window.angular_rate
     if rate is None:
@@ -193,6 +151,6 @@ def axis_share(window: Window) -> float:
 
 
 def usual_lean(window: Window) -> float:
-    """Return the angle between the usual specific force and the body's z, radians."""
+    """Return the angle between the median specific force and the body's z, radians."""
     usual = unit(np.median(window.specific_force, axis=0))
     return math.acos(min(max(float(usual[2]), -1.0), 1.0))

@@ -1,4 +1,4 @@
-"""The reference field in use: what was given by hand, and for the rest the model."""
+"""The reference field in use: the position from fixes, what was given by hand, and the model."""
 
 from __future__ import annotations
 
@@ -9,13 +9,7 @@ from typing import Any, NamedTuple
 
 from magcal_ros.core.assessment.verdict import NO_REFERENCE
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.earth_field.wmm import (
-    VALIDITY,
-    ModelField,
-    NoModel,
-    Place,
-    model_field,
-)
+from magcal_ros.core.earth_field.wmm import VALIDITY, ModelField, NoModel, Place, model_field
 from magcal_ros.core.geometry.attitude import wrap_angle
 from magcal_ros.core.knowledge import (
     DECLINATION_SIGMA_DEG,
@@ -23,7 +17,149 @@ from magcal_ros.core.knowledge import (
     STRENGTH_SIGMA_UT,
     Belief,
     ReferenceField,
+    knowledge_of,
 )
+from magcal_ros.core.samples.streams import PositionSample
+
+
+@dataclass(frozen=True)
+class PositionTuning:
+    """When a place counts as another."""
+
+    moved: float = 10_000.0
+    """Metres after which the field is looked up again: in that way it changes by less than 0.1° and
+    0.1 µT at most places."""
+    confirmed: int = 3
+    """Fixes in a row that must agree on a new place: one alone may be wild."""
+    far: float = 50_000.0
+    """Metres from where the robot is said to be, or was at first, that are worth a word."""
+    altitude_unknown: float = 0.0
+    """Metres that are taken for it: a hundred change the strength by 0.005%."""
+
+
+TUNING = PositionTuning()
+
+
+NO_FIX = "say that there is no fix"
+NOT_FINITE = "are not finite"
+OFF_EARTH = "lie outside of -90 to 90°, -180 to 180°, and -1 to 850 km of altitude"
+NOWHERE = "lie at 0° N 0° E, where receivers without a fix are"
+
+
+@dataclass(frozen=True)
+class Fix:
+    """What a receiver says."""
+
+    has_fix: bool
+    """Its own word on it."""
+    latitude_deg: float
+    longitude_deg: float
+    altitude: float
+    """Degrees and metres; the altitude may be NaN."""
+    stamp: float
+    """Seconds."""
+
+
+def place_of(fix: Fix) -> Place | str:
+    """Return the place of a fix, or what is wrong with it."""
+    spot = (fix.latitude_deg, fix.longitude_deg)
+    low, high = VALIDITY.altitudes
+    altitude = fix.altitude if math.isfinite(fix.altitude) else TUNING.altitude_unknown
+    if not fix.has_fix:
+        return NO_FIX
+    if not all(math.isfinite(value) for value in spot):
+        return NOT_FINITE
+    if abs(spot[0]) > 90.0 or abs(spot[1]) > 180.0 or not low <= altitude <= high:
+        return OFF_EARTH
+    if spot == (0.0, 0.0):
+        return NOWHERE
+    return Place(*spot, altitude)
+
+
+class Fixes:
+    """Follows the position by a receiver's fixes.
+
+    `place` is None before the first good fix; `stamp` (s) is that of the newest good one, zero
+    before it.
+    """
+
+    def __init__(self) -> None:
+        self.place: Place | None = None
+        self.stamp = 0.0
+        self._first: Place | None = None
+        self._candidates: list[Place] = []
+        self._faults: set[str] = set()
+
+    def add(self, fix: Fix) -> bool:
+        """Take a fix; returns whether the place is a new one."""
+        place = place_of(fix)
+        if isinstance(place, str):
+            self._faults.add(place)
+            return False
+        self.stamp = fix.stamp
+        if self.place is None:
+            self._first = place
+        elif not self._has_moved_to(place):
+            return False
+        self.place, self._candidates = place, []
+        return True
+
+    def _has_moved_to(self, place: Place) -> bool:
+        assert self.place is not None
+        if self.place.distance(place) <= TUNING.moved:
+            self._candidates = []
+            return False
+        self._candidates = [c for c in self._candidates if c.distance(place) <= TUNING.moved] + [
+            place
+        ]
+        return len(self._candidates) >= TUNING.confirmed
+
+    def complaints(self, given: Place | None) -> list[str]:
+        """Say what is wrong with the fixes; empty if nothing is."""
+        if self.place is None:
+            return [
+                f"gps/fix: no place yet, its messages {fault}" for fault in sorted(self._faults)
+            ]
+        if given is not None:
+            away = given.distance(self.place)
+            if away > TUNING.far:
+                return [
+                    f"gps/fix says {self.place.words}, {away / 1000.0:.0f} km from the given place "
+                    f"{given.words}, which is used: correct reference.latitude_deg and "
+                    "reference.longitude_deg, or leave them out"
+                ]
+            return []
+        assert self._first is not None
+        away = self._first.distance(self.place)
+        if away > TUNING.far:
+            return [
+                f"gps/fix has moved by {away / 1000.0:.0f} km, from {self._first.words} to "
+                f"{self.place.words}: the reference field has followed"
+            ]
+        return []
+
+
+RADIUS = 6_371_000.0
+"""Metres, mean radius of the Earth: the plane's scale is right to 0.4%, its angles near it."""
+
+
+class LocalPlane:
+    """The plane that touches the Earth at the first good fix (equirectangular)."""
+
+    def __init__(self) -> None:
+        self._origin: Place | None = None
+
+    def position(self, fix: Fix) -> PositionSample | None:
+        """Return a fix in the plane, metres; None if it has no position."""
+        place = place_of(fix)
+        if isinstance(place, str):
+            return None
+        origin = self._origin = self._origin or place
+        north = math.radians(place.latitude_deg - origin.latitude_deg)
+        east = math.radians(math.remainder(place.longitude_deg - origin.longitude_deg, 360.0))
+        shrink = math.cos(math.radians(origin.latitude_deg))
+        return PositionSample(fix.stamp, RADIUS * east * shrink, RADIUS * north)
+
 
 DOUBTFUL = 3.0
 """Sigmas by which what is given, or calibrated, may differ from the model before it is said."""
@@ -56,19 +192,48 @@ class Local:
 
 
 @dataclass(frozen=True)
+class Given:
+    """What a person has given of the Earth's field and of the place."""
+
+    field: ReferenceField
+    local: Local
+    place: Place | None
+    """None unless latitude and longitude are given."""
+    half_place: bool
+    """Whether only one of the two is."""
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Given:
+        """Build from numbers by the names of the parameters `reference.*`; NaN is not given."""
+        names = ("strength_sigma_ut", "inclination_sigma_deg", "declination_sigma_deg")
+        strength, inclination, declination = (values[name] for name in names)
+        known = knowledge_of(
+            values["strength_ut"],
+            strength,
+            values["inclination_deg"],
+            inclination,
+            values["declination_deg"],
+            declination_sigma_deg=declination,
+        )
+        angles = math.radians(inclination), math.radians(declination)
+        spot = values["latitude_deg"], values["longitude_deg"]
+        unset = [math.isnan(angle) for angle in spot]
+        place = None if any(unset) else Place(*spot, values["altitude_m"])
+        return cls(known.reference, Local(strength * 1e-6, *angles), place, unset[0] != unset[1])
+
+
+@dataclass(frozen=True)
 class Reference:
     """The reference field in use."""
 
     field: ReferenceField
-    """The numbers."""
     source: str
     """Where they come from, in words."""
     complaints: tuple[str, ...] = ()
-    """What the user should know about it."""
 
     @property
     def north(self) -> str:
-        """Which north a yaw can be counted from: true or magnetic."""
+        """Which north a yaw is counted from: true or magnetic."""
         return "magnetic" if self.field.declination is None else "true"
 
     @property
@@ -99,21 +264,8 @@ def resolve(
 ) -> Reference:
     """Take what was given by hand, number by number, and the rest from the model.
 
-    Parameters
-    ----------
-    given : ReferenceField
-        By hand; each number that is known wins over the model.
-    local : Local
-        Adds to the model's own uncertainty, in quadrature.
-    place : Place or None
-        Where the robot is; None if not known.
-    year : float or None
-        Decimal year; None if not known.
-
-    Returns
-    -------
-    Reference
-        Never raises: what the model cannot give is a complaint.
+    The local part adds to the model's own uncertainty, in quadrature. `place` and `year` (decimal)
+    are None where unknown. Nothing is raised: what the model cannot give is a complaint.
     """
     lacking = [name for name, belief in _beliefs(given) if belief.is_unknown]
     source = "unknown" if len(lacking) == len(UNITS) else "given"
@@ -159,7 +311,7 @@ def _widened(belief: Belief, sigma: float) -> Belief:
 def _contradictions(
     given: ReferenceField, local: Local, model: ModelField, spot: str
 ) -> Iterator[str]:
-    """Say which number given by hand the model does not believe: a wrong sign is easily given."""
+    """Say which number given by hand contradicts the model: a wrong sign is easily given."""
     by_model = (model.strength, model.inclination, model.declination)
     around = (local.strength, local.inclination, local.declination)
     for (name, by_hand), theirs, sigma in zip(_beliefs(given), by_model, around, strict=True):
@@ -196,15 +348,9 @@ def _doubts(model: ModelField, field: ReferenceField) -> tuple[str, ...]:
 
 
 def made_elsewhere(calibration: Calibration, reference: ReferenceField) -> str:
-    """Say that a calibration was made in another field than the reference; empty if not.
+    """Say that a calibration was made in another field than here; empty if not.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Its strength and dip are those of the place where it was made. One that was made without a
-        reference says nothing about them.
-    reference : ReferenceField
-        Of the place where the robot is.
+    A calibration that was made without a reference says nothing about its place.
     """
     if NO_REFERENCE in calibration.evidence.not_shown or not reference.is_complete:
         return ""

@@ -55,17 +55,7 @@ class Harmonics:
     def field(
         self, latitude: float, longitude: float, altitude_km: float, year: float
     ) -> tuple[float, float, float]:
-        """Return the field north, east and down, tesla.
-
-        Parameters
-        ----------
-        latitude, longitude : float
-            Geodetic, radians.
-        altitude_km : float
-            Kilometres above the ellipsoid.
-        year : float
-            Decimal year.
-        """
+        """Return the field north, east and down, tesla, at geodetic radians and a decimal year."""
         sin_lat, cos_lat = math.sin(latitude), math.cos(latitude)
         normal = SEMI_MAJOR / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin_lat**2)
         outward = (normal + altitude_km) * cos_lat
@@ -246,41 +236,20 @@ def decimal_year(stamp: float) -> float:
 
 
 def year_of(stamps: Iterable[float], clock: float) -> float:
-    """Return the date as a decimal year.
+    """Return the date as a decimal year, by stamps and a clock in seconds since 1970.
 
     A stamp is right in a replayed drive, and where the clock was never set; the clock is right
-    where a stamp lies in the future.
-
-    Parameters
-    ----------
-    stamps : iterable of float
-        Seconds since 1970, or since the start of a simulation or a machine: then they say nothing.
-    clock : float
-        Seconds since 1970 for where no stamp says anything.
+    where a stamp lies in the future. Stamps since the start of a simulation or a machine do not
+    count.
     """
     years = [decimal_year(stamp) for stamp in stamps if math.isfinite(stamp)]
     return min((year for year in years if year >= VALIDITY.first_year), default=decimal_year(clock))
 
 
 def model_field(place: Place, year: float) -> ModelField:
-    """Return the field of the World Magnetic Model whose life contains the date.
+    """Return the field of the World Magnetic Model for a place and a decimal year.
 
-    Parameters
-    ----------
-    place : Place
-        Where.
-    year : float
-        When, decimal year.
-
-    Returns
-    -------
-    ModelField
-        After the newest model's life with sigmas that grow year by year.
-
-    Raises
-    ------
-    NoModel
-        If no model comes near the date.
+    After the newest model's life its sigmas grow year by year. NoModel if none comes near the date.
     """
     base = _newest_model(year)
     late = max(year - (base + VALIDITY.life), 0.0)
@@ -317,5 +286,6 @@ def _newest_model(year: float) -> int:
 
 @lru_cache(maxsize=len(ERRORS))
 def _load(base: int) -> Harmonics:
+    # As NOAA and BGS publish them (public domain); of 2015 the second edition, WMM2015v2.
     coefficients = files("magcal_ros.core.earth_field") / "coefficients" / f"WMM{base}.COF"
     return Harmonics.parse(coefficients.read_text(encoding="ascii"))

@@ -25,8 +25,8 @@ from magcal_ros.core.knowledge import (
     Knowledge,
     ReferenceField,
 )
-from magcal_ros.core.monitoring.monitoring_tuning import RecheckTuning
 from magcal_ros.core.monitoring.recheck_chance import (
+    RecheckTuning,
     chances,
     check_beside_chance,
     gyro_compass,

@@ -1,26 +1,86 @@
-"""How much the figures of a recheck scatter although the calibration is still good.
+"""How much the figures of a recheck vary although the calibration still holds.
 
-Two things do. The calibration was uncertain when it was made, and what its hard iron is off shows
-as a swing around the turn. And fields differ from place to place: headings that were seen in other
-places have other means, as the visits to one heading tell.
+There are two causes. The calibration was uncertain when it was made, and the error of its hard iron
+shows as a swing around the turn. And the field differs from place to place: headings that were seen
+in other places have other means, as repeated visits to one heading show.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.assessment.grading import Bound, Check, Grade, shown
+from magcal_ros.core.assessment.grading import Aspect, Bound, Check, Grade, shown
 from magcal_ros.core.calibration.calibration import Calibration, GyroSwing, by_twelve
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.calibration.heading_sigma import HEADINGS, rms_sigma
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import wrap_angle
-from magcal_ros.core.monitoring.monitoring_tuning import RecheckTuning
+from magcal_ros.core.samples import STREAMS, Window
 from magcal_ros.core.samples.coverage import COVERAGE, Coverage
-from magcal_ros.core.samples.streams import STREAMS
-from magcal_ros.core.samples.window import Window
+
+MOVED = "the hard iron has changed, or the field is distorted here"
+
+RECHECK_BOUNDS: tuple[Bound, ...] = (
+    Bound(Figure.HEADING_SWING, 4.0, 7.0, "heading swing that the level field shows", MOVED),
+    Bound(
+        Figure.GYRO_COMPASS_DIFFERENCE,
+        4.0,
+        7.0,
+        "gyro against compass",
+        "the compass does not turn as the robot does",
+    ),
+    Bound(
+        Figure.STRENGTH_SPREAD, 3.0, 6.0, "field strength varies with heading by", MOVED, unit="%"
+    ),
+    Bound(Figure.DIP_SPREAD, 2.0, 4.0, "angle between field and up varies with heading by", MOVED),
+    Bound(
+        Figure.STRENGTH_OFFSET,
+        5.0,
+        15.0,
+        "field strength is off the calibrated one by",
+        "another place, or the hard iron along the turn's axis has changed",
+        unit="%",
+    ),
+    Bound(
+        Figure.DIP_OFFSET,
+        3.0,
+        8.0,
+        "inclination is off the calibrated one by",
+        "another place, or the hard iron along the turn's axis has changed",
+    ),
+    Bound(
+        Figure.ARC,
+        270.0,
+        0.0,
+        "the turn covers",
+        "the headings that were not seen are not checked",
+        aspect=Aspect.CONFIDENCE,
+        at_least=True,
+    ),
+)
+"""Nothing is better than good: that a calibration holds is all that a recheck can say."""
+
+
+@dataclass(frozen=True)
+class RecheckTuning:
+    """How a recheck looks."""
+
+    bounds: tuple[Bound, ...] = RECHECK_BOUNDS
+    bins: int = 36
+    """Sectors of heading over which a mean is taken: narrow against two swings a turn."""
+    longest_piece: float = 60.0
+    """Seconds over which the gyro's drift is taken as steady."""
+    visit: float = 12.0
+    """Seconds within which a robot that drives meets the same disturbance: streets are alike for 25
+    to 30 m."""
+    own_share: float = 0.25
+    """Of the bound of what is stale: so much of a swing the calibration's own sigma explains."""
+    steepest_nose: float = 0.75
+    """Squared share of up along body x (60°) beyond which yaw is not compared."""
+
 
 HARMONICS = 4
 """Numbers of a swing: cosine and sine of the heading and of twice the heading."""
@@ -36,24 +96,13 @@ def chances(
     most: dict[Figure, float],
     bins: int,
 ) -> dict[Figure, float]:
-    """Return what chance makes of each figure, in its own unit.
+    """Return how large each figure may be by chance, in its own unit.
 
-    Parameters
-    ----------
-    seen : dict of Figure to ndarray, shape (n,)
-        What a figure is the spread of, over the same as it.
-    visit, around : ndarray of int, shape (n,)
-        Stretch of time within which places are alike, and sector of the heading.
-    compared : tuple of GyroSwing and ndarray of int, or None
-        Compass less gyro, and its rows: what does not come back with the heading is not the
-        calibration's.
-    own : dict of Figure to float
-        Of `own_swings`.
-    most : dict of Figure to float
-        As much of it as is forgiven: a calibration that was a rough guess and swings is to be made
-        again, whether or not anything has changed since.
-    bins : int
-        Sectors of the heading.
+    `seen` holds the values (n,) that a figure is the spread of. `visit` (n,) numbers the stretches
+    of time within which places are alike, `around` (n,) the sector of the heading. `compared` is
+    compass less gyro with its rows: what does not repeat with the heading is not the calibration's.
+    `own` is of `own_swings`; at most `most` of it is accepted, because a rough calibration that
+    swings is to be made again whether or not anything has changed. `bins` is the number of sectors.
     """
     found = {
         figure: math.hypot(min(own[figure], most[figure]), scatter_of_means(values, around, visit))
@@ -76,8 +125,8 @@ def chances(
 def _of_one_visit(deviation: FloatArray, visit: IntArray) -> float:
     """Return what the visit that deviates most adds to the RMS of all, radians.
 
-    A calibration that has changed is seen in every place; iron beside the way is in one. With two
-    visits nothing tells which of them it is.
+    A calibration that has changed shows in every place; iron beside the way shows in one. With two
+    visits it cannot be decided which of them it is.
     """
     visits, index, counts = np.unique(visit, return_inverse=True, return_counts=True)
     if len(visits) < 3:
@@ -101,16 +150,11 @@ def _unrepeated(swing: GyroSwing, bins: int) -> float:
 
 
 def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
-    """Return the swings that the calibration's own uncertainty makes around a turn, one sigma.
+    """Return the swings around a turn by the calibration's own uncertainty, one sigma.
 
-    Hard iron and installation are uncertain together: what one shifts along the turn's axis the
-    other turns back, and neither swings by it. What is the same at all headings is no swing.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    up : ndarray, shape (3,)
-        Unit, body axes: the turn's plane is across it.
+    Hard iron and installation are correlated: a shift along the turn's axis by one is compensated
+    by the other, and neither swings. What is the same at all headings is no swing. `up` (3,) is
+    unit in body axes: the turn's plane is across it.
     """
     angles = np.arange(HEADINGS) * (math.tau / HEADINGS)
     across = np.linalg.svd(up[None])[2][1:]
@@ -136,17 +180,10 @@ def own_swings(calibration: Calibration, up: FloatArray) -> dict[Figure, float]:
 def scatter_of_means(values: FloatArray, around: IntArray, visit: IntArray) -> float:
     """Return by how much the means over headings may vary because each was seen so rarely.
 
-    Zero where headings were not visited twice: then nothing tells places apart. What few visits
-    tell of places is uncertain itself: this is the largest of 19 in 20 by an F test, a swing being
-    the first two harmonics of the heading, and the headings of one visit counting as one.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-    around : ndarray of int, shape (n,)
-        Sector of the heading.
-    visit : ndarray of int, shape (n,)
-        Stretch of time within which places are alike.
+    Zero where no heading was visited twice. A few visits estimate the variation between places with
+    an uncertainty of its own: this is its upper 95% bound by an F test, with the first two
+    harmonics of the heading as the swing, and all headings of one visit as a single observation.
+    `values`, `around` (sector) and `visit` are (n,).
     """
     cells, index, counts = np.unique(
         np.column_stack([around, visit]), axis=0, return_inverse=True, return_counts=True
@@ -171,10 +208,10 @@ def scatter_of_means(values: FloatArray, around: IntArray, visit: IntArray) -> f
 def check_beside_chance(
     bound: Bound, figure: float, chance: float, before: float | None, decided: bool = False
 ) -> Check:
-    """Grade what of a figure chance does not explain.
+    """Grade the part of a figure that chance does not explain.
 
-    Where chance alone reaches the bound of what is stale, the turn does not show it: doubtful,
-    unless the figure is small, or the drive itself has shown whether iron was added (`decided`).
+    Where chance alone reaches the bound of stale, the turn is inconclusive: doubtful, unless the
+    figure is small, or the drive itself has shown whether iron was added (`decided`).
     """
     excess = math.sqrt(max(figure**2 - chance**2, 0.0))
     seen = chance * bound.scale
@@ -194,19 +231,10 @@ def check_beside_chance(
 def gyro_compass(
     window: Window, up: FloatArray, yaw: FloatArray, heading: FloatArray, tuning: RecheckTuning
 ) -> tuple[GyroSwing, IntArray] | None:
-    """Compare gyro and compass over a window; return how the compass swings, and in which rows.
+    """Return how the compass swings against the gyro, and in which rows; None without a comparison.
 
-    None where there is nothing to compare.
-
-    Parameters
-    ----------
-    window : Window
-        The samples.
-    up : ndarray, shape (n, 3)
-        Unit, body axes.
-    yaw, heading : ndarray, shape (n,)
-        By the compass that is tried, and where the robot looked as far as is known; radians.
-    tuning : RecheckTuning
+    `up` (n, 3) is unit in body axes. `yaw` (n,) is by the compass that is tried, `heading` (n,)
+    where the robot looked as far as is known, radians.
     """
     pieces = _pieces(window, up, tuning)
     if window.angular_rate is None or not pieces:
@@ -228,27 +256,16 @@ def compass_less_gyro(
     heading: FloatArray,
     pieces: list[IntArray],
 ) -> FloatArray:
-    """Return compass less gyro, one offset a piece and one steady bias removed.
+    """Return compass less gyro, one offset a piece and one steady bias removed, in (-pi, pi].
 
-    Each sample is compared by itself, as an angle: beside iron that takes away the level field the
-    compass may go once round by itself, and is right again afterwards. The gyro's bias turns far
-    less than that within a piece.
+    Each sample is compared by itself, as an angle: beside iron that cancels the level field the
+    compass may go once round, and is right again afterwards. The gyro's bias turns far less than
+    that within a piece. Over a single turn a periodic error resembles a bias in part: the bias is
+    fitted together with two harmonics of the heading, and only the bias is removed. Less than a
+    turn cannot separate them.
 
-    Over a single turn an error that comes and goes with the heading looks like a bias in part:
-    the bias is found beside two harmonics of the heading, and only the bias is removed. Less
-    than a turn cannot tell them apart.
-
-    Parameters
-    ----------
-    time, yaw, turned, heading : ndarray, shape (n,)
-        Seconds; radians by the compass, by the gyro, and where the robot looked as far as known.
-    pieces : list of ndarray of int
-        Rows over which the gyro propagates the heading.
-
-    Returns
-    -------
-    ndarray
-        Radians in (-pi, pi], the pieces one after another.
+    `time` (s) and the angles of compass, gyro and heading are (n,); `pieces` are the rows over
+    which the gyro propagates the heading.
     """
     orders = (1, 2) if Coverage.of(heading).is_complete else ()
     waves = [wave(k * heading) for k in orders for wave in (np.cos, np.sin)]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Calibration, Figure
 from magcal_ros.core.driving.course_offset import CourseOffset
 from magcal_ros.core.driving.mounting_yaw import MountingYaw
 from magcal_ros.core.driving.travelling import TravelReplay
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrap_angle
+from magcal_ros.core.geometry import FloatArray, wrap_angle
 from magcal_ros.core.heading.compass import Compass, Moment
 from magcal_ros.core.samples.streams import STREAMS, FieldSample, ImuSample, Streams, TravelSample
 
@@ -32,7 +30,7 @@ class RecordedCourse:
     mounting: MountingYaw | None = None
     """How the IMU sits in the vehicle, where its acceleration shows it."""
     declination: float | None = None
-    """Radians, positive east, of the place; it is part of the offset. None where nobody knows
+    """Radians, positive east, of the place; it is part of the offset. None where it is not known
     it."""
 
     @property
@@ -47,13 +45,12 @@ class RecordedCourse:
 
     def facts(self) -> dict[str, Any]:
         """Return the same for a program."""
-        found = self.offset
+        found, known = self.offset, self.declination
+        declination = None if known is None else round(math.degrees(known), 2)
         return {
             "offset_deg": round(math.degrees(found.offset), 2),
             "sigma_deg": round(math.degrees(found.sigma), 2),
-            "declination_deg": None
-            if self.declination is None
-            else round(math.degrees(self.declination), 2),
+            "declination_deg": declination,
             "metres": round(found.metres),
             "courses": found.sectors,
             "findings": [
@@ -71,24 +68,12 @@ def recorded_course(
 ) -> RecordedCourse | None:
     """Compare a calibration's compass with course; None where nothing was driven straight.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    readings : iterable
-        What the sensors said, in its order.
-    travel : iterable
-        What receiver and wheels said, by stamp.
-    declination : float or None
-        Radians, of the place.
+    Readings are in their order, travel by stamp; `declination` (rad) is that of the place.
     """
-    replay, compass = TravelReplay(travel, Streams(STREAMS.max_gap)), Compass(calibration)
+    replay = TravelReplay(travel, Streams(STREAMS.max_gap))
     travelling = replay.travelling
-    for sample in replay.readings(readings):
-        if isinstance(sample, FieldSample):
-            up = replay.up.at(sample.stamp, STREAMS.max_gap)
-            heading = Moment.of(compass, sample, up, None).heading
-            if heading is not None:
-                travelling.add_yaw(heading.yaw)
+    for _, yaw in _yaws(calibration, replay, readings):
+        travelling.add_yaw(yaw)
     course = travelling.fit_course()
     if course is None:
         return None
@@ -97,8 +82,23 @@ def recorded_course(
     return RecordedCourse(course, checks, mounting, declination)
 
 
+def _yaws(
+    calibration: Calibration,
+    replay: TravelReplay,
+    readings: Iterable[ImuSample | FieldSample | None],
+) -> Iterator[tuple[float, float]]:
+    """Yield stamp (s) and yaw (rad) of each field sample as the replay goes on."""
+    compass = Compass(calibration)
+    for sample in replay.readings(readings):
+        if isinstance(sample, FieldSample):
+            up = replay.up.at(sample.stamp, STREAMS.max_gap)
+            heading = Moment.of(compass, sample, up, None).heading
+            if heading is not None:
+                yield sample.stamp, heading.yaw
+
+
 def _north(offset: float, declination: float | None) -> str:
-    """Say what part of an offset against true north is declination."""
+    """Say which part of an offset against true north is declination."""
     if declination is None:
         return "this includes the declination, which is not known: give the place"
     rest = math.degrees(math.remainder(offset - declination, math.tau))
@@ -122,11 +122,11 @@ class AgainstOwnYaw:
     @property
     def words(self) -> str:
         """What was found, in one sentence."""
-        north = "" if self.declination is None else ", declination taken off"
-        north = north or ", with the declination, which is not known"
+        unknown = self.declination is None
+        north = "with the declination, which is not known" if unknown else "declination subtracted"
         return (
             f"compass less the autopilot's own yaw {math.degrees(self.offset):+.1f}°, scattered by "
-            f"{math.degrees(self.scatter):.1f}° (1σ) over {self.samples} samples{north}: its yaw "
+            f"{math.degrees(self.scatter):.1f}° (1σ) over {self.samples} samples, {north}: its yaw "
             "rests on its own compass and calibration, so this is no proof"
         )
 
@@ -137,28 +137,14 @@ def against_own_yaw(
     yaw: FloatArray,
     declination: float | None = None,
 ) -> AgainstOwnYaw | None:
-    """Compare a calibration's compass with an autopilot's yaw; None where it has none.
+    """Compare a calibration's compass with an autopilot's own yaw; None where it has none.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    readings : iterable
-        What the sensors said, in its order.
-    yaw : ndarray, shape (n, 2)
-        Stamp (s) and yaw (rad, ENU, true north).
-    declination : float or None
-        Radians, of the place.
+    `yaw` (n, 2) holds stamps (s) and yaws (rad, ENU, true north); `declination` is in radians.
     """
     if len(yaw) < 2:
         return None
-    replay, compass = TravelReplay((), Streams(STREAMS.max_gap)), Compass(calibration)
-    seen = []
-    for sample in replay.readings(readings):
-        if isinstance(sample, FieldSample):
-            up = replay.up.at(sample.stamp, STREAMS.max_gap)
-            heading = Moment.of(compass, sample, up, None).heading
-            if heading is not None:
-                seen.append((sample.stamp, heading.yaw))
+    replay = TravelReplay((), Streams(STREAMS.max_gap))
+    seen = _yaws(calibration, replay, readings)
     inside = [each for each in seen if yaw[0, 0] <= each[0] <= yaw[-1, 0]]
     if not inside:
         return None

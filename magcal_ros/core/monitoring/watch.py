@@ -1,8 +1,8 @@
 """Whether a calibration still holds while the robot drives, from message to message.
 
-Each visit to a heading leaves one record, and a robot that stands leaves no more of them, so that
-neither a long pause beside a car nor a long straight way weighs. Only what many headings say
-together, and say for a while, is called a change.
+Each visit to a heading leaves one record, and a robot at rest leaves no more of them, so that
+neither a long pause beside a car nor a long straight road has much weight. Only what many headings
+show together, and for a while, counts as a change.
 """
 
 from __future__ import annotations
@@ -14,20 +14,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Check, Grade
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import wrapped
+from magcal_ros.core.calibration import Calibration, Figure
+from magcal_ros.core.geometry import FloatArray, wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot, length
 from magcal_ros.core.heading.compass import Moment
-from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
-from magcal_ros.core.monitoring.watch_fit import Measured, Record, measure, onset
+from magcal_ros.core.monitoring.watch_fit import Measured, Record, WatchTuning, measure, onset
 from magcal_ros.core.samples.streams import STREAMS
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What the last minutes of driving say."""
+    """What the last minutes of driving show."""
 
     is_stale: bool = False
     """Whether the calibration no longer holds."""
@@ -83,34 +80,18 @@ class Watch:
         self._doubts_since: float | None = None
         self._clear_since: float | None = None
         self._stale_since = 0.0
-        self._watched = Watched(memory=tuning.memory)
-
-    @property
-    def watched(self) -> Watched:
-        """What is known by now."""
-        return self._watched
+        self.watched = Watched(memory=tuning.memory)
 
     def take(self, moment: Moment) -> None:
-        """Take what a field message comes to, where it has an up, a heading and a rate."""
+        """Take a field message that has an up, a heading and a rate."""
         stamp, field, up, heading, rate = moment
         if up is not None and heading is not None and rate is not None:
             self.add(stamp, field, up.direction, heading.yaw, rate)
 
     def add(self, stamp: float, field: Triple, force: Triple, yaw: float, rate: Triple) -> None:
-        """Take a corrected field sample.
+        """Take a corrected field sample (body axes, tesla) with the force along up, any length.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        field : tuple of float
-            Corrected, body axes, tesla.
-        force : tuple of float
-            Along up as it was used for the yaw, body axes, any length.
-        yaw : float
-            The heading made of both, radians.
-        rate : tuple of float
-            Angular rate, rad/s; NaN without a gyro.
+        `yaw` (rad) is the heading made of both; the angular rate (rad/s) is NaN without a gyro.
         """
         size = length(force)
         if size <= 0.0:
@@ -136,7 +117,7 @@ class Watch:
         self._visit.append(row)
 
     def _propagate(self, stamp: float, rate: float) -> None:
-        """Follow the gyro's path; a gap parts it, and time that jumped starts all over."""
+        """Integrate the gyro; a gap begins another path, and a jump of time clears the records."""
         step = stamp - self._newest
         if not 0.0 <= step <= self._tuning.memory:
             self._records.clear()
@@ -184,17 +165,17 @@ class Watch:
         measured = measure(late, self._calibration, self._tuning)
         if not measured.contradicts:
             measured = measure(records, self._calibration, self._tuning)
-        before = self._watched
+        before = self.watched
         if not measured.findings:
             self._doubts_since = self._clear_since = None
             minutes = self._minutes(now, before.is_stale)
-            self._watched = replace(before, minutes=minutes, lacking=measured.lacking)
+            self.watched = replace(before, minutes=minutes, lacking=measured.lacking)
             return
         self._weigh(now, records, measured)
 
     def _weigh(self, now: float, records: FloatArray, measured: Measured) -> None:
-        """Believe what every look of the last minute says; until then stay with the old word."""
-        before = self._watched
+        """Adopt what every look of the last minute shows; until then keep the previous finding."""
+        before = self.watched
         contradicts = measured.contradicts
         if contradicts:
             self._doubts_since, self._clear_since = self._doubts_since or now, None
@@ -207,7 +188,7 @@ class Watch:
             is_stale = contradicts
             self._stale_since = onset(records, self._calibration, self._tuning)
         keeps_words = is_stale and not contradicts
-        self._watched = Watched(
+        self.watched = Watched(
             is_stale,
             before.findings if keeps_words else measured.findings,
             self._minutes(now, is_stale),

@@ -1,12 +1,12 @@
 """What the corrected field of a drive shows of the calibration.
 
-On records of many headings three patterns part what may have changed. With n the level direction
-of magnetic north in body axes, B, H and V the strength and its level and downward parts:
+On records of many headings three patterns separate what may have changed. With n the level
+direction of magnetic north in body axes, B, H and V the strength and its level and downward parts:
 
 - hard iron b swings the strength by (H/B) b.n, once a turn, and not the field's rise above level;
 - a mounting that moved by a small rotation d swings the rise by H (d_x n_y - d_y n_x), once a
-  turn, and not the strength; a robot that drives curves leans its accelerometer outwards, which
-  swings the rise by the yaw rate times n_y: the fit knows of that, too;
+  turn, and not the strength; in curves the accelerometer leans outwards, which swings the rise by
+  the yaw rate times n_y: the fit contains that term, too;
 - soft iron e swings the strength by e H²/B, twice a turn;
 - another place, or another reference, shifts both alike at all headings, and so does hard iron
   along the vertical.
@@ -17,18 +17,128 @@ The first three move the yaw. Strength needs no up vector, so acceleration canno
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.assessment.grading import Bound, Check, Grade
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.figure import Figure
+from magcal_ros.core.calibration import Calibration, Figure
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
-from magcal_ros.core.monitoring.monitoring_tuning import WatchTuning
-from magcal_ros.core.monitoring.recheck_chance import compass_less_gyro, sectors
+from magcal_ros.core.monitoring.recheck_chance import RecheckTuning, compass_less_gyro, sectors
 from magcal_ros.core.samples.coverage import Coverage
+
+AGAIN = "calibrate again"
+WATCH_BOUNDS: tuple[Bound, ...] = (
+    Bound(
+        Figure.HARD_IRON_CHANGE,
+        3.5,
+        10.0,
+        "the level hard iron has changed, in the field's strength, by",
+        f"something magnetic was added to the robot, taken off or moved; {AGAIN}",
+        unit="%",
+    ),
+    Bound(
+        Figure.SOFT_IRON_CHANGE,
+        4.0,
+        10.0,
+        "the field's strength swings twice a turn, as soft iron makes it, by",
+        f"iron near the sensor or a gain of the sensor has changed; {AGAIN}",
+        unit="%",
+    ),
+    Bound(
+        Figure.MOUNTING_CHANGE,
+        3.0,
+        8.0,
+        "the field has tilted against gravity by",
+        f"the magnetometer or the IMU was moved on the robot; {AGAIN}",
+    ),
+    Bound(
+        Figure.STRENGTH_SHIFT,
+        8.0,
+        15.0,
+        "at all headings the field's strength is off the calibrated one by",
+        "the robot has moved to another place, or iron above or below the sensor has changed; "
+        "give the reference field of this place and calibrate here",
+        unit="%",
+    ),
+    Bound(
+        Figure.DIP_SHIFT,
+        4.0,
+        8.0,
+        "at all headings the inclination is off the calibrated one by",
+        "the robot has moved to another place, or iron above or below the sensor has changed; "
+        "give the reference field of this place and calibrate here",
+    ),
+    Bound(
+        Figure.GYRO_COMPASS_HARMONIC,
+        4.0,
+        7.0,
+        "gyro against compass",
+        "the compass does not turn as the robot does",
+    ),
+)
+"""As those of a recheck; the records of a drive show what has changed."""
+
+
+@dataclass(frozen=True)
+class WatchTuning:
+    """How a drive is watched."""
+
+    bounds: tuple[Bound, ...] = WATCH_BOUNDS
+    memory: float = 600.0
+    """Seconds of driving that are looked at."""
+    most_records: int = 400
+    """Visits that are kept at most."""
+    aside: float = math.radians(12.0)
+    """Radians; a robot that has turned so far from where a visit began looks to another heading."""
+    longest_visit: float = 4.0
+    """Seconds after which a visit is recorded, though the robot has not turned away."""
+    most_in_a_row: int = 3
+    """Records of one heading; the next one takes the place of the last."""
+    sampling: float = 0.08
+    """Seconds between samples of a visit: more would only cost."""
+    look_every: float = 15.0
+    """Seconds between two looks at the records."""
+    confirm: float = 60.0
+    """Seconds for which every look must agree before the state changes."""
+    steepest_nose: float = RecheckTuning.steepest_nose
+    """Squared share of up along body x (60°) beyond which yaw is not compared."""
+    longest_piece: float = RecheckTuning.longest_piece
+    """Seconds over which the gyro's drift is taken as steady."""
+    sectors: int = 12
+    fewest_sectors: int = 8
+    """Sectors of heading, and how many must have been driven before swings are fitted."""
+    widest_hole: float = math.radians(100.0)
+    """Radians of heading that may be missing in one stretch."""
+    fewest_records: int = 40
+    """Before anything is judged."""
+    shortest_span: float = 150.0
+    """Seconds that the records must span: a disturbance that passes is shorter."""
+    clearly: float = 4.0
+    few: float = 10.0
+    """A swing counts when it is `clearly (1 + few/n)` times its own standard deviation, of which n
+    independent stretches of driving know little when they are few."""
+    promise: float = 3.0
+    """Predicted standard deviations of the heading that are no change."""
+    largest_promise: float = 0.1
+    """Radians; a larger predicted sigma widens no bound any further."""
+    correlation_time: float = 30.0
+    """Seconds over which the records' errors are taken to be alike, less and less."""
+    huber: float = 1.5
+    """Scatters from which a record weighs less."""
+    rounds: int = 8
+    """Of reweighting."""
+    smallest_scatter: float = 0.002
+    """Of the field; the least scatter that is assumed for records."""
+    fastest_curve: float = 0.15
+    """s/m, standard deviation of driving speed over gravity: how far curves may lean up, per
+    rad/s."""
+    lost: float = math.radians(20.0)
+    """Radians of compass against gyro, from which a compass that shows few headings is not to be
+    believed."""
+    fewest_turned: float = 0.9 * math.tau
+    """Radians that the gyro must have turned to be compared with the compass."""
 
 
 class Record(NamedTuple):
@@ -49,9 +159,9 @@ class Record(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Findings on a set of records, the hard iron's change (tesla, body x and y), and doubts.
+    """Findings on a set of records, and the hard iron's change (tesla, body x and y).
 
-    `lacking` says what more would have to be seen; empty if everything could be judged.
+    `lacking` says what has not been seen yet; empty if everything could be judged.
     """
 
     findings: tuple[Check, ...]
@@ -60,22 +170,16 @@ class Measured(NamedTuple):
 
     @property
     def contradicts(self) -> bool:
-        """Whether anything is not as the calibration promised."""
+        """Whether anything differs from what the calibration predicts."""
         return any(finding.grade.rank >= Grade.WARN.rank for finding in self.findings)
 
 
 def measure(
     records: FloatArray, calibration: Calibration, tuning: WatchTuning = WatchTuning()
 ) -> Measured:
-    """Look at the records of a drive through what the calibration promised.
+    """Compare the records of a drive with what the calibration predicts.
 
-    Parameters
-    ----------
-    records : ndarray, shape (n, 7)
-        Columns as in `Record`, in the order of their stamps.
-    calibration : Calibration
-        What is in force.
-    tuning : WatchTuning
+    The records (n, 7) have the columns of `Record`, in the order of their stamps.
     """
     lacking = what_lacks(records, tuning)
     enough = len(records) >= tuning.fewest_records
@@ -106,8 +210,9 @@ def what_lacks(records: FloatArray, tuning: WatchTuning) -> str:
 def onset(records: FloatArray, calibration: Calibration, tuning: WatchTuning) -> float:
     """Return the stamp from which the records contradict the calibration.
 
-    The one change point that best parts records that fit the promise from records that fit what
-    was measured, by the sum of their squared misfits, each cut off so that no single one rules.
+    It is the change point that best separates records that fit the prediction from records that fit
+    what was measured, by the sum of their squared misfits, each limited so that no single one
+    decides.
     """
     design, strength, rise = _equations(records, calibration)
     promised = np.stack([strength - 1.0, rise + math.sin(calibration.inclination)])
@@ -186,9 +291,9 @@ def _robust_fit(
 ) -> tuple[FloatArray, FloatArray]:
     """Return coefficients by Huber's weights, and their standard deviations.
 
-    Neighbours err alike, for steel is passed slowly: the covariance is that of Newey and West
-    (1987) with the weights of `correlations`, and never smaller than that of independent records.
-    `prior` names a column and the standard deviation of its coefficient about zero.
+    Errors of neighbours are correlated, because steel is passed slowly: the covariance is that of
+    Newey and West (1987) with the weights of `correlations`, and never smaller than for independent
+    records. `prior` names a column and the standard deviation of its coefficient about zero.
     """
     weight = np.ones(len(values))
     for _ in range(tuning.rounds):
@@ -207,7 +312,7 @@ def _robust_fit(
 
 
 def _correlations(stamp: FloatArray, tuning: WatchTuning) -> FloatArray:
-    """Return how alike the errors of each two records are taken to be, 0 to 1."""
+    """Return the correlation that is assumed between the errors of each two records, 0 to 1."""
     apart = np.abs(stamp[:, None] - stamp) / tuning.correlation_time
     return np.asarray(np.maximum(1.0 - apart, 0.0, out=apart))
 
@@ -215,7 +320,7 @@ def _correlations(stamp: FloatArray, tuning: WatchTuning) -> FloatArray:
 def _gyro_figure(records: FloatArray, is_round: bool, tuning: WatchTuning) -> dict[Figure, float]:
     """Return by how much compass less gyro swings with the heading, root mean square.
 
-    Where the compass has hardly come round, there is no swing to see: then all of it counts.
+    If the compass has hardly turned, no swing can be seen: then its median deviation counts.
     """
     pieces = _pieces(records, tuning)
     rows = np.concatenate([np.arange(0), *pieces])

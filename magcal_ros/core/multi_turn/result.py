@@ -16,9 +16,7 @@ class KeptTuning:
     """How much is kept of the turns: the oldest leaves first, and a long one is thinned."""
 
     most_turns: int = 12
-    """Turns."""
     most_samples: int = 4000
-    """Samples of each."""
 
 
 TUNING = KeptTuning()
@@ -30,7 +28,6 @@ class Kept:
 
     windows: tuple[Window, ...] = ()
     names: tuple[str, ...] = ()
-    """What each is called."""
     count: int = 0
     """How many turns were tried, for the next one's name."""
 
@@ -72,8 +69,8 @@ it does so for the absolute heading."""
 class Shown:
     """Standard deviations of what one turn cannot show, and of the heading.
 
-    Soft iron and the yaw of the installation count as unknown up to their priors, which are known
-    beforehand, so that the numbers after one turn and after several can be compared.
+    Soft iron and the installation's yaw are unknown up to their priors, so that the numbers after
+    one turn and after several can be compared.
     """
 
     installation_yaw: float
@@ -132,25 +129,15 @@ class Shown:
 
 
 def changes(before: Shown, after: Shown) -> list[str]:
-    """Name what is better known than before, the weightiest first."""
-    micro = 1e6
-    iron = (max(before.soft_iron), max(after.soft_iron))
+    """Name what is better known than before, the most important first."""
+    tilted = "absolute heading at 10° of tilt"
+    iron = max(before.soft_iron), max(after.soft_iron)
     rows = [
         ("installation yaw", before.installation_yaw, after.installation_yaw, _degrees),
-        (
-            "absolute heading at 10° of tilt",
-            before.absolute_tilted,
-            after.absolute_tilted,
-            _degrees,
-        ),
+        (tilted, before.absolute_tilted, after.absolute_tilted, _degrees),
         ("inclination", before.inclination, after.inclination, _degrees),
-        (
-            "axial hard iron",
-            micro * before.axial_hard_iron,
-            micro * after.axial_hard_iron,
-            _microtesla,
-        ),
-        ("soft iron at worst", 100.0 * iron[0], 100.0 * iron[1], _percent),
+        ("axial hard iron", before.axial_hard_iron, after.axial_hard_iron, _microtesla),
+        ("soft iron at worst", *iron, _percent),
     ]
     return [
         f"{name} from ±{unit(old)} to ±{unit(new)}"
@@ -166,7 +153,6 @@ class Advice:
     pose: str
     """How the robot should stand, to be read after "turn"."""
     after: Shown
-    """What would then be shown."""
 
 
 @dataclass(frozen=True)
@@ -174,9 +160,7 @@ class TurnFate:
     """What became of one turn."""
 
     name: str
-    """What to call it."""
     joined: bool
-    """Whether it is part of the estimate."""
     words: str
     """What it added, or why it was left out."""
     shown: Shown | None = None
@@ -266,9 +250,9 @@ def _degrees(radians: float) -> str:
     return "many °" if value > 90.0 else f"{value:.2g}°"
 
 
-def _microtesla(value: float) -> str:
-    return "many µT" if value > 100.0 else f"{value:.2g} µT"
+def _microtesla(tesla: float) -> str:
+    return "many µT" if tesla > 100e-6 else f"{tesla * 1e6:.2g} µT"
 
 
-def _percent(value: float) -> str:
-    return f"{value:.2g} %"
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"

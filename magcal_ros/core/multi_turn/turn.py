@@ -1,8 +1,8 @@
 """Each turn by itself, and whether it shows the same calibration as the others.
 
-Two explanations are weighed: one calibration for all turns, or one for the turn and another for
-the rest. Both are fitted, each with its own sizes of noises. Twice the logarithm of their
-likelihood ratio is the difference of the evidences.
+Two hypotheses are compared: one calibration for all turns, or one for the turn and another for the
+rest. Both are fitted, each with its own noise. The difference of their evidences is twice the log
+likelihood ratio.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from magcal_ros.core.smoother.several import Together, fit_together
 from magcal_ros.core.smoother.unknowns import AT
 
 LOOKED_AT = 2.0
-"""Misfit below which nobody asks whether a turn belongs to the others; it saves time only."""
+"""Misfit below which turns are not compared further; this only saves time."""
 LEAST = 0.03
 """Share of a turn's own variance that the others take away at least, or they tell it nothing."""
 IRON = AT["iron"]
@@ -46,14 +46,8 @@ class Agreement:
 def agreement(alone: Sequence[Fit], together: Together, yaw_sigma: float) -> Agreement:
     """Compare each turn with all others; of two that disagree the later one is the odd one.
 
-    Parameters
-    ----------
-    alone : sequence of Fit
-        Of each turn by itself.
-    together : Together
-        The same turns with one calibration.
-    yaw_sigma : float
-        Radians of the installation's yaw before the turns.
+    `alone` are the fits of each turn by itself, `yaw_sigma` (rad) is the prior of the
+    installation's yaw.
     """
     misfit = max(_misfit(one, joint) for one, joint in zip(alone, together.fits, strict=True))
     if misfit < LOOKED_AT or len(alone) < 2:
@@ -65,7 +59,7 @@ def agreement(alone: Sequence[Fit], together: Together, yaw_sigma: float) -> Agr
 
 
 def _gain(alone: Sequence[Fit], odd: int, together: Together, yaw_sigma: float) -> float:
-    """Return twice the logarithm of how much likelier a calibration of its own makes a turn."""
+    """Return twice the log likelihood ratio of a calibration of its own for one turn."""
     rest = fit_together([each for k, each in enumerate(alone) if k != odd], yaw_sigma)
     own = fit_together([alone[odd]], yaw_sigma)
     return together.evidence - rest.evidence - own.evidence
@@ -99,7 +93,6 @@ class Turn:
     """One turn and its own fit."""
 
     name: str
-    """What to call it."""
     window: Window
     verdict: Verdict
     """As if it were the only turn."""

@@ -1,8 +1,9 @@
-"""Calibrating where a robot stands and its heading is known: collected, joined, judged."""
+"""Calibrating by headings that are known: where a robot stands, or along the way it drives."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,30 +11,19 @@ import numpy as np
 
 from magcal_ros.core.assessment.verdict import judge
 from magcal_ros.core.calibrate import Outcome
-from magcal_ros.core.calibration.calibration import Calibration, yaw_jacobian
-from magcal_ros.core.calibration.heading_sigma import calibration_sigma
+from magcal_ros.core.calibration import Calibration, Estimate, calibration_sigma, yaw_jacobian
 from magcal_ros.core.errors import Reason, Refusal
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit, wrapped
-from magcal_ros.core.geometry.vec3 import Triple
-from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.methods.known_headings import METHOD, declination_hint, fit, next_heading
+from magcal_ros.core.geometry import STANDARD_GRAVITY, FloatArray, unit, wrapped
+from magcal_ros.core.geometry.vec3 import Triple, dot
+from magcal_ros.core.knowledge import Knowledge, ReferenceField
+from magcal_ros.core.methods.known_headings import declination_hint, fit, next_heading
 from magcal_ros.core.samples.rest import mean_and_sigma
-from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.session.external_heading import DEGREES, TUNING, ExternalHeading, TurnSince
+from magcal_ros.core.samples.streams import STREAMS, FieldSample, HeadingSample, Pair
+from magcal_ros.core.session import external_heading
+from magcal_ros.core.session.external_heading import DEGREES, LOG, TUNING, ExternalHeading
 from magcal_ros.core.smoother.standings import Standing
-from magcal_ros.core.smoother.unknowns import MICROTESLA, STANDING
-
-
-def _declination(knowledge: Knowledge) -> float:
-    if knowledge.reference.declination is None:
-        raise Refusal(
-            Reason.NO_SOLUTION,
-            "the heading is to true north, and the declination here is not known: give "
-            "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
-            "for gps/fix, or give the heading to magnetic north",
-        )
-    return knowledge.reference.declination
+from magcal_ros.core.smoother.unknowns import MICROTESLA, SIZES, STANDING
+from magcal_ros.core.up import UpFollower
 
 
 def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
@@ -53,9 +43,14 @@ def _refuse_motion(field: FloatArray, rate: FloatArray, noise: float) -> None:
         )
 
 
+def _noise(values: FloatArray) -> float:
+    """Return the standard deviation of single samples (n, 3) per axis, by their differences."""
+    return float(np.sqrt(np.mean(np.diff(values, axis=0) ** 2) / 2.0))
+
+
 @dataclass(frozen=True, eq=False)
 class HeadingResult:
-    """What came of a standing at a known heading."""
+    """The result of standing at a known heading."""
 
     standings: tuple[Standing, ...]
     """All that count from now on."""
@@ -68,7 +63,7 @@ class HeadingResult:
 
 @dataclass(frozen=True, eq=False)
 class CollectedSamples:
-    """What was collected where a robot stood at a known heading."""
+    """The samples of a robot that stands at a known heading."""
 
     pairs: tuple[Pair, ...]
     given: ExternalHeading
@@ -76,56 +71,52 @@ class CollectedSamples:
     """With the declination, if the heading is to true north."""
     forward: FloatArray
     """Direction in the IMU's axes whose heading it is. Shape (3,)."""
-    since: TurnSince | None = None
+    since: external_heading.TurnSince | None = None
     """By the gyro since the standing before."""
     bias: Triple = (0.0, 0.0, 0.0)
     """The gyro's, as far as it is known, rad/s."""
 
     def standing(self) -> Standing:
-        """Return what the robot measured while it stood.
-
-        Raises
-        ------
-        Refusal
-            If it did not stand, samples are too few, or the declination is missing.
-        """
-        declination = _declination(self.knowledge) if self.given.is_true else 0.0
+        """Return what the robot measured; a Refusal if it moved or the samples do not suffice."""
+        declination = self.given.to_magnetic(self.knowledge.reference)
+        if declination is None:
+            raise Refusal(
+                Reason.NO_SOLUTION,
+                "the heading is to true north, and the declination here is not known: give "
+                "reference.latitude_deg and longitude_deg (or reference.declination_deg), wait "
+                "for gps/fix, or give the heading to magnetic north",
+            )
         if len(self.pairs) < TUNING.fewest:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
                 f"only {len(self.pairs)} samples of field and acceleration came in "
-                f"{TUNING.seconds:g} s; "
-                f"{TUNING.fewest} are needed: see whether both sensors publish, and their stamps",
+                f"{TUNING.seconds:g} s, and {TUNING.fewest} are needed: check that both sensors "
+                "publish, and their stamps",
             )
         time = np.array([pair.field.stamp for pair in self.pairs])
         field = np.array([pair.field.field for pair in self.pairs])
         force = np.array([pair.imu.force for pair in self.pairs])
         rate = np.array([pair.imu.rate for pair in self.pairs]) - self.bias
-        noise = float(np.sqrt(np.mean(np.diff(field, axis=0) ** 2) / 2.0))
+        noise = _noise(field)
         _refuse_motion(field, rate, noise)
-        mean, _ = mean_and_sigma(time, field)
-        up = unit(force)
-        sigma = math.inf if self.since is None else self.since.sigma
         return Standing(
-            mean,
+            mean_and_sigma(time, field)[0],
             force.mean(axis=0),
             wrapped(self.given.yaw + declination),
             self.given.sigma,
             by_declination=self.given.is_true,
             forward=self.forward,
             turned=0.0 if self.since is None else self.since.angle,
-            turned_sigma=sigma,
+            turned_sigma=math.inf if self.since is None else self.since.sigma,
             noise_field=max(noise, 1e-9),
-            noise_up=float(np.sqrt(np.mean(np.diff(up, axis=0) ** 2) / 2.0)),
+            noise_up=_noise(unit(force)),
         )
 
 
 def calibrate_standing(
-    before: tuple[Standing, ...],
-    collected: CollectedSamples,
-    in_force: Calibration | None = None,
+    before: tuple[Standing, ...], collected: CollectedSamples, in_force: Calibration | None = None
 ) -> HeadingResult:
-    """Make a standing of what was collected, and calibrate with those before."""
+    """Calibrate with the standings so far and what was collected now."""
     try:
         new = collected.standing()
     except Refusal as refusal:
@@ -145,12 +136,12 @@ def add_standing(
     knowledge: Knowledge,
     in_force: Calibration | None = None,
 ) -> HeadingResult:
-    """Join a standing to those before, fit, and judge.
+    """Add a standing to those before, fit, and judge.
 
-    A calibration in force that is not of known headings stays where it is the more certain one,
-    and refuses a heading that contradicts it. Bad data raise nothing: those before stay.
+    A calibration in force that is not of known headings stays if it is more certain, and a heading
+    that contradicts it is refused. Bad data raise nothing: the standings before stay.
     """
-    other = None if in_force is None or in_force.evidence.method == METHOD else in_force
+    other = None if in_force is None or external_heading.is_by_headings(in_force) else in_force
     standings = (*_apart_from(before, new), new)[-TUNING.most :]
     try:
         gap, sigma = (0.0, math.inf) if other is None else _gap(other, new)
@@ -159,41 +150,46 @@ def add_standing(
         estimate = fit(standings, knowledge)
     except Refusal as refusal:
         return _refused(before, refusal)
-    verdict = judge(estimate, knowledge)
-    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
-    outcome = Outcome(verdict, calibration, estimate)
+    outcome = _judged(estimate, knowledge)
+    verdict = outcome.verdict
     words = [verdict.summary, declination_hint(estimate, standings, knowledge)]
     words.append(_next_in_words(standings, knowledge))
     applies = verdict.accepted
     if applies and other is not None:
-        own, theirs = (calibration_sigma(each) for each in (calibration, other))
+        own, theirs = (calibration_sigma(each) for each in (estimate, other))
         if theirs < own:
             applies = False
             words.insert(
                 0,
                 f"The calibration in force agrees with this heading (off by {gap * DEGREES:.1f}°) "
-                f"and promises ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
+                f"and predicts ±{theirs * DEGREES:.1f}°, so that it stays. By known headings:",
             )
     said = " ".join(each[0].upper() + each[1:].rstrip(".") + "." for each in words if each)
     return HeadingResult(standings, outcome, applies, said.replace(":.", ":"))
 
 
+def _judged(estimate: Estimate, knowledge: Knowledge) -> Outcome:
+    verdict = judge(estimate, knowledge)
+    calibration = Calibration.from_estimate(estimate, verdict.evidence(estimate))
+    return Outcome(verdict, calibration, estimate)
+
+
 def _apart_from(before: tuple[Standing, ...], new: Standing) -> tuple[Standing, ...]:
-    """Return the standings that do not say the same as a new one."""
+    """Return the standings that a new one does not repeat."""
     kept: list[Standing] = []
     lost = False
     for each in before:
         near = abs(wrapped(each.heading - new.heading)) < TUNING.same
         is_same = near and np.linalg.norm(each.field - new.field) * MICROTESLA < STANDING.usual
         if not is_same:
-            # Across one that is left out nobody knows the turn.
+            # The turn across one that is left out is not known.
             kept.append(replace(each, turned_sigma=math.inf) if lost else each)
         lost = bool(is_same)
     return tuple(kept)
 
 
 def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
-    """Return by how much a calibration misses a known heading, and the sigma of that, radians."""
+    """Return a calibration's heading less the known one, and the sigma of that, radians."""
     field, up = calibration.correction.apply(new.field), unit(new.force)
     east = unit(np.cross(field, up))
     north = np.cross(up, east)
@@ -208,7 +204,7 @@ def _gap(calibration: Calibration, new: Standing) -> tuple[float, float]:
 def _contradicted(gap: float, sigma: float) -> str:
     return (
         f"the calibration in force shows a heading {abs(gap) * DEGREES:.0f}° further to the "
-        f"{'left' if gap > 0.0 else 'right'} than is told, and ±{sigma * DEGREES:.1f}° would be "
+        f"{'left' if gap > 0.0 else 'right'} than was given, and ±{sigma * DEGREES:.1f}° would be "
         "usual. Either the heading is wrong (its sign, its north, its zero to the east), or "
         "the calibration is out of date or its sensor turned: then call ~/reset, and this again"
     )
@@ -223,3 +219,152 @@ def _next_in_words(standings: Sequence[Standing], knowledge: Knowledge) -> str:
         f"One more known heading, {abs(shift):.0f}°{side} of this one, would bring "
         f"±{sigma * DEGREES:.1f}°"
     )
+
+
+class HeadingLog:
+    """Keeps means of the field at known headings, a few for each direction.
+
+    `forward` (3,) is the direction in the IMU's axes whose heading is given.
+    """
+
+    def __init__(self, forward: FloatArray) -> None:
+        self.forward = forward
+        self._kept: list[deque[tuple[float, Standing]]] = [
+            deque(maxlen=LOG.each) for _ in range(LOG.sectors)
+        ]
+        self._newest, self._fresh = -math.inf, 0
+        self._rested = False
+        self._begin(math.nan)
+
+    def _begin(self, stamp: float) -> None:
+        self._started, self._count = stamp, 0
+        self._field, self._up = np.zeros(3), np.zeros(3)
+        self._east = self._north = 0.0
+
+    def add(
+        self,
+        sample: FieldSample,
+        up: Triple,
+        rate: Triple,
+        given: ExternalHeading,
+        shift: float,
+        is_at_rest: bool,
+    ) -> bool:
+        """Take a field sample and the heading of this moment; returns whether to fit again.
+
+        `up` is unit and `rate` in rad/s less the bias, body axes; `shift` (rad) makes the heading
+        one to magnetic north. A robot at rest gives one mean only: more show nothing new.
+        """
+        stamp = sample.stamp
+        self._rested = self._rested and is_at_rest
+        if self._rested:
+            return False
+        if abs(dot(rate, up)) > LOG.rate:
+            self._begin(math.nan)
+            return False
+        if not 0.0 <= stamp - self._started < 2.0 * LOG.block:
+            self._begin(stamp)
+        self._field += sample.field
+        self._up += up
+        self._east += math.cos(given.yaw)
+        self._north += math.sin(given.yaw)
+        self._count += 1
+        if stamp - self._started < LOG.block or self._count < LOG.fewest:
+            return False
+        heading = wrapped(math.atan2(self._north, self._east) + shift)
+        standing = Standing(
+            self._field / self._count,
+            STANDARD_GRAVITY * self._up / self._count,
+            heading,
+            math.hypot(given.sigma, LOG.sigma),
+            by_declination=given.is_true,
+            forward=self.forward,
+            force_sigma=LOG.force,
+        )
+        self._begin(math.nan)
+        self._rested = is_at_rest
+        return self._keep(stamp, heading, standing)
+
+    def _keep(self, stamp: float, heading: float, standing: Standing) -> bool:
+        sector = self._kept[int((heading % math.tau) / math.tau * LOG.sectors) % LOG.sectors]
+        since = stamp - (sector[-1][0] if sector else self._newest)
+        if 0.0 <= since < (LOG.pause if sector else LOG.block):
+            return False
+        sector.append((stamp, standing))
+        self._newest = stamp
+        self._fresh += 1
+        return self._fresh >= max(LOG.first, len(self.standings) // 3)
+
+    @property
+    def standings(self) -> tuple[Standing, ...]:
+        """What is kept, in the order of time."""
+        found = [each for sector in self._kept for each in sector]
+        return tuple(standing for _, standing in sorted(found, key=lambda each: each[0]))
+
+    def take(self) -> tuple[Standing, ...]:
+        """Return what is kept, for a fit; what comes after is new."""
+        self._fresh = 0
+        return self.standings
+
+
+def fit_log(standings: tuple[Standing, ...], knowledge: Knowledge) -> tuple[Outcome, str]:
+    """Calibrate from headings that were measured on the way, and judge the result.
+
+    The text says whether they seem to be to the other north; it is empty if they do not.
+    """
+    try:
+        estimate = fit(standings, knowledge, SIZES["street"])
+    except Refusal as refusal:
+        return Outcome.refused(refusal), ""
+    return _judged(estimate, knowledge), declination_hint(estimate, standings, knowledge)
+
+
+class HeadingCollector:
+    """Collects field samples at the headings that a device sends, live or from a recording.
+
+    `check` compares the headings with the gyro; nothing is collected while they disagree.
+    """
+
+    def __init__(self, up: UpFollower) -> None:
+        self._up = up
+        self.check = external_heading.HeadingAgainstGyro()
+        self.log: HeadingLog | None = None
+        self.newest = HeadingSample(-math.inf, 0.0, 1.0)
+        self._imu_stamp = math.nan
+
+    def on_imu(self, stamp: float) -> None:
+        """Take the turn up to an IMU message, seconds, that `up` has received already."""
+        seconds, self._imu_stamp = stamp - self._imu_stamp, stamp
+        up = self._up.newest
+        if up is not None and 0.0 < seconds <= STREAMS.longest_gyro_step:
+            self.check.add_turn(dot(self._up.mean_rate, up) * seconds)
+
+    def on_heading(self, sample: HeadingSample) -> None:
+        """Take a heading."""
+        self.newest = sample
+        self.check.add(sample.stamp, sample.yaw)
+
+    def on_field(
+        self,
+        sample: FieldSample,
+        forward: FloatArray,
+        is_true: bool,
+        reference: ReferenceField,
+        max_gap: float = 0.0,
+    ) -> bool:
+        """Take a field sample; returns whether enough is new for a fit.
+
+        `forward` (3,) is the direction in the IMU's axes whose heading is sent, to true north or
+        to magnetic north; `max_gap` is as of `UpFollower.at`.
+        """
+        up, heading = self._up.at(sample.stamp, max_gap), self.newest
+        given = ExternalHeading(heading.yaw, heading.sigma, is_true)
+        shift = given.to_magnetic(reference)
+        if up is None or shift is None or sample.stamp - heading.stamp > LOG.block:
+            return False
+        if self.check.fault or not self._up.is_propagated:
+            return False
+        if self.log is None or not np.array_equal(self.log.forward, forward):
+            self.log = HeadingLog(forward)
+        is_at_rest = self._up.is_at_rest
+        return self.log.add(sample, up.direction, self._up.rate, given, shift, is_at_rest)

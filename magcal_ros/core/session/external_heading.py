@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from magcal_ros.core.calibration import Calibration, calibration_sigma
 from magcal_ros.core.geometry.attitude import wrapped
 from magcal_ros.core.geometry.vec3 import Triple, dot
 from magcal_ros.core.heading.fusion_tuning import FUSION
-from magcal_ros.core.samples.streams import STREAMS
+from magcal_ros.core.knowledge import ReferenceField
+from magcal_ros.core.samples.streams import STREAMS, HeadingSample
 
 DEGREES = 180.0 / math.pi
 
@@ -70,9 +73,39 @@ class ExternalHeading:
     yaw: float
     """ENU yaw, radians: zero to the east, positive to the left."""
     sigma: float
-    """Its standard deviation."""
     is_true: bool
     """Whether it is to true north; otherwise to magnetic north."""
+
+    def to_magnetic(self, reference: ReferenceField) -> float | None:
+        """Return what is added for magnetic north, radians; None where it is not known."""
+        return reference.declination if self.is_true else 0.0
+
+
+def mean_heading(heard: Sequence[HeadingSample], is_true: bool) -> ExternalHeading | None:
+    """Return the mean heading of a robot at rest; None where none was heard."""
+    if not heard:
+        return None
+    east = sum(math.cos(each.yaw) for each in heard)
+    north = sum(math.sin(each.yaw) for each in heard)
+    # The errors of a receiver's messages are correlated: the mean is no more certain.
+    return ExternalHeading(math.atan2(north, east), max(each.sigma for each in heard), is_true)
+
+
+METHOD = "known_headings"
+ENOUGH = math.radians(5.0)
+"""Heading sigma from which a calibration is no longer called rough."""
+
+
+def is_by_headings(calibration: Calibration) -> bool:
+    """Whether a calibration was made at known headings, not by a turn or a drive."""
+    return calibration.evidence.method == METHOD
+
+
+def replaces(found: Calibration, before: Calibration | None) -> bool:
+    """Whether a calibration by headings replaces the one in force; one of a turn stays."""
+    if before is None:
+        return calibration_sigma(found) < ENOUGH
+    return is_by_headings(before) and calibration_sigma(found) < calibration_sigma(before)
 
 
 class TurnSince:
@@ -84,18 +117,10 @@ class TurnSince:
         self._stamp = math.nan
 
     def add(self, stamp: float, up: Triple, rate: Triple, bias_variance: float) -> None:
-        """Go on to the next IMU message.
+        """Integrate the gyro up to an IMU message at a stamp, seconds.
 
-        Parameters
-        ----------
-        stamp : float
-            Seconds.
-        up : tuple of float
-            Unit, body axes.
-        rate : tuple of float
-            Mean turn rate since the message before, rad/s, less the known bias.
-        bias_variance : float
-            Of that bias about up, (rad/s)².
+        `up` is unit, `rate` the mean since the message before, rad/s less the known bias, body
+        axes. The variance is of that bias about up, (rad/s)².
         """
         seconds = stamp - self._stamp
         self._stamp = stamp
@@ -112,19 +137,16 @@ class TurnSince:
 
     @property
     def sigma(self) -> float:
-        """Standard deviation, radians; infinite where a gap is in it or nothing came."""
+        """Standard deviation, radians; infinite after a gap or before the first message."""
         if math.isnan(self._stamp):
             return math.inf
         return math.sqrt(self._variance) + self._bias_sigma * self._seconds
 
 
 class HeadingAgainstGyro:
-    """Whether a stream of external headings turns as the gyro does.
+    """Whether the headings of a device turn as the gyro does.
 
-    Attributes
-    ----------
-    fault : str
-        How it turns otherwise, in words; empty while it does not.
+    `fault` says in words how they differ; it is empty while they agree.
     """
 
     def __init__(self) -> None:

@@ -30,7 +30,9 @@ from magcal_ros.core.samples.streams import (
     STREAMS,
     Drop,
     FieldSample,
+    HeadingSample,
     ImuSample,
+    Pair,
     Pairer,
     SpeedSample,
     Streams,
@@ -39,7 +41,15 @@ from magcal_ros.core.samples.streams import (
 )
 from magcal_ros.core.samples.units import Heard, complaints
 from magcal_ros.core.samples.window import Window
+from magcal_ros.core.session.at_known_heading import (
+    CollectedSamples,
+    HeadingCollector,
+    calibrate_standing,
+    fit_log,
+)
+from magcal_ros.core.session.external_heading import ExternalHeading
 from magcal_ros.core.session.session import Limits, Progress, Session
+from magcal_ros.core.smoother.standings import Standing
 from magcal_ros.core.up import UpFollower
 
 Reading: TypeAlias = ImuSample | FieldSample | None
@@ -58,21 +68,12 @@ LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 class Gathering:
     """Takes a whole recording into one session, which does not end by itself.
 
-    Memory stays bounded: the session thins what it holds, whatever the recording's length.
-
-    Parameters
-    ----------
-    mounting : Mounting
-        How the magnetometer is meant to sit; kept as `mounting`.
-    imu_topic, field_topic : str
-        What to call the two streams in words.
+    Memory is bounded: the session thins its samples, whatever the recording's length. The topics
+    are names for messages.
     """
 
     def __init__(
-        self,
-        mounting: Mounting,
-        imu_topic: str = "the IMU",
-        field_topic: str = "the field",
+        self, mounting: Mounting, imu_topic: str = "the IMU", field_topic: str = "the field"
     ) -> None:
         self.mounting = mounting
         self.streams = Streams(STREAMS.max_gap)
@@ -134,13 +135,7 @@ class Gathering:
         return self._session.progress(0.0)
 
     def window(self) -> Window:
-        """Return what was gathered, if it is enough of a turn.
-
-        Raises
-        ------
-        Refusal
-            If it is not; the text says what was seen and what is wrong with the input.
-        """
+        """Return what was gathered; a Refusal if it is not enough of a turn."""
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
             raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
@@ -180,17 +175,9 @@ def fit_gathered(
     method: str = METHODS[0],
     progress: Callable[[float], object] | None = None,
 ) -> Outcome:
-    """Calibrate from what was gathered.
+    """Calibrate from what was gathered; bad data are a refused outcome, perhaps without a window.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Takes the share of the work that is done, 0 to 1, of a fit that takes long.
-
-    Returns
-    -------
-    Outcome
-        Never raises for bad data: a refusal is a verdict, and then there may be no window.
+    `progress` takes the share of the work that is done, 0 to 1, of a fit that takes long.
     """
     log = gathering.drive()
     if method == DRIVES:
@@ -214,16 +201,8 @@ def fit_several(
 ) -> tuple[Outcome, int]:
     """Join the turns of several recordings into one calibration.
 
-    Returns
-    -------
-    Outcome, int
-        The latter tells which recording holds the outcome's window. Never raises for bad data: a
-        recording that is no turn is left out, with the reason.
-
-    Raises
-    ------
-    Misuse
-        If the method cannot join several turns.
+    Returns the outcome, and which recording its window is from. A recording without a turn is left
+    out, with the reason. Misuse if the method cannot join turns.
     """
     looked = [_window_or_refusal(gathering) for gathering in gatherings]
     windows = {k: found for k, found in enumerate(looked) if isinstance(found, Window)}
@@ -264,16 +243,7 @@ def without_motors(
 ) -> Iterator[AnyReading | FieldSample]:
     """Yield the readings; raw fields are those of the robot with its motors off.
 
-    Parameters
-    ----------
-    readings : iterable
-        In the order in which they were recorded.
-    calibration : Calibration
-        Where it knows no motors, nothing changes.
-    travel : iterable of TravelSample
-        By stamp; the wheels' speeds are used.
-    currents : sequence of (float, float)
-        Stamps, seconds, and amperes of the battery, by stamp.
+    Speeds of the wheels in `travel`, and `currents` (stamps in s, battery in A), are by stamp.
     """
     if calibration.motors is None:
         yield from readings
@@ -305,9 +275,76 @@ class _Newest:
         self._values, self._next = values, 0
 
     def at(self, stamp: float) -> float:
-        """Return the value at a stamp, seconds; NaN where it is unknown. Stamps must increase."""
+        """Return the value at a stamp, seconds; NaN if it is unknown. Stamps must increase."""
         values = self._values
         while self._next < len(values) and values[self._next][0] <= stamp:
             self._next += 1
         since, value = values[self._next - 1] if self._next else (-math.inf, math.nan)
         return value if stamp - since < SILENT else math.nan
+
+
+FORWARD = np.array([1.0, 0.0, 0.0])
+"""The heading is that of the IMU's x axis."""
+
+
+def standing_pairs(readings: Iterable[Reading]) -> tuple[Pair, ...]:
+    """Return the field samples of a recording, each with the IMU's of its moment."""
+    streams = Streams(STREAMS.max_gap)
+    pairer, found = Pairer(streams), list[Pair]()
+    for reading in readings:
+        if isinstance(reading, ImuSample):
+            streams.add_imu(reading)
+        elif isinstance(reading, FieldSample) and streams.add_field(reading):
+            pairer.offer(reading)
+        found += pairer.take()
+    return tuple(found)
+
+
+def fit_at_headings(
+    recordings: Sequence[tuple[Pair, ...]], given: Sequence[ExternalHeading], knowledge: Knowledge
+) -> tuple[Outcome, str]:
+    """Calibrate from recordings of a robot at rest; returns the outcome, and its summary."""
+    standings: tuple[Standing, ...] = ()
+    outcome, words = Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, "no heading was given")), ""
+    for pairs, heading in zip(recordings, given, strict=True):
+        result = calibrate_standing(standings, CollectedSamples(pairs, heading, knowledge, FORWARD))
+        standings, outcome, words = result.standings, result.outcome, result.words
+        if outcome.calibration is None:
+            break
+    return outcome, words
+
+
+def fit_heading_topic(
+    readings: Iterable[Reading],
+    headings: Sequence[HeadingSample],
+    is_true: bool,
+    knowledge: Knowledge,
+) -> Outcome:
+    """Calibrate from a recording in which another device measures the heading."""
+    reference = knowledge.reference
+    if is_true and reference.declination is None:
+        words = "the headings are to true north, and the declination is not known: give the place"
+        return Outcome.refused(Refusal(Reason.NO_SOLUTION, words))
+    up, waiting = UpFollower(), iter(headings)
+    collector, following = HeadingCollector(up), next(waiting, None)
+    for reading in readings:
+        if isinstance(reading, ImuSample):
+            up.add(reading)
+            collector.on_imu(reading.stamp)
+        elif isinstance(reading, FieldSample):
+            up.add_field(reading.stamp, reading.field)
+            while following is not None and following.stamp <= reading.stamp:
+                collector.on_heading(following)
+                following = next(waiting, None)
+            collector.on_field(reading, FORWARD, is_true, reference, STREAMS.max_gap)
+        if collector.check.fault:
+            refusal = Refusal(Reason.HEADING_CONTRADICTED, collector.check.fault)
+            return Outcome.refused(refusal)
+    if collector.log is None or not collector.log.standings:
+        words = "no field sample came within half a second of a heading, with a gyro"
+        return Outcome.refused(Refusal(Reason.TOO_FEW_SAMPLES, words))
+    outcome, north = fit_log(collector.log.standings, knowledge)
+    if not north:
+        return outcome
+    words = f"{outcome.verdict.summary} But {north}."
+    return replace(outcome, verdict=replace(outcome.verdict, summary=words))

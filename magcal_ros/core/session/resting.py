@@ -41,21 +41,10 @@ def apart_from_rests(
 ) -> tuple[FloatArray, tuple[RestBeside, ...], float]:
     """Subtract the gyro's bias, and separate the rests before and after the turn.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, 10)
-        Stamp, field, specific force and angular rate of pairs; the rates are all finite, or none
-        is.
-    known : GyroAtRest, optional
-        What a rest before all of them has shown; a rest among them has priority.
-
-    Returns
-    -------
-    ndarray, shape (m, 10)
-        The turn.
-    tuple of RestBeside
-    float
-        Sigma of the known bias where that was taken off, rad/s; infinite where it was not.
+    The rows (n, 10) hold stamp, field, specific force and angular rate; the rates are all finite,
+    or none is. `known` is from a rest before all of them; a rest among them has priority. Returns
+    the rows of the turn, the rests, and the sigma (rad/s) of the known bias if it was subtracted;
+    else infinity.
     """
     time, field, rate = rows[:, 0], rows[:, 1:4], rows[:, 7:10]
     has_gyro = bool(np.isfinite(rate).all())

@@ -69,20 +69,12 @@ class Seen:
     """Whether every heading was seen."""
 
 
-@dataclass(frozen=True)
-class Patience:
-    """Seconds that a fault must last before it counts."""
-
-    not_turning: float
-    wrong_way: float
-    too_fast: float
-
-    @classmethod
-    def of(cls, by_gyro: bool, speed: float) -> Patience:
-        """Return the patience with either sensor; the compass shows nothing before an arc."""
-        if by_gyro:
-            return cls(2.5, 0.5, 0.5)
-        return cls(max(5.0, 1.5 / speed), 4.0, 3.0)
+def patience(by_gyro: bool, speed: float) -> dict[Fault, float]:
+    """Return the seconds that faults must last; the compass shows nothing before an arc."""
+    if by_gyro:
+        return {Fault.NOT_TURNING: 2.5, Fault.WRONG_WAY: 0.5, Fault.TOO_FAST: 0.5}
+    slow = max(5.0, 1.5 / speed)
+    return {Fault.NOT_TURNING: slow, Fault.WRONG_WAY: 4.0, Fault.TOO_FAST: 3.0}
 
 
 def planned_duration(speed: float) -> float:
@@ -93,21 +85,8 @@ def planned_duration(speed: float) -> float:
 class RotationPlan:
     """A turn to the left until every heading was seen or the turn is full, and as far back.
 
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    now : float
-        Seconds on a steady clock.
-
-    Attributes
-    ----------
-    phase : Phase
-        Where it stands.
-    fault : Fault or None
-        Why it was broken off, if it was.
-    command : float
-        rad/s that were commanded last.
+    Speed and commands are in rad/s; `now` is in seconds on a steady clock. `fault` says why the
+    plan was broken off, if it was.
     """
 
     def __init__(self, speed: float, now: float) -> None:
@@ -128,15 +107,7 @@ class RotationPlan:
         return -1.0 if self.phase is Phase.BACK else 1.0
 
     def step(self, now: float, seen: Seen) -> float:
-        """Return the yaw rate to command, rad/s, left positive.
-
-        Parameters
-        ----------
-        now : float
-            Seconds on the same clock.
-        seen : Seen
-            What the sensors show.
-        """
+        """Return the yaw rate to command at `now`, rad/s, left positive."""
         elapsed, self._last = min(now - self._last, TUNING.longest_step), now
         if self.phase is not Phase.ENDED:
             self.fault = self._find_fault(now, seen)
@@ -168,7 +139,7 @@ class RotationPlan:
             self._paused_at = now
 
     def _find_fault(self, now: float, seen: Seen) -> Fault | None:
-        """Return the fault that has lasted for longer than patience has."""
+        """Return a fault that has lasted longer than is tolerated."""
         along = self.direction * seen.rate
         commanded = 0.0 if self._brakes else abs(self.command)
         shows = {
@@ -176,33 +147,21 @@ class RotationPlan:
             Fault.WRONG_WAY: commanded > 0.0 and along < -TUNING.least_share * self._speed,
             Fault.NOT_TURNING: commanded > 0.0 and along < TUNING.least_share * commanded,
         }
-        patience = Patience.of(seen.by_gyro, self._speed)
+        longest = patience(seen.by_gyro, self._speed)
         for fault, shown in shows.items():
             if not shown:
                 self._suspected.pop(fault, None)
-            elif now - self._suspected.setdefault(fault, now) > getattr(patience, fault.value):
+            elif now - self._suspected.setdefault(fault, now) > longest[fault]:
                 return fault
         return None
 
 
 class RotationLimits:
-    """Measures a robot's turn by the gyro, and by the commands times their time.
+    """Limits of a robot's turn by the gyro, by the commanded angle, and by time.
 
-    Whichever of the two reaches its end first ends the motion.
-
-    Parameters
-    ----------
-    speed : float
-        rad/s.
-    now : float
-        Seconds on a steady clock, as the robot sets off.
-    longest : float
-        Seconds that it may take at most.
-
-    Attributes
-    ----------
-    objection : str
-        Why it must not turn on; empty while it may.
+    The first of them that is reached ends the motion. The robot starts at `now` (steady clock, s)
+    and may take `longest` seconds. `objection` says why it must not turn on; it is empty while it
+    may.
     """
 
     def __init__(self, speed: float, now: float, longest: float = math.inf) -> None:
@@ -222,18 +181,13 @@ class RotationLimits:
         self._path += abs(step)
         if self.objection:
             return
-        if (
-            seen.by_gyro
-            and not -TUNING.farthest_beyond <= seen.turned <= math.tau + TUNING.farthest_beyond
-        ):
+        beyond = TUNING.farthest_beyond
+        if seen.by_gyro and not -beyond <= seen.turned <= math.tau + beyond:
             self.objection = (
                 f"by the gyro it is at {math.degrees(seen.turned):+.0f}° of a turn that goes "
                 "from 0° to 360°"
             )
-        elif (
-            abs(self._commanded) > TUNING.leeway * math.tau
-            or self._path > TUNING.leeway * 2.0 * math.tau
-        ):
+        elif max(abs(self._commanded), 0.5 * self._path) > TUNING.leeway * math.tau:
             self.objection = (
                 f"{math.degrees(self._path):.0f}° were commanded, and its turn is not complete"
             )

@@ -1,9 +1,9 @@
 """What gyro and compass show of a commanded turn, and the cause of a fault.
 
-A gyro that hangs or is saturated still gives numbers. The level field of a robot that turned by
-an angle goes as far round an unknown circle: the angle of the gyro and the one that was commanded
-are both fitted to it, each free by the factor that a slipping wheel or a field bent by iron
-explains, and the gyro is rejected if only the other one fits.
+A gyro that hangs or is saturated still gives numbers. The level field of a robot that turned by an
+angle moves as far on an unknown circle. The angles of the gyro and of the commands are both fitted
+to it, each with a free scale that a slipping wheel or a distorted field explains. The gyro is
+rejected if only the other one fits.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import unit
+from magcal_ros.core.geometry import FloatArray, unit
 from magcal_ros.core.geometry.vec3 import dot, length
 from magcal_ros.core.samples.streams import STREAMS, Pair
 from magcal_ros.core.session.rotation_plan import Fault, Seen
@@ -65,14 +64,10 @@ TUNING = ProofTuning()
 
 
 def objection_to_gyro(turned: FloatArray, commanded: FloatArray, level: FloatArray) -> str:
-    """Say how the field contradicts the gyro; empty if it does not, or nothing is known yet.
+    """Say how the field contradicts the gyro; empty if it does not, or it is too early to say.
 
-    Parameters
-    ----------
-    turned, commanded : ndarray, shape (n,)
-        Radians by the gyro, and by the commands, left positive.
-    level : ndarray, shape (n, 2)
-        The field in two level axes, tesla.
+    The angles by gyro and by commands are (n,), radians to the left; the field in two level axes is
+    (n, 2), tesla.
     """
     for span in TUNING.spans:
         rows = _last(span, turned, commanded)
@@ -104,25 +99,13 @@ def _objection(by_gyro: FloatArray, by_command: FloatArray, level: FloatArray, s
 def fit_circle_by_angle(turned: FloatArray, level: FloatArray) -> tuple[float, float]:
     """Fit c + R(-turned) v to a level field by least squares, with c and v free.
 
-    Parameters
-    ----------
-    turned : ndarray, shape (n,)
-        Radians to the left.
-    level : ndarray, shape (n, 2)
-        Tesla.
-
-    Returns
-    -------
-    float, float
-        The sum of squares that is left, T², and the length of v, T.
+    `turned` (n,) is in radians to the left, `level` (n, 2) in tesla. Returns the remaining sum of
+    squares, T², and the length of v, T.
     """
     cosine, sine = np.cos(turned), np.sin(turned)
     one, none = np.ones_like(turned), np.zeros_like(turned)
     design = np.concatenate(
-        [
-            np.column_stack([cosine, sine, one, none]),
-            np.column_stack([-sine, cosine, none, one]),
-        ]
+        [np.column_stack([cosine, sine, one, none]), np.column_stack([-sine, cosine, none, one])]
     )
     observed = np.concatenate([level[:, 0], level[:, 1]])
     found = np.linalg.lstsq(design, observed, rcond=None)[0]
@@ -151,13 +134,7 @@ def _last(span: float, turned: FloatArray, commanded: FloatArray) -> FloatArray:
 
 
 class RotationProof:
-    """Follows one turn by its samples.
-
-    Parameters
-    ----------
-    to_body : ndarray, shape (3, 3)
-        From raw field to nominal body axes.
-    """
+    """Follows one turn by its samples; `to_body` (3, 3) is from raw field to nominal body axes."""
 
     def __init__(self, to_body: FloatArray) -> None:
         self._to_body = to_body
@@ -198,13 +175,7 @@ class RotationProof:
         return Seen(coverage.turned, progress.turn_rate, False, coverage.is_complete)
 
     def objection(self, now: float) -> str:
-        """Say how the field contradicts the gyro; most calls return at once, without a test.
-
-        Parameters
-        ----------
-        now : float
-            Seconds on a steady clock.
-        """
+        """Say how the field contradicts the gyro; most calls return at once, without a test."""
         if not self._has_gyro or now - self._asked < TUNING.asked_every or len(self._rows) < 10:
             return ""
         self._asked = now
@@ -214,17 +185,7 @@ class RotationProof:
         return f"{found}: it hangs, or it turns faster than the gyro can follow" if found else ""
 
     def explain(self, fault: Fault, seen: Seen, command: float) -> str:
-        """Return what is wrong and what to look at.
-
-        Parameters
-        ----------
-        fault : Fault
-            What was found.
-        seen : Seen
-            What the sensors showed.
-        command : float
-            rad/s that were commanded.
-        """
+        """Return what is wrong and what to check, for a fault at a command in rad/s."""
         shown, commanded = math.degrees(seen.rate), math.degrees(command)
         sensor = "gyro" if seen.by_gyro else "compass"
         rates = f"the {sensor} shows {shown:+.0f}°/s where {commanded:+.0f}°/s were commanded"
@@ -251,8 +212,7 @@ class RotationProof:
     def compass_sense(self) -> int:
         """Return +1 if the field turns as the gyro does, -1 if the other way, 0 if unknown.
 
-        The level field of a robot that turned left by t has turned right by t about an unknown
-        centre. Both senses are fitted by least squares; the arc may be short.
+        Both senses are fitted by least squares; the arc may be short.
         """
         if len(self._rows) < 10:
             return 0

@@ -83,7 +83,6 @@ class Around:
     field_age: float
     """Seconds since the newest message of either sensor; infinite before the first."""
     listeners: int
-    """How many subscribe to the commands."""
     is_allowed: bool
     """Whether the user still lets the robot turn itself."""
     is_guarded: bool
@@ -112,7 +111,7 @@ class Steering:
 class Waiting:
     """It waits for both sensors, a subscriber of the commands and the guard.
 
-    So many zeros are still to be sent for the turn before.
+    `zeros` more are to be sent for the turn before.
     """
 
     order: Order
@@ -151,7 +150,7 @@ class SelfTurn:
 
     @property
     def is_under_way(self) -> bool:
-        """Whether the robot is to turn, or turns: a complete turn is not over yet."""
+        """Whether the robot is to turn, or turns."""
         return isinstance(self._stage, (Waiting, Moving))
 
     @property
@@ -186,17 +185,7 @@ class SelfTurn:
             stage.proof.add(pair, stage.plan.command)
 
     def look(self, now: float, progress: Progress, around: Around) -> Steering:
-        """Return the command for the robot at `now`, seconds on a steady clock.
-
-        Parameters
-        ----------
-        now : float
-            To be called some twenty times a second.
-        progress : Progress
-            Of the session that collects the turn.
-        around : Around
-            What is there at this moment.
-        """
+        """Return the command at `now` (s, steady clock); to be called twenty times a second."""
         stage = self._stage
         since, self._looked = now - self._looked, now
         if isinstance(stage, Stopping):

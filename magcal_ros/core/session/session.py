@@ -1,7 +1,7 @@
 """Collects the samples of one turn and decides when it is over; time is passed in.
 
 Paired samples enter, coverage answers how far the turn is, and the session says when it is over
-and why. It does not fit: whoever owns it takes the window and gives it to a method.
+and why. It does not fit: its owner passes the window to a method.
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.knowledge import Mounting
+from magcal_ros.core.samples import STREAMS, Pair, Window
 from magcal_ros.core.samples.coverage import Coverage, thin_to_equal_angles, yaw_progress
 from magcal_ros.core.samples.rest import GyroAtRest
-from magcal_ros.core.samples.streams import STREAMS, Pair
-from magcal_ros.core.samples.window import Window
 from magcal_ros.core.session.resting import apart_from_rests
 from magcal_ros.core.up import relative_attitudes
 
@@ -112,9 +111,7 @@ class Progress:
     stage: Stage
     """Whether it is over, and why."""
     coverage: Coverage
-    """What of the turn was seen."""
     samples: int
-    """Pairs held."""
     elapsed: float
     """Seconds since the start on a steady clock."""
     turn_rate: float
@@ -133,13 +130,7 @@ class Progress:
         return f"{line}; {hole}" if hole else line
 
     def require_arc(self, smallest: float) -> None:
-        """Refuse a turn of less than `smallest` radians.
-
-        Raises
-        ------
-        Refusal
-            With what was seen of the turn.
-        """
+        """Raise a Refusal for a turn of less than `smallest` radians."""
         if self.coverage.arc < smallest:
             stood = self.coverage.arc < TUNING.no_turn
             raise Refusal(
@@ -152,23 +143,9 @@ class Progress:
 class Session:
     """Collects one turn.
 
-    Parameters
-    ----------
-    limits : Limits
-        When it ends by itself.
-    mounting : Mounting
-        How the magnetometer is meant to sit: a phase about the up vector needs it.
-    now : float
-        Seconds on a steady clock.
-    gyro : GyroAtRest, optional
-        What a rest before it has shown of the gyro.
-    longer : int
-        Times that the buffer may be as large as that of a turn.
-
-    Attributes
-    ----------
-    was_set_back : bool
-        Whether stamps went back, and what came before was left out.
+    `mounting` is needed for the phase about the up vector, `now` is in seconds on a steady clock,
+    `gyro` is from a rest before it. The buffer may be `longer` times that of a turn. `was_set_back`
+    says whether stamps went back, and what came before was left out.
     """
 
     def __init__(
@@ -204,9 +181,9 @@ class Session:
     def add(self, pair: Pair, now: float) -> None:
         """Take a pair.
 
-        A stamp that stands still is left out. One before the newest means that time was set back,
-        by a clock or by a bag that loops; the robot may have moved meanwhile, so the
-        turn starts again.
+        One with the stamp of the newest is left out. An older stamp means that time was set back,
+        by a clock or by a bag that loops. The robot may have moved meanwhile, so the turn starts
+        again.
         """
         rows = self._buffer
         newest = self.newest
@@ -254,13 +231,7 @@ class Session:
         return Progress(stage, coverage, self._size, elapsed, rate, sigma)
 
     def window(self) -> Window:
-        """Return what was collected of the turn, thinned to equal angles, and its rests.
-
-        Raises
-        ------
-        Refusal
-            If nothing was collected.
-        """
+        """Return what was collected of the turn, thinned to equal angles, and its rests."""
         if not self._size:
             raise Refusal(
                 Reason.TOO_FEW_SAMPLES,
@@ -318,7 +289,7 @@ class Session:
         )
 
     def _is_within(self, sigma: float) -> bool:
-        """Whether the newest fit says so: another costs the robot a good part of a turn."""
+        """Whether the newest fit is within a sigma; another would cost a good part of a turn."""
         return bool(self._glances) and self._glances[-1].sigma <= sigma
 
     def _thin_out(self) -> None:

@@ -33,15 +33,12 @@ class Brief:
     """What a turn is opened with."""
 
     limits: Limits
-    """When it ends by itself."""
     knowledge: Knowledge
-    """What is known beforehand."""
     method: str
     """One of `magcal_ros.core.calibrate.METHODS`."""
     accumulate: bool
-    """Whether it joins the turns before it."""
     order: Order | None = None
-    """How the robot turns itself; None if somebody turns it."""
+    """How the robot turns itself; None if a person turns it."""
     gyro: GyroAtRest | None = None
     """What a rest before the turn has shown of the gyro."""
 

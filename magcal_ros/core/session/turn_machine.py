@@ -1,7 +1,7 @@
 """The state machine of a turn: calls in, commands out, time passed in.
 
-Its owner (a node, or a test in virtual time) tells it what happens and carries out the commands;
-fits, files and messages belong to the owner.
+Its owner (a node, or a test in virtual time) reports events and carries out the commands; fits,
+files and messages belong to the owner.
 """
 
 from __future__ import annotations
@@ -13,21 +13,11 @@ from magcal_ros.core.calibrate import JOINS, Outcome
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.multi_turn.result import Kept
-from magcal_ros.core.samples.streams import Pair
-from magcal_ros.core.samples.window import Window
+from magcal_ros.core.samples import Pair, Window
 from magcal_ros.core.session import turn_events as ev
 from magcal_ros.core.session.rotation_plan import planned_duration
 from magcal_ros.core.session.self_turn import Around, SelfTurn, Steering
 from magcal_ros.core.session.session import Progress, Session, Stage
-from magcal_ros.core.session.turn_events import (
-    STATES,
-    Collecting,
-    Fitting,
-    Reporting,
-    Saving,
-    Stand,
-    TurnState,
-)
 
 
 @dataclass(frozen=True)
@@ -53,12 +43,8 @@ UNCHANGED = "the calibration in force is unchanged"
 class TurnMachine:
     """One turn at a time, from the request to the calibration in force.
 
-    Attributes
-    ----------
-    progress : Progress or None
-        How far the newest turn is, or was.
-    last_window, last_outcome, last_conclusion : Window, Outcome, Conclusion or None
-        The newest of each.
+    `progress`, `last_window`, `last_outcome` and `last_conclusion` are the newest of each; None
+    before the first.
     """
 
     def __init__(self, robot: SelfTurn | None = None) -> None:
@@ -67,16 +53,16 @@ class TurnMachine:
         self.last_window: Window | None = None
         self.last_outcome: Outcome | None = None
         self.last_conclusion: ev.Conclusion | None = None
-        self._stand: Stand = None
+        self._stand: ev.Stand = None
         self._number = 0
         self._kept = Kept()
         self._sensors = self._sensors_of_kept = self._sensors_of_outcome = NOBODY
         self._commands: list[ev.Command] = []
 
     @property
-    def state(self) -> TurnState:
+    def state(self) -> ev.TurnState:
         """What is going on."""
-        return TurnState.IDLE if self._stand is None else STATES[type(self._stand)]
+        return ev.TurnState.IDLE if self._stand is None else ev.STATES[type(self._stand)]
 
     @property
     def outcome_is_of_others(self) -> bool:
@@ -114,7 +100,7 @@ class TurnMachine:
         self._number += 1
         self.last_window = None
         session = Session(brief.limits, brief.knowledge.mounting, now, brief.gyro)
-        self._stand = Collecting(brief, session)
+        self._stand = ev.Collecting(brief, session)
         self.progress = session.progress(now)
         self._do(ev.Prepare())
         if brief.order is None:
@@ -146,14 +132,14 @@ class TurnMachine:
 
     def take(self, pair: Pair, now: float) -> None:
         """Take a field sample with the IMU at its stamp."""
-        if isinstance(self._stand, Collecting):
+        if isinstance(self._stand, ev.Collecting):
             self._stand.session.add(pair, now)
             self.robot.take(pair, now)
 
     def tick(self, silence: str, now: float) -> None:
         """See that time has passed; `silence` says what is wrong, should nothing come."""
         stand = self._stand
-        if not isinstance(stand, Collecting):
+        if not isinstance(stand, ev.Collecting):
             return
         progress = self.progress = stand.session.progress(now)
         is_held = progress.stage is Stage.COMPLETE and self.robot.is_under_way
@@ -170,7 +156,7 @@ class TurnMachine:
             }[progress.stage]
             self._begin_fit(stand, why, now)
 
-    def _look_ahead(self, stand: Collecting, progress: Progress, now: float) -> None:
+    def _look_ahead(self, stand: ev.Collecting, progress: Progress, now: float) -> None:
         """Ask at intervals how certain a fit would be already, and once the circle is complete."""
         waits = progress.coverage.is_complete and not stand.session.was_seen_whole
         if (
@@ -186,7 +172,7 @@ class TurnMachine:
     def note_preview(self, turn: int, sigma: float, now: float) -> None:
         """Take the heading sigma (radians) that a fit of the samples so far predicts."""
         stand = self._stand
-        if turn != self._number or not isinstance(stand, Collecting):
+        if turn != self._number or not isinstance(stand, ev.Collecting):
             return
         if stand.previewed_since is not None:
             stand.session.note_sigma(sigma)
@@ -203,7 +189,7 @@ class TurnMachine:
 
     def _end_with(self, steering: Steering, now: float) -> None:
         stand, end = self._stand, steering.end
-        if end is None or not isinstance(stand, Collecting):
+        if end is None or not isinstance(stand, ev.Collecting):
             return
         if not end.is_usable:
             self._leave_collecting()
@@ -228,13 +214,13 @@ class TurnMachine:
 
     def finish(self, now: float) -> ev.Conclusion | None:
         """Fit what there is; None where a fit is under way."""
-        if isinstance(self._stand, Collecting):
+        if isinstance(self._stand, ev.Collecting):
             self._begin_fit(self._stand, "finished by hand", now)
         elif self._stand is None:
             return ev.Conclusion(False, "no turn is being collected: call ~/start first")
         return None
 
-    def _begin_fit(self, stand: Collecting, why: str, now: float) -> None:
+    def _begin_fit(self, stand: ev.Collecting, why: str, now: float) -> None:
         session, brief = stand.session, stand.brief
         self.progress = session.progress(now)
         why = "; ".join(filter(None, (why, SET_BACK * session.was_set_back)))
@@ -248,14 +234,14 @@ class TurnMachine:
         if self._sensors != self._sensors_of_kept:
             self._sensors_of_kept = self._sensors
             self.forget()
-        self._stand = Fitting(why, window, self._kept)
+        self._stand = ev.Fitting(why, window, self._kept)
         known, method, joins = brief.knowledge, brief.method, brief.accumulate
         self._do(ev.FitTurn(self._number, self._kept, window, known, method, joins))
 
     def note_fit(self, turn: int, outcome: Outcome, kept: Kept) -> None:
         """Take the fit of a turn, and what is kept for the next one to join."""
         stand = self._stand
-        if turn != self._number or not isinstance(stand, Fitting):
+        if turn != self._number or not isinstance(stand, ev.Fitting):
             return
         # Turns that were forgotten while this one was fitted do not come back with it.
         if self._kept is stand.kept:
@@ -265,7 +251,7 @@ class TurnMachine:
 
     def note_failed_fit(self, turn: int, words: str) -> None:
         """Take note that a fit ended with an error of the program."""
-        if turn == self._number and isinstance(self._stand, Fitting):
+        if turn == self._number and isinstance(self._stand, ev.Fitting):
             self._conclude(False, f"the fit failed unexpectedly: {words}")
 
     def _refuse(self, refusal: Refusal, why: str) -> None:
@@ -277,7 +263,7 @@ class TurnMachine:
         if outcome.several is not None and outcome.calibration is not None:
             words = f"{words} {outcome.several.in_words}"
         words = f"{why}; {words}" if why else words
-        self._stand = Reporting(outcome, words)
+        self._stand = ev.Reporting(outcome, words)
         if self.last_window is None:
             self._weigh(self._stand, "")
         else:
@@ -285,10 +271,10 @@ class TurnMachine:
 
     def note_report(self, words: str) -> None:
         """Take where the report will lie, in words; empty if there is none."""
-        if isinstance(self._stand, Reporting):
+        if isinstance(self._stand, ev.Reporting):
             self._weigh(self._stand, words)
 
-    def _weigh(self, stand: Reporting, report: str) -> None:
+    def _weigh(self, stand: ev.Reporting, report: str) -> None:
         """Put the calibration in force if it is good enough; else say what can be done."""
         outcome = stand.outcome
         ending = f" {report}" if report else ""
@@ -296,7 +282,7 @@ class TurnMachine:
         if outcome.calibration is None:
             self._conclude(False, f"{stand.words} {unchanged}.{ending}")
         elif outcome.verdict.accepted:
-            self._stand = Saving(stand.words, ending)
+            self._stand = ev.Saving(stand.words, ending)
             self._do(ev.PutInForce(outcome.calibration))
         else:
             remedy = "~/accept applies this one anyway"
@@ -305,12 +291,12 @@ class TurnMachine:
     def note_saved(self, words: str) -> None:
         """Take whether the calibration in force is stored, in words."""
         stand = self._stand
-        if isinstance(stand, Saving):
+        if isinstance(stand, ev.Saving):
             self._conclude(True, f"{stand.words} {words}{stand.report}")
 
     def cancel(self) -> ev.Conclusion:
         """Cancel the turn."""
-        if isinstance(self._stand, Saving):
+        if isinstance(self._stand, ev.Saving):
             words = "too late to cancel: the new calibration is in force already"
             return ev.Conclusion(False, words)
         if self._stand is None:
@@ -325,7 +311,7 @@ class TurnMachine:
         before = self._sensors
         self._sensors = field or before[0], imu or before[1]
         changes = _changes(before, self._sensors)
-        if changes and isinstance(self._stand, (Collecting, Fitting)):
+        if changes and isinstance(self._stand, (ev.Collecting, ev.Fitting)):
             self._leave_collecting()
             self._conclude(
                 False,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from magcal_ros.core.earth_field.position import TUNING, Fix, Fixes, place_of
+from magcal_ros.core.earth_field.reference import TUNING, Fix, Fixes, place_of
 from magcal_ros.core.earth_field.wmm import EARTH_RADIUS, Place
 
 HOME = (48.1, 11.6)

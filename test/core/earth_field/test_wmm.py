@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from magcal_ros.core.earth_field import wmm
-from magcal_ros.core.earth_field.position import TUNING
+from magcal_ros.core.earth_field.reference import TUNING
 from magcal_ros.core.earth_field.wmm import NoModel, Place, decimal_year, model_field, year_of
 from magcal_ros.core.geometry import wrap_angle
 

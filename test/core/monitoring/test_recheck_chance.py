@@ -6,9 +6,9 @@ import pytest
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.calibrate import calibrate
 from magcal_ros.core.calibration import Figure, GyroSwing
-from magcal_ros.core.monitoring.monitoring_tuning import RECHECK_BOUNDS
 from magcal_ros.core.monitoring.recheck import check
 from magcal_ros.core.monitoring.recheck_chance import (
+    RECHECK_BOUNDS,
     chances,
     check_beside_chance,
     scatter_of_means,

@@ -13,6 +13,7 @@ from magcal_ros.core.knowledge import Knowledge, knowledge_of
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.session.recorded import LITTLE_DATA, Gathering, fit_gathered
 from magcal_ros.core.session.session import TUNING, Limits
+from magcal_ros.core.session.turn_events import Conclusion
 from magcal_ros.core.simulation import Ride, Robot, heading_errors, measure, turn
 from magcal_ros.files.sources import open_recording
 
@@ -32,8 +33,8 @@ def fitted(samples, knowledge=KNOWLEDGE):
 class House:
     """A node around a turn, with everything at hand and nothing elsewhere."""
 
-    def put_in_force(self, _):
-        return str
+    def use(self, _, tell):
+        tell(Conclusion(True, ""))
 
     def begin_report(self, *_):
         return ""
@@ -55,7 +56,7 @@ def live(samples, knowledge):
     from magcal_ros.ros.parameters import Settings
 
     streams, house = Streams(0.2), House()
-    control = Control(streams, house, SelfTurn(), house, house)
+    control = Control(streams, house, house, SelfTurn(), house, house)
     settings = Settings.of({spec.name: spec.default for spec in PARAMETERS})
     assert control.start(dataclasses.replace(settings, knowledge=knowledge)).success
     for sample in samples:

@@ -19,9 +19,8 @@ from sample_results import calibration
 
 from magcal_ros.core.calibration import Correction
 from magcal_ros.core.geometry import rotation_from_rpy
-from magcal_ros.files.exporters import EXPORTERS, NOTES, NotExportable
-from magcal_ros.files.exporters.autopilots import OF_TESLA, number
-from magcal_ros.files.exporters.ros_nodes import checksum
+from magcal_ros.files.autopilots import OF_TESLA, number
+from magcal_ros.files.exporters import EXPORTERS, NOTES, NotExportable, checksum
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = 60e-6 * np.random.default_rng(0).standard_normal((50, 3))

@@ -9,8 +9,8 @@ from log_writers import write_bin, write_text_log, write_tlog
 
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.streams import PositionSample, VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs import common
+from magcal_ros.files import logs
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
 
 pytest.importorskip("pymavlink", reason="needs pymavlink: pip install pymavlink")
@@ -143,10 +143,10 @@ def test_a_log_that_was_cut_short_or_damaged_is_read_as_far_as_it_goes(tmp_path,
 @pytest.mark.faults
 def test_size_and_time_are_limited(tmp_path, monkeypatch):
     path = write_bin(tmp_path / "a.bin", SAMPLES)
-    monkeypatch.setattr(common, "LONGEST_READING", 0.0)
+    monkeypatch.setattr(logs, "LONGEST_READING", 0.0)
     with pytest.raises(FileTrouble, match="takes longer than 0 s"):
         read(path)
     with path.open("r+b") as handle:
-        handle.truncate(common.LARGEST_LOG + 1)
+        handle.truncate(logs.LARGEST_LOG + 1)
     with pytest.raises(FileTrouble, match=r"has 1\.0 GiB"):
         read(path)

@@ -9,7 +9,7 @@ from magcal_ros.core.errors import Misuse
 from magcal_ros.core.geometry import rotation_from_rpy
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.atomic import FileTrouble
+from magcal_ros.files.disk import FileTrouble
 from magcal_ros.files.sources import open_recording
 
 SAMPLES = drive(60.0)

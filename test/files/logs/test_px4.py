@@ -9,8 +9,8 @@ from log_writers import write_ulog
 
 from magcal_ros.core.samples import FieldSample, ImuSample
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.px4 import RIGHT_ANGLES, rotation_of
+from magcal_ros.files.disk import FileTrouble
+from magcal_ros.files.px4 import RIGHT_ANGLES, rotation_of
 from magcal_ros.files.sources import open_recording
 
 pytest.importorskip("pyulog", reason="needs pyulog: pip install pyulog")

@@ -17,36 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
-    FLU_FROM_FRD,
-    GRAVITY,
-    Deadline,
-    LogTables,
-    Names,
-    Progress,
-    begun_with,
-    quietly,
-    recording_of,
-    velocity,
-)
-from magcal_ros.files.reading import plain
+from magcal_ros.files import logs
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording
 
 SUFFIXES = (".bin", ".log", ".tlog")
 TESLA = 1e-7
 """In a milligauss."""
 
-NAMES = Names(
+NAMES = logs.Names(
     "IMU",
     "MAG",
     "let LOG_BITMASK log IMU, and record again",
     "look at COMPASS_ENABLE and the wiring, let LOG_BITMASK log COMPASS, and record again",
 )
-TELEMETRY_NAMES = Names(
+TELEMETRY_NAMES = logs.Names(
     "IMU",
     "MAG",
     "ask for RAW_IMU at 10 Hz or more (SR0_RAW_SENS), or take the log from the autopilot's card",
@@ -56,7 +43,6 @@ KINDS = {"IMU": 0, "IMU2": 1, "IMU3": 2, "MAG": 0, "MAG2": 1, "MAG3": 2}
 """Messages of the sensors, and their number in releases that name it so."""
 
 RAW_KINDS = {"RAW_IMU": 0, "SCALED_IMU": 0, "SCALED_IMU2": 1, "SCALED_IMU3": 2}
-FIX_3D = 3
 AUTOPILOT = 1
 """Component of MAVLink: cameras and gimbals have others."""
 
@@ -70,30 +56,15 @@ EVERY = 1000
 
 
 def read_ardupilot(
-    path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
+    path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
-    """Read a DataFlash or telemetry log.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in .BIN, .log or .tlog.
-    imu, mag : str
-        Which sensors, as "IMU[1]", "MAG[1]"; empty for the first that lives.
-    progress : callable, optional
-        Is given the share that has been read.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or has no living sensors; the text says what to do.
-    """
-    begun = begun_with(path, 8000)
+    """Read a DataFlash or telemetry log; arguments and errors as of `open_recording`."""
+    begun = logs.begun_with(path, 8000)
     telemetry = path.suffix.lower() == ".tlog"
     if not telemetry:
         _require_dataflash(path, begun)
-    deadline = Deadline(path)
-    with quietly(path, deadline):
+    deadline = logs.Deadline(path)
+    with logs.quietly(path, deadline):
         messages = _telemetry(path) if telemetry else _dataflash(path, begun, deadline)
         read = _Rows(telemetry)
         for count, (message, share) in enumerate(messages):
@@ -104,7 +75,7 @@ def read_ardupilot(
             if message is not None:
                 read.take(message)
         tables = read.tables()
-    return recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
+    return logs.recording_of(path, tables, TELEMETRY_NAMES if telemetry else NAMES, imu, mag)
 
 
 def _require_dataflash(path: Path, begun: bytes) -> None:
@@ -116,24 +87,11 @@ def _require_dataflash(path: Path, begun: bytes) -> None:
         )
 
 
-def _library(path: Path) -> Any:
-    try:
-        from pymavlink import mavutil
-    except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs the Python library pymavlink: "
-            "pip install 'magcal_ros[ardupilot]', or pip install pymavlink"
-        ) from error
-    return mavutil
-
-
-def _dataflash(path: Path, begun: bytes, deadline: Deadline) -> Iterator[tuple[Any, float]]:
+def _dataflash(path: Path, begun: bytes, deadline: logs.Deadline) -> Iterator[tuple[Any, float]]:
     """Yield the wanted messages of a log and the share that has been read."""
-    _library(path)
-    from pymavlink import DFReader
-
+    dataflash = logs.library(path, "pymavlink.DFReader", "ardupilot")
     is_binary = begun[:2] == b"\xa3\x95"
-    kind: Any = DFReader.DFReader_binary if is_binary else DFReader.DFReader_text
+    kind: Any = dataflash.DFReader_binary if is_binary else dataflash.DFReader_text
 
     def recv_msg(reader: Any) -> Any:
         # Without a receiver the library goes through the whole log before it gives a message.
@@ -149,7 +107,7 @@ def _dataflash(path: Path, begun: bytes, deadline: Deadline) -> Iterator[tuple[A
 
 def _telemetry(path: Path) -> Iterator[tuple[Any, float]]:
     """Yield the same of telemetry, and None for any other message and for damage."""
-    reader = _library(path).mavlogfile(str(path))
+    reader = logs.library(path, "pymavlink.mavutil", "ardupilot").mavlogfile(str(path))
     wanted = {*RAW_KINDS, "ATTITUDE", "GPS_RAW_INT", "PARAM_VALUE"}
     try:
         while (message := reader.recv_msg()) is not None:
@@ -172,7 +130,7 @@ class _Rows:
         self._mags: dict[int, array[float]] = defaultdict(_numbers)
         self._yaw = _numbers()
         self._parameters: dict[str, float] = {}
-        self._tables = LogTables()
+        self._tables = logs.LogTables()
         self._system: int | None = None
         self._booted: float | None = None
 
@@ -194,7 +152,7 @@ class _Rows:
         elif kind == "PARM":
             self._parameters[m.Name] = float(m.Value)
         elif not getattr(m, "I", 0):
-            has_fix = m.Status >= FIX_3D
+            has_fix = m.Status >= logs.FIX_3D
             self._fix(stamp, has_fix, (m.Lat, m.Lng, m.Alt), m.Spd, math.radians(m.GCrs))
 
     def _take_telemetry(self, kind: str, m: Any) -> None:
@@ -206,7 +164,13 @@ class _Rows:
             return
         if kind in RAW_KINDS:
             stamp = self._by_own_clock(m)
-            milli = [m.xacc * GRAVITY, m.yacc * GRAVITY, m.zacc * GRAVITY, m.xgyro, m.ygyro]
+            milli = [
+                m.xacc * logs.GRAVITY,
+                m.yacc * logs.GRAVITY,
+                m.zacc * logs.GRAVITY,
+                m.xgyro,
+                m.ygyro,
+            ]
             row = [1e-3 * value for value in (*milli, m.zgyro)]
             self._imus[RAW_KINDS[kind]].extend((stamp, *row))
             self._mags[RAW_KINDS[kind]].extend((stamp, m.xmag, m.ymag, m.zmag, *NO_OFFSETS))
@@ -217,7 +181,7 @@ class _Rows:
         else:
             place = (1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
             course = math.radians(0.01 * m.cog)
-            self._fix(m._timestamp, m.fix_type >= FIX_3D, place, 0.01 * m.vel, course)
+            self._fix(m._timestamp, m.fix_type >= logs.FIX_3D, place, 0.01 * m.vel, course)
 
     def _by_own_clock(self, m: Any) -> float:
         """Return a message's stamp by the autopilot's clock, shifted to the receiver's."""
@@ -237,21 +201,21 @@ class _Rows:
     ) -> None:
         self._tables.fixes.append(Fix(has_fix, *place, stamp))
         if has_fix and math.isfinite(speed + course):
-            self._tables.velocities.append(velocity(stamp, speed, course, RECEIVER_SPEED_SIGMA))
+            self._tables.velocities.append(logs.velocity(stamp, speed, course))
 
-    def tables(self) -> LogTables:
+    def tables(self) -> logs.LogTables:
         """Return everything in SI units, forward-left-up axes, calibrations taken off."""
         tables = self._tables
         tables.yaw = np.array(self._yaw).reshape(-1, 2)
         for number, rows in self._imus.items():
             table = np.array(rows).reshape(-1, 7)
-            table[:, 1:4] *= FLU_FROM_FRD
-            table[:, 4:7] *= FLU_FROM_FRD
+            table[:, 1:4] *= logs.FLU_FROM_FRD
+            table[:, 4:7] *= logs.FLU_FROM_FRD
             tables.imus[number] = table
         for number, rows in self._mags.items():
             table = np.array(rows).reshape(-1, 7)
             slot = _slot(number, table[-1, 4:7], self._parameters)
-            raw = _without_calibration(table, slot, self._parameters) * FLU_FROM_FRD * TESLA
+            raw = _without_calibration(table, slot, self._parameters) * logs.FLU_FROM_FRD * TESLA
             tables.fields[number] = np.column_stack([table[:, 0], raw])
             tables.frames[number] = f"ardupilot_compass{SLOTS[slot]}"
         if self._telemetry and "COMPASS_OFS_X" not in self._parameters:

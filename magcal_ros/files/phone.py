@@ -3,7 +3,7 @@
 Sensor Logger writes a file a sensor: `time` (ns since 1970), `seconds_elapsed`, z, y, x; fields in
 microtesla. phyphox names the unit in its header: `"Time (s)","Magnetic field x (µT)"`. A phone's x
 points to the right of its screen, y to its upper edge and z out of the screen; here x is the upper
-edge, y the left one. How the phone lay in the vehicle is told with --imu-rpy-deg.
+edge, y the left one. --imu-rpy-deg gives the pose of the phone in the vehicle.
 """
 
 from __future__ import annotations
@@ -16,25 +16,17 @@ from pathlib import Path
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray, interpolated
-from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
-    GRAVITY,
-    LogTables,
-    Names,
-    recording_of,
-    velocity,
-)
-from magcal_ros.files.reading import plain
+from magcal_ros.files import logs
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording, read_header, read_numbers
 
 NANOSECOND = 1e9
 FLU_FROM_PHONE = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 LOGGER_AXES = ("x", "y", "z")
 METADATA = "Metadata.csv"
-NAMES = Names(
+NAMES = logs.Names(
     "phone IMU",
     "phone magnetometer",
     "record accelerometer (with gravity) and gyroscope",
@@ -43,7 +35,7 @@ NAMES = Names(
 FORCE, RATE, FIELD = "m/s^2", "rad/s", "T"
 MICRO = re.compile(r"[µμu]T")
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
-LEAST_GRAVITY = 0.5 * GRAVITY
+LEAST_GRAVITY = 0.5 * logs.GRAVITY
 """m/s². An accelerometer whose usual reading is less had gravity taken off."""
 
 
@@ -57,10 +49,7 @@ def is_phone_folder(path: Path) -> bool:
 def read_phone(path: Path) -> Recording:
     """Read a folder of Sensor Logger or phyphox.
 
-    Raises
-    ------
-    FileTrouble
-        If a sensor is missing, or gravity was taken off; the text says what to record.
+    A FileTrouble if a sensor is missing, or gravity was taken off, says what to record.
     """
     headers = _headers(path)
     logger = any(map(_is_logger, headers.values()))
@@ -84,14 +73,14 @@ def read_phone(path: Path) -> Recording:
             "accelerometer with gravity (phyphox: Acceleration with g; Sensor Logger: Total "
             "Acceleration, or Gravity beside the accelerometer)"
         )
-    tables = LogTables(notes=notes)
+    tables = logs.LogTables(notes=notes)
     turns = interpolated(force[:, 0], rate[:, 0], rate[:, 1:4])
     turns[(force[:, 0] < rate[0, 0]) | (force[:, 0] > rate[-1, 0])] = math.nan
     imu = [force[:, 0], force[:, 1:] @ FLU_FROM_PHONE.T, turns @ FLU_FROM_PHONE.T]
     tables.imus[0] = np.column_stack(imu)
     tables.fields[0] = np.column_stack([field[:, 0], 1e-6 * field[:, 1:] @ FLU_FROM_PHONE.T])
     _add_fixes(path, headers, tables)
-    recording = recording_of(path, tables, NAMES)
+    recording = logs.recording_of(path, tables, NAMES)
     return replace(recording, imu_topic=NAMES.imu, field_topic=NAMES.field)
 
 
@@ -99,7 +88,7 @@ def _headers(path: Path) -> dict[str, list[str]]:
     """Return the header of each CSV file, by its name."""
     found = {}
     for file in sorted(path.glob("*.csv")):
-        # Whatever else lies there is nobody's trouble here.
+        # Other files in the folder do not matter.
         with contextlib.suppress(FileTrouble):
             found[file.name] = read_header(file)
     return found
@@ -134,7 +123,7 @@ def _logger_sensors(path: Path, headers: dict[str, list[str]], notes: list[str])
     if force is None:
         force = read("AccelerometerUncalibrated")
         if force is not None and np.median(np.linalg.norm(force[:, 1:], axis=1)) < LEAST_GRAVITY:
-            force[:, 1:] *= GRAVITY
+            force[:, 1:] *= logs.GRAVITY
     if force is not None and _points_down(path, headers):
         force[:, 1:] *= -1.0
     rate = read("Gyroscope")
@@ -173,7 +162,7 @@ def _phyphox_sensors(path: Path, headers: dict[str, list[str]], _: list[str]) ->
     return found.get(FORCE), found.get(RATE), found.get(FIELD)
 
 
-def _add_fixes(path: Path, headers: dict[str, list[str]], tables: LogTables) -> None:
+def _add_fixes(path: Path, headers: dict[str, list[str]], tables: logs.LogTables) -> None:
     """Add fixes and velocities of `Location.csv`, or of whichever file has latitudes."""
     for name, header in headers.items():
         plain_names = [each.split(" (")[0].lower() for each in header]
@@ -191,8 +180,7 @@ def _add_fixes(path: Path, headers: dict[str, list[str]], tables: LogTables) -> 
         ).tolist():
             tables.fixes.append(Fix(True, latitude, longitude, math.nan, stamp))
             if moving and min(motion) >= 0.0:  # negative or NaN: the phone does not know
-                way = velocity(stamp, motion[0], math.radians(motion[1]), RECEIVER_SPEED_SIGMA)
-                tables.velocities.append(way)
+                tables.velocities.append(logs.velocity(stamp, motion[0], math.radians(motion[1])))
         return
 
 

@@ -23,14 +23,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.calibration.correction import Correction
+from magcal_ros.core.calibration import Calibration, Correction
 from magcal_ros.core.errors import MagcalError
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.attitude import FRD_FROM_FLU
-from magcal_ros.core.geometry.rotations import rotation_angle, rpy_from_rotation
-from magcal_ros.files.logs.px4 import rotation_of
-from magcal_ros.files.reading import plain
+from magcal_ros.core.geometry import FRD_FROM_FLU, FloatArray, rotation_angle, rpy_from_rotation
+from magcal_ros.files.disk import plain
+from magcal_ros.files.px4 import rotation_of
 
 GAUSS = 1e4
 """Gauss in a tesla."""
@@ -42,7 +39,6 @@ DECIMALS = 9
 """Of a matrix or of gauss. What is cut off changes no field by more than 0.001 nT."""
 
 OF_TESLA = 13
-"""The same of tesla."""
 
 LARGEST_LOST_ROTATION = math.radians(5.0)
 """A rotation beyond this belongs into the consumer's mounting, not into a comment."""
@@ -63,7 +59,6 @@ class Symmetric:
     hard_iron: FloatArray
     """Tesla. Shape (3,)."""
     comments: tuple[str, ...]
-    """What was lost."""
 
 
 def in_forward_right_down(correction: Correction) -> Correction:
@@ -74,19 +69,10 @@ def in_forward_right_down(correction: Correction) -> Correction:
 
 
 def without_rotation(correction: Correction, consumer: str) -> Symmetric:
-    """Split off the rotation R of A = R S and keep the symmetric S.
+    """Split the rotation R off A = R S and keep the symmetric S.
 
-    Parameters
-    ----------
-    correction : Correction
-        In forward-left-up axes.
-    consumer : str
-        Its name, for the comments.
-
-    Raises
-    ------
-    NotExportable
-        If the rotation is more than 5°: the consumer's heading would be wrong.
+    `consumer` is named in the comments. NotExportable if the rotation is more than 5°: the
+    consumer's heading would be wrong.
     """
     left, sizes, right = np.linalg.svd(correction.matrix)
     rotation, symmetric = left @ right, (right.T * sizes) @ right
@@ -156,24 +142,11 @@ ARDUPILOT_FRAME = "ardupilot_compass"
 
 
 def ardupilot(calibration: Calibration, frame: str = "") -> str:
-    """Return a parameter file for a ground station.
+    """Return a parameter file for a ground station, `NAME,value` lines.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export; made from fields in the vehicle's forward-left-up axes.
-    frame : str
-        Of the magnetometer: from a log it says which compass this is.
-
-    Returns
-    -------
-    str
-        `NAME,value` lines.
-
-    Raises
-    ------
-    NotExportable
-        If the calibration turns the field by more than 5°.
+    The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
+    magnetometer's: from a log it tells which compass this is. NotExportable if the field is turned
+    by more than 5°.
     """
     held = without_rotation(calibration.correction, "ArduPilot")
     of_log = re.fullmatch(rf"{ARDUPILOT_FRAME}([23]?)", frame)
@@ -214,24 +187,11 @@ SMALLEST_SCALE, LARGEST_SCALE = 0.1, 3.0
 
 
 def px4(calibration: Calibration, frame: str = "") -> str:
-    """Return commands for the PX4 console.
+    """Return commands for the PX4 console, `param set NAME value` lines.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        What to export; made from fields in the vehicle's forward-left-up axes.
-    frame : str
-        Of the magnetometer: from a log it says which slot this is, and how it is turned.
-
-    Returns
-    -------
-    str
-        `param set NAME value` lines.
-
-    Raises
-    ------
-    NotExportable
-        If the calibration turns the field by more than 5°, or scales it beyond PX4's range.
+    The calibration is of fields in the vehicle's forward-left-up axes. `frame` is the
+    magnetometer's: from a log it tells which slot this is, and its rotation. NotExportable if the
+    field is turned by more than 5°, or scaled beyond PX4's range.
     """
     held = without_rotation(calibration.correction, "PX4")
     of_log = re.fullmatch(PX4_FRAME.format(slot=r"(\d)", rotation=r"(\d+)"), frame)

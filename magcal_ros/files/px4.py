@@ -16,30 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix
-from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.geometry.rotations import rotation_from_rpy
+from magcal_ros.core.earth_field.reference import Fix
+from magcal_ros.core.geometry import FloatArray, rotation_from_rpy
 from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
 from magcal_ros.core.samples.streams import VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.logs.common import (
-    FLU_FROM_FRD,
-    Deadline,
-    LogTables,
-    Names,
-    Progress,
-    begun_with,
-    quietly,
-    recording_of,
-)
-from magcal_ros.files.reading import plain
+from magcal_ros.files import logs
+from magcal_ros.files.disk import FileTrouble, plain
 from magcal_ros.files.recording import Recording
 
 MAGIC = b"ULog\x01\x12\x35"
 TESLA = 1e-4
 """In a gauss."""
 
-FIX_3D = 3
 MOST_SENSORS = 4
 TOPICS = (
     "sensor_combined",
@@ -48,7 +36,7 @@ TOPICS = (
     "vehicle_gps_position",
     "vehicle_attitude",
 )
-NAMES = Names(
+NAMES = logs.Names(
     "sensor_combined",
     "sensor_mag",
     "set SDLOG_PROFILE to its default and record again",
@@ -56,70 +44,33 @@ NAMES = Names(
 )
 RIGHT_ANGLES = (
     *((0, 0, 45 * k) for k in range(8)),
-    *((180, 0, 45 * k) for k in range(4)),
-    (0, 180, 0),
-    *((180, 0, 45 * k) for k in range(5, 8)),
+    *((180, 0, 45 * k) for k in range(4)), (0, 180, 0), *((180, 0, 45 * k) for k in range(5, 8)),
     *((90, 0, 45 * k) for k in range(4)),
     *((270, 0, 45 * k) for k in range(4)),
-    (0, 90, 0),
-    (0, 270, 0),
-    (0, 180, 90),
-    (0, 180, 270),
-    (90, 90, 0),
-    (180, 90, 0),
-    (270, 90, 0),
-    (90, 180, 0),
-    (270, 180, 0),
-    (90, 270, 0),
-    (180, 270, 0),
-    (270, 270, 0),
-    (90, 180, 90),
-    (90, 0, 270),
-    (90, 68, 293),
-    (0, 315, 0),
-    (90, 315, 0),
-)
+    (0, 90, 0), (0, 270, 0), (0, 180, 90), (0, 180, 270), (90, 90, 0), (180, 90, 0), (270, 90, 0),
+    (90, 180, 0), (270, 180, 0), (90, 270, 0), (180, 270, 0), (270, 270, 0), (90, 180, 90),
+    (90, 0, 270), (90, 68, 293), (0, 315, 0), (90, 315, 0),
+)  # fmt: skip
 """Roll, pitch and yaw of MAV_SENSOR_ORIENTATION, degrees, by its number."""
 
 
 def read_px4(
-    path: Path, imu: str = "", mag: str = "", progress: Progress | None = None
+    path: Path, imu: str = "", mag: str = "", progress: logs.Progress | None = None
 ) -> Recording:
-    """Read a ULog.
-
-    Parameters
-    ----------
-    path : Path
-        Ends in .ulg.
-    imu, mag : str
-        Which sensors, as "sensor_mag[1]"; empty for the first that lives.
-    progress : callable, optional
-        Is given the share that has been read.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or has no living sensors; the text says what to do.
-    """
-    if begun_with(path, len(MAGIC)) != MAGIC:
+    """Read a ULog; arguments and errors as of `open_recording`."""
+    if logs.begun_with(path, len(MAGIC)) != MAGIC:
         raise FileTrouble(f"{plain(str(path))} is no ULog: it does not begin as one")
-    try:
-        from pyulog import ULog
-    except ImportError as error:
-        raise FileTrouble(
-            f"reading {plain(str(path))} needs the Python library pyulog: "
-            "pip install 'magcal_ros[px4]', or pip install pyulog"
-        ) from error
-    deadline = Deadline(path)
-    with quietly(path, deadline), _Watched(path, deadline, progress) as handle:
-        tables = _tables(ULog(handle, list(TOPICS)))
-    return recording_of(path, tables, NAMES, imu, mag)
+    ulog = logs.library(path, "pyulog", "px4").ULog
+    deadline = logs.Deadline(path)
+    with logs.quietly(path, deadline), _Watched(path, deadline, progress) as handle:
+        tables = _tables(ulog(handle, list(TOPICS)))
+    return logs.recording_of(path, tables, NAMES, imu, mag)
 
 
 class _Watched(io.BufferedReader):
     """A file whose reading may end by time, with its progress."""
 
-    def __init__(self, path: Path, deadline: Deadline, progress: Progress | None) -> None:
+    def __init__(self, path: Path, deadline: logs.Deadline, progress: logs.Progress | None) -> None:
         super().__init__(io.FileIO(path))
         self._deadline, self._progress = deadline, progress
         self._size, self._count = max(path.stat().st_size, 1), 0
@@ -134,13 +85,7 @@ class _Watched(io.BufferedReader):
 
 
 def rotation_of(number: int) -> FloatArray:
-    """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down.
-
-    Raises
-    ------
-    FileTrouble
-        If the number is not one of MAV_SENSOR_ORIENTATION.
-    """
+    """Return CAL_MAGn_ROT as the rotation from sensor to body, forward-right-down."""
     if not 0 <= number < len(RIGHT_ANGLES):
         raise FileTrouble(
             f"the rotation {number} of the magnetometer (CAL_MAG_ROT, SENS_BOARD_ROT) is not "
@@ -149,19 +94,19 @@ def rotation_of(number: int) -> FloatArray:
     return rotation_from_rpy(*(math.radians(angle) for angle in RIGHT_ANGLES[number]))
 
 
-def _tables(log: Any) -> LogTables:
+def _tables(log: Any) -> logs.LogTables:
     parameters = {**log.initial_parameters, **{name: v for _, name, v in log.changed_parameters}}
     data = {(each.name, each.multi_id): each.data for each in log.data_list}
     shift = _epoch(data.get(("vehicle_gps_position", 0)))
-    tables = LogTables()
+    tables = logs.LogTables()
     for (name, number), topic in data.items():
         stamps = 1e-6 * topic["timestamp"] + shift
         if name == "sensor_combined":
-            force = _vectors(topic, "accelerometer_m_s2") * FLU_FROM_FRD
-            rate = _vectors(topic, "gyro_rad") * FLU_FROM_FRD
+            force = _vectors(topic, "accelerometer_m_s2") * logs.FLU_FROM_FRD
+            rate = _vectors(topic, "gyro_rad") * logs.FLU_FROM_FRD
             tables.imus[number] = np.column_stack([stamps, force, rate])
             if "magnetometer_ga[0]" in topic:  # releases before 1.9
-                field = _vectors(topic, "magnetometer_ga") * FLU_FROM_FRD * TESLA
+                field = _vectors(topic, "magnetometer_ga") * logs.FLU_FROM_FRD * TESLA
                 tables.fields.setdefault(0, np.column_stack([stamps, field]))
         elif name == "vehicle_attitude":
             w, x, y, z = (topic[f"q[{k}]"] for k in range(4))
@@ -175,7 +120,7 @@ def _tables(log: Any) -> LogTables:
 
 
 def _take_field(
-    tables: LogTables,
+    tables: logs.LogTables,
     data: Mapping[tuple[str, int], Mapping[str, FloatArray]],
     number: int,
     parameters: Mapping[str, float],
@@ -200,7 +145,7 @@ def _take_field(
         inner = np.linalg.solve(matrix, (corrected_field @ pose).T).T + offset
         field = inner @ pose.T
     stamps = 1e-6 * topic["timestamp"] + shift
-    tables.fields[number] = np.column_stack([stamps, field * FLU_FROM_FRD * TESLA])
+    tables.fields[number] = np.column_stack([stamps, field * logs.FLU_FROM_FRD * TESLA])
     tables.frames[number] = f"px4_mag{0 if slot is None else slot}_rot{rotation}"
 
 
@@ -221,12 +166,14 @@ def _calibration(
     return np.array(of("OFF", 0.0)), np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
 
 
-def _take_fixes(tables: LogTables, topic: Mapping[str, FloatArray], stamps: FloatArray) -> None:
+def _take_fixes(
+    tables: logs.LogTables, topic: Mapping[str, FloatArray], stamps: FloatArray
+) -> None:
     degrees = "latitude_deg" in topic  # since 1.14
     latitude = topic["latitude_deg"] if degrees else 1e-7 * topic["lat"]
     longitude = topic["longitude_deg"] if degrees else 1e-7 * topic["lon"]
     height = topic["altitude_msl_m"] if degrees else 1e-3 * topic["alt"]
-    has_fix = topic["fix_type"] >= FIX_3D
+    has_fix = topic["fix_type"] >= logs.FIX_3D
     for row in zip(has_fix, latitude, longitude, height, stamps, strict=True):
         tables.fixes.append(Fix(bool(row[0]), *map(float, row[1:])))
     moving = np.column_stack([stamps, topic["vel_e_m_s"], topic["vel_n_m_s"]])[has_fix]

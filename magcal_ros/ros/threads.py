@@ -1,4 +1,4 @@
-"""A loop of its own for the sensors' messages.
+"""The node's threads: one for the messages of the sensors, others for work that takes long.
 
 For each message rclpy's executor gathers everything the node owns, builds a wait set of it and
 makes a task of the callback, twice over: most of what a rclpy node costs. Here the sensors have a
@@ -9,13 +9,13 @@ fails, the sensors go back to rclpy's executor with all that lies in their queue
 
 from __future__ import annotations
 
-import os
+import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
+from queue import SimpleQueue
 from threading import Lock
-from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.executors import (
@@ -41,15 +41,10 @@ FOR_EVER = -1
 
 
 class SensorGroup(CallbackGroup):
-    """Keeps subscriptions from rclpy's executor for as long as somebody else serves them.
+    """Keeps subscriptions from rclpy's executor for as long as a `SensorLoop` serves them.
 
     Their events of the middleware (a publisher of another type) are kept from it too: in a wait set
-    they are woken by each message.
-
-    Attributes
-    ----------
-    is_open : bool
-        Whether rclpy's executor serves them, as it does until a `SensorLoop` takes over.
+    they are woken by each message. While `is_open`, as at first, rclpy's executor serves them.
     """
 
     def __init__(self) -> None:
@@ -72,8 +67,8 @@ class SensorLoop:
     """A thread that takes the messages of chosen subscriptions and calls back, under a lock.
 
     `note` is given what a callback raised; the loop goes on. `give_up` is called in the loop's
-    thread, with the group open again, where a call of rclpy has failed. Messages of `unhurried`
-    subscriptions wake nobody and are taken with the next of the others.
+    thread, with the group open again, if a call of rclpy has failed. Messages of `unhurried`
+    subscriptions wake nothing and are taken with the next of the others.
     """
 
     def __init__(
@@ -175,10 +170,10 @@ class SensorLoop:
 
 
 class FairLock:
-    """A lock that two threads have by turns whenever both want it.
+    """A lock that two threads get in turn whenever both want it.
 
-    With a plain one, who releases it and wants it again at once usually gets it again, and under a
-    flood of messages a service would never be answered.
+    With a plain one, the thread that releases it and wants it again at once usually gets it again,
+    and under a flood of messages a service would never be answered.
     """
 
     def __init__(self) -> None:
@@ -195,9 +190,9 @@ class FairLock:
 class Spinner:
     """Serves a node, one callback at a time, and chosen subscriptions with the least effort.
 
-    rclpy's executor finds what is ready and the handlers it returns are called here, under a lock
-    that is shared with the loop of the subscriptions. An error in a callback is noted and does not
-    end anything.
+    rclpy's executor finds what is ready, and the handlers it returns are called here, under a lock
+    that is shared with the loop of the subscriptions. An error in a callback is noted and ends
+    nothing.
     """
 
     def __init__(
@@ -220,13 +215,7 @@ class Spinner:
         )
 
     def spin(self) -> None:
-        """Serve the node until `end` is called or the context ends.
-
-        Raises
-        ------
-        rclpy.executors.ExternalShutdownException
-            If the context has ended.
-        """
+        """Serve the node until `end` is called; ExternalShutdownException if the context ends."""
         while self._node.context.ok() and not self._is_over:
             self.spin_once()
 
@@ -234,11 +223,6 @@ class Spinner:
         """Wait until something is ready, at most so many seconds, and serve it.
 
         From the first call on the chosen subscriptions are served too, until the shutdown.
-
-        Raises
-        ------
-        rclpy.executors.ExternalShutdownException
-            If the context has ended.
         """
         if not self._is_started:
             self._is_started = True
@@ -311,49 +295,80 @@ def _release(entity: Any) -> None:
         group.ending_execution(entity)
 
 
-LONGEST = 300
-"""Characters of an error's own words that go into the log; some quote a whole message."""
+T = TypeVar("T")
+
+Done = Callable[[], object]
 
 
-class CallbackErrors:
-    """Counts the errors of all callbacks and logs each kind of them once.
+class BackgroundThread:
+    """Runs one job after another in a thread; what follows runs in the executor.
 
-    A kind is a type of error at a line of code.
+    The thread starts with the first job. It does not delay the end of the process: a disk that does
+    not answer may block it for ever. If no thread can be started, the job fails with that error.
     """
 
-    def __init__(self, log: Callable[[str], object]) -> None:
-        self._log = log
-        self._known: set[tuple[type[BaseException], str]] = set()
-        self.total = 0
+    def __init__(self, node: Node, name: str) -> None:
+        self._node, self._name = node, name
+        self._waiting: SimpleQueue[Callable[[], Done]] = SimpleQueue()
+        self._done: SimpleQueue[Done] = SimpleQueue()
+        self._idle = threading.Event()
+        self._idle.set()
+        self._open = 0
+        self._lock = threading.Lock()
+        self._thread: threading.Thread | None = None
 
-    def note(self, error: BaseException) -> str:
-        """Count an error that a callback raised, and log it if its kind is new; says what it is."""
-        self.total += 1
-        kind = type(error), _place(error.__traceback__)
-        words = " ".join(str(error).split())[:LONGEST]
-        said = f"an error in a callback, {kind[0].__name__} in {kind[1]}"
-        if _is_of_clock(error.__traceback__):
-            said = "the simulated time on /clock jumped to a time that ROS does not have"
-        if kind not in self._known:
-            self._known.add(kind)
-            self._log(
-                f"{said}: {words}. The node goes on; from now on this kind is only counted, "
-                "in Inputs of /diagnostics"
-            )
-        return said
+    def run(
+        self,
+        work: Callable[[], T],
+        then: Callable[[T], object],
+        otherwise: Callable[[Exception], object],
+    ) -> None:
+        """Do some work, then go on in the executor's thread."""
 
+        def job() -> Done:
+            try:
+                result = work()
+            except Exception as error:  # the caller handles it
+                fault = error
+                return lambda: otherwise(fault)
+            return lambda: then(result)
 
-def _is_of_clock(trace: TracebackType | None) -> bool:
-    """Whether it comes of what rclpy does with a message on /clock."""
-    while trace is not None and trace.tb_frame.f_globals.get("__name__") != "rclpy.time_source":
-        trace = trace.tb_next
-    return trace is not None
+        # Where memory is short the thread itself may end in an error.
+        if self._thread is None or not self._thread.is_alive():
+            thread = threading.Thread(target=self._work, name=self._name, daemon=True)
+            try:
+                thread.start()
+            except RuntimeError as error:
+                fault = error
+                self._hand_over(lambda: otherwise(fault))
+                return
+            self._thread = thread
+        with self._lock:
+            self._open += 1
+            self._idle.clear()
+        self._waiting.put(job)
 
+    def deliver(self) -> None:
+        """Hand over what is done; the executor calls it, and a heartbeat may."""
+        while not self._done.empty():
+            self._done.get()()
 
-def _place(trace: TracebackType | None) -> str:
-    """Return file and line of the innermost call."""
-    if trace is None:
-        return "an unknown place"
-    while trace.tb_next is not None:
-        trace = trace.tb_next
-    return f"{os.path.basename(trace.tb_frame.f_code.co_filename)}, line {trace.tb_lineno}"
+    def finish_within(self, patience: float) -> bool:
+        """Wait so many seconds for the work that was asked for; returns whether it is done."""
+        return self._idle.wait(patience)
+
+    def _work(self) -> None:
+        while True:
+            self._hand_over(self._waiting.get()())
+            with self._lock:
+                self._open -= 1
+                if not self._open:
+                    self._idle.set()
+
+    def _hand_over(self, done: Done) -> None:
+        self._done.put(done)
+        executor = self._node.executor
+        # One that is shut down at this moment has lost what wakes it; nothing waits any more.
+        with contextlib.suppress(Exception):
+            if executor is not None:
+                executor.create_task(self.deliver)

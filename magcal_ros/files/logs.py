@@ -1,24 +1,25 @@
-"""What all logs share: limits, axes, and the choice among several sensors."""
+"""What the logs of autopilots and phones share: limits, axes, the choice among several sensors."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import io
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from magcal_ros.core.earth_field.position import Fix, LocalPlane, place_of
-from magcal_ros.core.earth_field.wmm import Place
+from magcal_ros.core.earth_field.reference import Fix
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.samples.streams import TravelSample, VelocitySample
-from magcal_ros.files.atomic import FileTrouble
-from magcal_ros.files.reading import damage_in_words, open_regular, plain
-from magcal_ros.files.recording import Recording
+from magcal_ros.core.messages import RECEIVER_SPEED_SIGMA
+from magcal_ros.core.samples.streams import VelocitySample
+from magcal_ros.files.disk import FileTrouble, damage_in_words, open_regular, plain
+from magcal_ros.files.recording import Recording, travel_of
 
 GIGABYTE = 1 << 30
 LARGEST_LOG = GIGABYTE
@@ -32,19 +33,15 @@ FLU_FROM_FRD = np.array([1.0, -1.0, -1.0])
 """Forward, right, down to forward, left, up; and the other way."""
 
 GRAVITY = 9.80665
+FIX_3D = 3
+"""Kind of a receiver's fix from which it has a place."""
 
 Progress = Callable[[float], None]
 """Is given the share of a log that has been read, 0 to 1."""
 
 
 class Deadline:
-    """Ends a reading that takes too long.
-
-    Parameters
-    ----------
-    path : Path
-        For words.
-    """
+    """Ends a reading that takes too long."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -73,7 +70,6 @@ class LogTables:
     yaw: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     """Stamp and the autopilot's own yaw, ENU, true north. Shape (n, 2)."""
     notes: list[str] = field(default_factory=list)
-    """What is to be said of the log."""
 
 
 @dataclass(frozen=True)
@@ -89,17 +85,11 @@ class Names:
 def recording_of(
     path: Path, tables: LogTables, names: Names, imu: str = "", mag: str = ""
 ) -> Recording:
-    """Choose the sensors and return what they recorded.
-
-    Raises
-    ------
-    FileTrouble
-        If there is no such sensor, or none that lives.
-    """
+    """Choose the sensors and return what they recorded; a FileTrouble if none gives data."""
     notes = list(tables.notes)
     one = _chosen(path, tables.imus, names.imu, imu, "--imu", names.no_imu, notes)
     other = _chosen(path, tables.fields, names.field, mag, "--mag", names.no_field, notes)
-    travel, place = _travel(tables)
+    travel, place = travel_of(tables.velocities, tables.fixes)
     return Recording(
         _in_order(tables.imus[one]),
         _in_order(tables.fields[other]),
@@ -158,33 +148,32 @@ def is_alive(vectors: FloatArray) -> bool:
     return len(finite) > 1 and bool(np.ptp(finite, axis=0).any())
 
 
-def _travel(tables: LogTables) -> tuple[tuple[TravelSample, ...], Place | None]:
-    """Return fixes and velocities by stamp, and the place of the first good fix."""
-    plane = LocalPlane()
-    found: list[TravelSample] = [*tables.velocities]
-    found += [each for each in map(plane.position, tables.fixes) if each is not None]
-    place = next((each for each in map(place_of, tables.fixes) if isinstance(each, Place)), None)
-    return tuple(sorted(found, key=lambda sample: sample.stamp)), place
-
-
 def _in_order(table: FloatArray) -> FloatArray:
     """Return the rows by stamp: loggers of several threads mix them up by milliseconds."""
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
-def velocity(stamp: float, speed: float, course: float, sigma: float) -> VelocitySample:
+def velocity(stamp: float, speed: float, course: float) -> VelocitySample:
     """Return a speed over ground (m/s) along a course (rad from north, clockwise)."""
-    return VelocitySample(stamp, speed * math.sin(course), speed * math.cos(course), sigma)
+    east, north = speed * math.sin(course), speed * math.cos(course)
+    return VelocitySample(stamp, east, north, RECEIVER_SPEED_SIGMA)
+
+
+def library(path: Path, module: str, extra: str) -> Any:
+    """Return a module of an optional library; a FileTrouble says how to install it."""
+    name = module.partition(".")[0]
+    try:
+        importlib.import_module(name)
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise FileTrouble(
+            f"reading {plain(str(path))} needs the Python library {name}: "
+            f"pip install 'magcal_ros[{extra}]', or pip install {name}"
+        ) from error
 
 
 def begun_with(path: Path, count: int) -> bytes:
-    """Return the first bytes of a log.
-
-    Raises
-    ------
-    FileTrouble
-        If it cannot be read, or is larger than can be held.
-    """
+    """Return the first bytes of a log; a FileTrouble if it cannot be read or is too large."""
     try:
         with open_regular(path) as handle:
             size = handle.seek(0, io.SEEK_END)

@@ -1,0 +1,214 @@
+"""Reading and writing files: in one step, and with a time limit for a disk that does not answer."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import glob
+import os
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO, TypeVar
+
+from magcal_ros.core.errors import MagcalError
+
+
+class FileTrouble(MagcalError):
+    """A file cannot be read or written; the text says which, why, and what to do."""
+
+
+UNFINISHED = ".magcal-unfinished"
+"""How the names of files end that are being written; a kill may leave one behind."""
+
+LEFT_BEHIND = 3600.0
+"""Seconds after which it counts as abandoned."""
+
+REMEDY = "Choose a writable place with the parameter calibration_file, or correct its permissions."
+
+
+def write_atomically(
+    path: Path, text: str, remedy: str = REMEDY, when_written: Callable[[], object] | None = None
+) -> None:
+    """Replace the content of a file in one step; a FileTrouble leaves the old file as it is.
+
+    A symbolic link stays one: what it points to is replaced. A file that was there passes on its
+    mode, and its owner as far as that is allowed; a new one has what the umask leaves. The folder
+    is made if it is missing. `remedy` says what the user should do on failure. `when_written` is
+    called once the new content is safely on the disk, right before it takes the old one's place.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        before = _looked_at(target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target)
+        name = target.with_name(f".{target.name}.{os.urandom(4).hex()}{UNFINISHED}")
+        mode = 0o666 if before is None else stat.S_IRUSR | stat.S_IWUSR
+        descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    except OSError as error:
+        raise _trouble(path, error, remedy) from error
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8") as handle:
+            handle.write(text)
+            handle.flush()
+            if before is not None:
+                _pass_on(before, descriptor)
+            os.fsync(descriptor)
+        if when_written is not None:
+            when_written()
+        os.replace(name, target)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        if isinstance(error, OSError):
+            raise _trouble(path, error, remedy) from error
+        raise
+    _sync_folder(target.parent)
+
+
+def _looked_at(target: Path) -> os.stat_result | None:
+    """Return what is known about the old file; None if there is none."""
+    try:
+        about = os.stat(target)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(about.st_mode):
+        raise FileExistsError(errno.EEXIST, "it is a device or a pipe, not a file")
+    return about
+
+
+def _pass_on(before: os.stat_result, descriptor: int) -> None:
+    """Give the new file the old one's owner, group and mode."""
+    mode = stat.S_IMODE(before.st_mode)
+    try:
+        os.fchown(descriptor, before.st_uid, before.st_gid)
+    except OSError:
+        try:
+            os.fchown(descriptor, -1, before.st_gid)
+        except OSError:
+            # What the old group was allowed, the new one is not.
+            mode &= ~stat.S_IRWXG
+    os.fchmod(descriptor, mode)
+
+
+def _sweep(path: Path) -> None:
+    """Remove what writers of this file left behind when they were killed."""
+    too_old = time.time() - LEFT_BEHIND
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*{UNFINISHED}"):
+        with contextlib.suppress(OSError):
+            if left.stat().st_mtime < too_old:
+                left.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the renaming itself durable, where the file system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def _trouble(path: Path, error: OSError, remedy: str) -> FileTrouble:
+    return FileTrouble(f"cannot write {path}: {error.strerror or error}. {remedy}")
+
+
+LONGEST = 200
+
+
+def plain(text: str, longest: int = LONGEST) -> str:
+    """Return `text` without characters that could control a terminal, and cut to a length.
+
+    Topics and frames of a bag, and texts from the network, may hold anything. Each character that
+    is not printable (control characters, direction marks, line breaks) becomes "?".
+    """
+    shown = "".join(letter if letter.isprintable() else "?" for letter in text[:longest])
+    return shown if len(text) <= longest else shown + "…"
+
+
+def plain_lines(text: str) -> str:
+    """Return all lines of a text, each as `plain` has it and none cut."""
+    return "\n".join(plain(line, len(line)) for line in text.split("\n"))
+
+
+PATIENCE = 5.0
+"""Seconds within which a disk answers that is there at all."""
+
+Result = TypeVar("Result")
+
+
+class NotOrdinary(ValueError):
+    """What lies there is no regular file, or larger than allowed; the text says which."""
+
+
+def read_small(path: Path, largest: int) -> bytes:
+    """Return the content of a regular file; NotOrdinary for anything else or a larger one."""
+    with open_regular(path) as handle:
+        about = os.fstat(handle.fileno())
+        # The size may be wrong where a file is made as it is read (/proc), so both are looked at.
+        content = b"" if about.st_size > largest else handle.read(largest + 1)
+    if about.st_size > largest or len(content) > largest:
+        raise NotOrdinary(f"it is too large: more than {largest} bytes")
+    return content
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file for reading; NotOrdinary for a pipe, a device or a socket."""
+    # Without O_NONBLOCK, opening a pipe waits for a writer.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return os.fdopen(descriptor, "rb")
+    os.close(descriptor)
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    raise NotOrdinary("it is not a regular file")
+
+
+@contextlib.contextmanager
+def damage_in_words(path: Path, damage: str, remedy: Callable[[], str]) -> Iterator[None]:
+    """Turn whatever a library does with damaged bytes into FileTrouble."""
+    try:
+        yield
+    except MagcalError:
+        raise
+    except OSError as error:
+        raise FileTrouble(f"cannot read {plain(str(path))}: {error.strerror or error}") from error
+    except Exception as error:  # a damaged file may end in any error of any parser below
+        reason = plain(" ".join(str(error).split()) or type(error).__name__)
+        raise FileTrouble(
+            f"{plain(str(path))} is damaged or {damage} ({reason}). {remedy()}"
+        ) from error
+
+
+def promptly(work: Callable[[], Result], path: Path, patience: float = PATIENCE) -> Result:
+    """Do what touches a disk; a FileTrouble if it takes longer than `patience`, seconds.
+
+    A mount whose server is gone blocks whoever touches it, for hours and beyond every signal: the
+    thread that does so stays behind. `path` is for the message.
+    """
+    done: list[Result] = []
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:  # handed on to the caller's thread, whatever it is
+            failed.append(error)
+
+    thread = threading.Thread(target=run, name="disk", daemon=True)
+    thread.start()
+    thread.join(patience)
+    if failed:
+        raise failed[0]
+    if not done:
+        raise FileTrouble(
+            f"{path} does not answer within {patience:g} s: is it on a disk or a network share "
+            "that is gone? Name another place with the parameter calibration_file"
+        )
+    return done[0]
