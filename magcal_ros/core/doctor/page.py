@@ -199,7 +199,7 @@ def motors_finding(
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, only what both of them tell is said.
+    not shown and the step may be either, both are said.
 
     Parameters
     ----------
@@ -217,7 +217,12 @@ def motors_finding(
     if lag_is_shown or abs(lag) < TUNING.late:
         return found
     in_time = _motors_with(log, explanations, k, 0.0)
-    return found if found.grade is in_time.grade else not_shown("motors", MOTORS, OR_LATE)
+    if found.grade is in_time.grade:
+        return found
+    if not in_time.remedy:
+        return not_shown("motors", MOTORS, OR_LATE)
+    or_late = f"or the field is {abs(lag):.2f} s {'early' if lag < 0.0 else 'late'}"
+    return looked_at("motors", MOTORS, f"{in_time.evidence}; {or_late}", OR_LATE)
 
 
 def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
@@ -254,6 +259,9 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
         f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
         f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
     )
+    is_step = size > max(TUNING.motors, TUNING.sigmas * 1.7 * off)
+    if off > TUNING.motors and not is_step:
+        return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
     remedy = (
         "if motors turn it, their current makes a field of its own. A calibration from a turn "
         "that begins and ends at rest knows it, and the node takes it off while the robot moves"
@@ -264,9 +272,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
             "to be taken off well. Moving the sensor is the better cure: away from motors, "
             "drivers and battery wires, and each pair of wires twisted"
         )
-    return looked_at(
-        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, TUNING.sigmas * 1.7 * off))
-    )
+    return looked_at("motors", MOTORS, evidence, remedy * is_step)
 
 
 def _degrees(field: float, level: float) -> float:
