@@ -72,7 +72,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "calibrated without a gyro",
         )
     stretch = stretch_of(window)
-    if stretch is not None and rate_factors(stretch):
+    if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None
