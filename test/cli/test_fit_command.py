@@ -45,7 +45,7 @@ def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path
     status, out, err = fit(bag)
     assert status == 0, out + err
     assert out.startswith("Calibrated, quality ")
-    for words in ("hard iron x", "µT", "Not shown by this turn:", "Written:\n"):
+    for words in ("hard iron x", "µT", "Not shown by this recording:", "Written:\n"):
         assert words in out
     calibration, origin = read_calibration(tmp_path / "found" / "calibration.yaml")
     assert (origin.magnetometer_frame, origin.imu_frame) == ("mag_link", "imu_link")

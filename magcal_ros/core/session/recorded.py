@@ -53,6 +53,9 @@ LONGER = 20
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
+NEVER_TOGETHER = (
+    "the two were never stamped at the same time: `magcal doctor` says how far apart they are"
+)
 
 
 class Gathering:
@@ -143,7 +146,8 @@ class Gathering:
         """
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
-            raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
+            why = self.complaints() or [NEVER_TOGETHER]
+            raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *why]))
         window = self._session.window()
         try:
             self.progress().require_arc(self._session.limits.smallest_arc)
