@@ -262,7 +262,7 @@ class TestSeveralTurns:
         assert "installation yaw from ±5° to ±0." in out
         assert "short: left out: too little of a turn" in out
         assert "a (2): left out: it holds the same samples as " in out
-        assert "Not shown by these turns:" not in out or "yaw of the installation" not in out
+        assert "Not shown by these recordings:" not in out or "yaw of the installation" not in out
 
     def test_json_has_the_numbers_and_the_advice(self, fit, turns):
         status, out, _ = fit([turns / "a", turns / "b"], "--json")
