@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _seconds(speed: float) -> str:
-    return f"about {TAKES / speed:.0f} s" if speed > 0.0 else "some time"
+    return f"about {TAKES / speed:.0f} s, {speed:g} x real time" if speed > 0.0 else "some time"
 
 
 def _start_node(output: Path) -> subprocess.Popen[bytes]:
