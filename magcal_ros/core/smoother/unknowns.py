@@ -101,12 +101,7 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.08,) * 3, 0.5, 4.0, "m", "accelerometer from the pivot", "small robots"
     ),
     "latency": Unknown(
-        (0.005,),
-        1.5,
-        60.0,
-        "s",
-        "by how much the field is late",
-        "drivers: most 0 to 20 ms; slow buses, filters and clocks to .3 s",
+        (0.005,), 1.5, 60.0, "s", "by how much the field is late", "drivers: 0 to 20 ms, some .3 s"
     ),
     "motors_moving": Unknown(
         (0.05,) * 3, 2.0, 600.0, "µT", "field while the robot moves", "most: none"
