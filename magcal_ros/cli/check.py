@@ -117,7 +117,7 @@ def _other_sensor(origin: Origin, gathered: Gathered) -> list[str]:
 
 
 def _words(result: Recheck, notes: list[str]) -> str:
-    rows = [("", "before", "after", "unit", "")]
+    rows = [("", "raw", "corrected", "unit", "")]
     rows += [
         (f.name, _number(f.before), _number(f.value), f.unit, STATES[f.grade])
         for f in result.findings

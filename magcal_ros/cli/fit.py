@@ -197,7 +197,7 @@ def _words(fitted: Fitted, files: list[Path]) -> str:
             for fate in several.fates
         ]
         text += bullets("Turns:", [*lines, several.advice_in_words])
-    which = "this turn" if len(fitted.everything) == 1 else "these turns"
+    which = "this recording" if len(fitted.everything) == 1 else "these recordings"
     text += bullets(f"Not shown by {which}:", verdict.not_shown)
     text += bullets("About the recording:", fitted.complaints)
     text += bullets("Written:", [str(file) for file in files])

@@ -84,9 +84,9 @@ def without_rotation(correction: Correction, consumer: str) -> Symmetric:
         shown = _above(math.degrees(angle), largest)
         raise NotExportable(
             f"{consumer} holds a symmetric matrix only, and this calibration turns the field by "
-            f"{shown}°, more than {largest:g}° ({turned}). Tell the nominal mounting to {consumer} "
-            "as its sensor rotation, let the driver publish in the mounted axes, and calibrate "
-            "again."
+            f"{shown}°, more than {largest:g}° ({turned}). Mount the sensor along the axes of "
+            f"{consumer}, or set this rotation there as the sensor's orientation (as a custom one, "
+            "if the list has none like it); then record and fit again."
         )
     comments: tuple[str, ...] = ()
     if angle > MENTIONED_ROTATION:

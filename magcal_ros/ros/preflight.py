@@ -124,10 +124,8 @@ def _listen(node: Node, sensors: Sequence[Heard], duration: float) -> None:
     executor.remove_node(node)
     for heard, subscription in zip(sensors, subscriptions, strict=True):
         heard.publishers = node.count_publishers(heard.topic)
-        every = node.get_topic_names_and_types()
-        heard.elsewhere = [
-            plain(topic) for topic, kinds in every if heard.kind in kinds and topic != heard.topic
-        ]
+        others = (topic for topic in _of_sensors(node, heard.kind) if topic != heard.topic)
+        heard.elsewhere = [plain(topic) for topic in others]
         node.destroy_subscription(subscription)
 
 
@@ -175,11 +173,11 @@ def _explain_silence(heard: Heard) -> list[str]:
         names = ", ".join(sorted(heard.elsewhere))
         lines.append(f"  the same type is published on {names}: remap to it with -r")
     elif not heard.publishers:
-        lines.append("  no topic of this type exists: is the driver running, on this domain?")
+        lines.append("  nobody publishes this type: is the driver running, on this domain?")
     return lines
 
 
-OURS = ("/mag_unbiased", "/mag_bias", "/compass/mag/enu/imu", "/compass/true/enu/imu")
+OURS = ("_unbiased", "_bias", "/enu/imu")
 """How topics end that a calibrator makes of the sensors'."""
 
 USUAL = {IMU_TYPE: "imu/data_raw", FIELD_TYPE: "imu/mag"}
@@ -194,11 +192,7 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
     if wanted:
         return node.resolve_topic_name(wanted)
     usual = node.resolve_topic_name(USUAL[kind])
-    found = [
-        topic
-        for topic, kinds in node.get_topic_names_and_types()
-        if kind in kinds and not topic.endswith(OURS)
-    ]
+    found = _of_sensors(node, kind)
     if usual in found:
         return usual
     if len(found) == 1:
@@ -210,6 +204,15 @@ def sensor_topic(node: Node, kind: str, wanted: str, option: str) -> str:
         f"no topic carries {kind}: is the driver running? Look at ROS_DOMAIN_ID and at the "
         "discovery range on both sides"
     )
+
+
+def _of_sensors(node: Node, kind: str) -> list[str]:
+    """Return the topics of a type that somebody publishes, without those of a calibrator."""
+    return [
+        topic
+        for topic, kinds in node.get_topic_names_and_types()
+        if kind in kinds and not topic.endswith(OURS) and node.count_publishers(topic)
+    ]
 
 
 class Listener:

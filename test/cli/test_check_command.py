@@ -45,7 +45,7 @@ def test_a_good_one_holds(check, tmp_path):
     assert (status, err) == (0, "")
     assert out.startswith("The calibration holds: ")
     lines = out.splitlines()
-    assert lines[2].split() == ["before", "after", "unit"]
+    assert lines[2].split() == ["raw", "corrected", "unit"]
     assert sum(line.endswith("holds") for line in lines) == 7
     assert "Not shown by this recording:" in out
 

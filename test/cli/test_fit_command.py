@@ -45,7 +45,7 @@ def test_a_good_turn_leaves_a_calibration_and_a_verdict_first(fit, bag, tmp_path
     status, out, err = fit(bag)
     assert status == 0, out + err
     assert out.startswith("Calibrated, quality ")
-    for words in ("hard iron x", "µT", "Not shown by this turn:", "Written:\n"):
+    for words in ("hard iron x", "µT", "Not shown by this recording:", "Written:\n"):
         assert words in out
     calibration, origin = read_calibration(tmp_path / "found" / "calibration.yaml")
     assert (origin.magnetometer_frame, origin.imu_frame) == ("mag_link", "imu_link")
@@ -262,7 +262,7 @@ class TestSeveralTurns:
         assert "installation yaw from ±5° to ±0." in out
         assert "short: left out: too little of a turn" in out
         assert "a (2): left out: it holds the same samples as " in out
-        assert "Not shown by these turns:" not in out or "yaw of the installation" not in out
+        assert "Not shown by these recordings:" not in out or "yaw of the installation" not in out
 
     def test_json_has_the_numbers_and_the_advice(self, fit, turns):
         status, out, _ = fit([turns / "a", turns / "b"], "--json")

@@ -11,6 +11,7 @@ import threading
 
 import pytest
 import rclpy
+from sensor_msgs.msg import Imu
 from support import PATIENCE
 
 from magcal_ros.ros.preflight import inspect
@@ -111,6 +112,16 @@ def test_a_sensor_that_does_not_arrive_is_explained(stage):
     found = looked_at(actor, 0.5)
     assert not found.ready
     assert "/imu/mag: nothing arrives (1 publishers)" in found.lines
+
+
+def test_a_sensor_under_another_name_is_found_among_what_the_node_publishes(stage):
+    actor = stage()
+    actor.mangle = lambda _: []
+    driver = actor.node.create_publisher(Imu, "vendor/imu", 1)
+    found = looked_at(actor, 0.5)
+    actor.node.destroy_publisher(driver)
+    told = [line for line in found.lines if "the same type is published" in line]
+    assert told == ["  the same type is published on /vendor/imu: remap to it with -r"]
 
 
 def test_stamps_in_bursts_are_said_before_the_turn(stage):

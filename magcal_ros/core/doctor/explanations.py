@@ -309,7 +309,8 @@ class RateUnitTuning:
     """When the gyro is taken to count in another unit."""
 
     plain: float = 5.0  # times too large or too small from which no scale error can be meant
-    span: float = 0.5  # seconds over which field and gyro are compared
+    # Seconds over which field and gyro are compared: the shortest in which the field moves.
+    spans: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
     moved: float = 0.15  # share of its size by which the field must move in that time to take part
     below: float = 8.0
     above: float = 2.2
@@ -323,20 +324,24 @@ UNIT_TUNING = RateUnitTuning()
 def rate_factors(stretch: Stretch) -> tuple[float, ...] | None:
     """Return what may make rad/s of the gyro's rates, 1 or a known slip; None if they are rad/s.
 
-    The way that the field goes in half a second is its size times the angle; the size is that of
-    the field's changing part, which is right within a factor two for a quarter turn or more. A
-    field that changes from place to place goes farther than the gyro turns, and is no slip.
+    The way that the field goes in a short time is its size times the angle; the size is that of the
+    field's changing part, which is right within a factor two for a quarter turn or more. A field
+    that changes from place to place goes farther than the gyro turns, and is no slip. A field that
+    does not move shows nothing of the unit, which is then 1.
     """
     seconds = np.concatenate([[0.0], np.cumsum(stretch.seconds)])
     angle = np.concatenate([np.zeros((1, 3)), np.cumsum(stretch.turn, axis=0)])
-    last = np.searchsorted(seconds, seconds + UNIT_TUNING.span)
-    first = np.flatnonzero(last < len(seconds))
-    last = last[first]
-    way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
+    for span in UNIT_TUNING.spans:
+        last = np.searchsorted(seconds, seconds + span)
+        first = np.flatnonzero(last < len(seconds))
+        last = last[first]
+        way = np.linalg.norm(stretch.field[last] - stretch.field[first], axis=1)
+        moved = way > max(UNIT_TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
+        if moved.sum() >= 3:
+            break
+    else:
+        return (1.0,)
     turned = np.linalg.norm(angle[last] - angle[first], axis=1)
-    moved = way > max(UNIT_TUNING.moved, 0.5 * float(np.max(way, initial=0.0)))
-    if moved.sum() < 3:
-        return None
     rough = float(np.median(way[moved])) / max(float(np.median(turned[moved])), 1e-12)
     if 1.0 / UNIT_TUNING.plain < rough < UNIT_TUNING.plain:
         return None

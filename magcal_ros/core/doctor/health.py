@@ -132,9 +132,9 @@ def repeats(values: FloatArray) -> BoolArray:
 
 def field_findings(field: FloatArray) -> list[Finding]:
     """Look at raw field samples in tesla, shape (n, 3), in the order in which they came."""
-    size = float(np.median(np.linalg.norm(field, axis=1)))
-    unit = likely_field_unit(size)
-    found = [looked_at("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
+    size, unit = float(np.median(np.linalg.norm(field, axis=1))), _unit_of(field)
+    line = wrong if unit else looked_at
+    found = [line("field_unit", "field: unit", f"usually {size * 1e6:.3g} µT", unit)]
     step = max(_step(field[:, axis]) for axis in range(3))
     words = "choose a finer range of the sensor, or average in the driver"
     evidence = f"steps of {step * 1e6:.2g} µT" if step else "no steps seen"
@@ -151,6 +151,10 @@ def field_findings(field: FloatArray) -> list[Finding]:
         found.append(looked_at("saturation", "field: range", evidence))
     found.append(alive_finding("field", field))
     return found
+
+
+def _unit_of(field: FloatArray) -> str:
+    return likely_field_unit(float(np.median(np.linalg.norm(field, axis=1))))
 
 
 def gravity_size_finding(force: FloatArray) -> Finding:
@@ -207,7 +211,8 @@ def saturated(field: FloatArray, axis: int) -> BoolArray:
 
 
 def _axes(which: list[int]) -> str:
-    return " and ".join("xyz"[axis] for axis in which)
+    names = ["xyz"[axis] for axis in which]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def _step(values: FloatArray) -> float:
@@ -231,14 +236,13 @@ def noise_findings(log: SensorLog, factor: float = 1.0) -> list[Finding]:
     The streams are clean, and `factor` makes rad/s of the gyro's numbers.
     """
     field = float(white_noise(log.field).max())
+    is_noisy = field > TUNING.field_noise and not _unit_of(log.field)
     words = (
         "the field is noisy: average in the driver, and move the sensor away from motors and their "
         "wires"
     )
     evidence = f"{field * 1e6:.2f} µT per sample"
-    found = [
-        looked_at("field_noise", "field: noise", evidence, words * (field > TUNING.field_noise))
-    ]
+    found = [looked_at("field_noise", "field: noise", evidence, words * is_noisy)]
     if log.has_gyro:
         rate = factor * float(white_noise(log.rate).max())
         force = float(white_noise(log.force).max())

@@ -34,6 +34,17 @@ NO_GYRO = (
     "by the data sheet, or drive straight where speed or a course is there"
 )
 
+TURN_BETWEEN_RESTS = (
+    "if motors turn it, their current makes a field of its own. A calibration from a turn that "
+    "begins and ends at rest knows it, and the node takes it off while the robot moves"
+)
+MOVE_THE_SENSOR = (
+    "if motors turn it, their current makes a field of its own, too large or too uneven to be "
+    "taken off well. Moving the sensor is the better cure: away from motors, drivers and battery "
+    "wires, and each pair of wires twisted"
+)
+"""What to do where the field changes as the robot sets off."""
+
 
 @dataclass(frozen=True)
 class MotionTuning:

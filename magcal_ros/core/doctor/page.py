@@ -26,7 +26,7 @@ from magcal_ros.core.doctor.health import (
     not_shown,
     unchanging,
 )
-from magcal_ros.core.doctor.motion import MotionFound, compare
+from magcal_ros.core.doctor.motion import MOVE_THE_SENSOR, TURN_BETWEEN_RESTS, MotionFound, compare
 from magcal_ros.core.doctor.prepared import CleanLog, prepare
 from magcal_ros.core.doctor.quirks import FIELD_POINTS_UP, known_habits, orientation_findings
 from magcal_ros.core.errors import Reason, Refusal
@@ -204,7 +204,7 @@ def motors_finding(
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown, only what both agree on is reported.
+    not shown and the step may be either, both are said.
 
     `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
     gives the axes, the bias and the hard iron.
@@ -214,7 +214,12 @@ def motors_finding(
     if lag_is_shown or abs(lag) < TUNING.late:
         return found
     in_time = _motors_with(log, explanations, k, 0.0)
-    return found if found.grade is in_time.grade else not_shown("motors", MOTORS, OR_LATE)
+    if found.grade is in_time.grade:
+        return found
+    if not in_time.remedy:
+        return not_shown("motors", MOTORS, OR_LATE)
+    or_late = f"or the field is {abs(lag):.2f} s {'early' if lag < 0.0 else 'late'}"
+    return looked_at("motors", MOTORS, f"{in_time.evidence}; {or_late}", OR_LATE)
 
 
 def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
@@ -252,19 +257,12 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
         f"({words}) ± {off * 1e6:.1f} µT when it sets off, {len(steps)} times: up to "
         f"{turned:.0f}° of heading, and {scattered:.0f}° from one time to another"
     )
-    remedy = (
-        "if motors turn it, their current makes a field of its own. A calibration from a turn "
-        "that begins and ends at rest knows it, and the node takes it off while the robot moves"
-    )
-    if max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0:
-        remedy = (
-            "if motors turn it, their current makes a field of its own, too large or too uneven "
-            "to be taken off well. Moving the sensor is the better cure: away from motors, "
-            "drivers and battery wires, and each pair of wires twisted"
-        )
-    return looked_at(
-        "motors", MOTORS, evidence, remedy * (size > max(TUNING.motors, SIGMAS * 1.7 * off))
-    )
+    is_step = size > max(TUNING.motors, SIGMAS * 1.7 * off)
+    if off > TUNING.motors and not is_step:
+        return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
+    is_too_large = max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0
+    remedy = MOVE_THE_SENSOR if is_too_large else TURN_BETWEEN_RESTS
+    return looked_at("motors", MOTORS, evidence, remedy * is_step)
 
 
 def _starts_and_stops(log: SensorLog, rate: FloatArray) -> list[tuple[float, float]]:
@@ -343,7 +341,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "calibrated without a gyro",
         )
     stretch = stretch_of(window)
-    if stretch is not None and rate_factors(stretch):
+    if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None
     return None

@@ -217,12 +217,12 @@ def check_beside_chance(
     seen = chance * bound.scale
     note = f", of which chance may be {shown(seen)}{bound.unit}" if seen > 0.5 * bound.good else ""
     if note and chance >= figure:
-        note = ", no more than chance may be in so few samples"
+        note = ", no more than chance explains"
     check = bound.check(figure, excess=excess, note=note, before=before)
     is_small = figure * bound.scale <= bound.good
     if decided or is_small or seen <= bound.warn or check.grade.rank >= Grade.WARN.rank:
         return check
-    words = f"{check.words}: not shown by this turn; turn once, in one place away from iron"
+    words = f"{check.words}: too uncertain to judge; turn once, in one place away from iron"
     return Check(
         check.figure, check.aspect, Grade.WARN, words, check.value, check.before, check.bound
     )

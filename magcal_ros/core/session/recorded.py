@@ -63,6 +63,9 @@ LONGER = 20
 
 LITTLE_DATA = (Reason.TOO_FEW_SAMPLES, Reason.NO_MOTION, Reason.ARC_TOO_SHORT)
 """Refusals that a longer recording could avoid."""
+NEVER_TOGETHER = (
+    "the two were never stamped at the same time: `magcal doctor` says how far apart they are"
+)
 
 
 class Gathering:
@@ -138,7 +141,8 @@ class Gathering:
         """Return what was gathered; a Refusal if it is not enough of a turn."""
         if not self._session.has_samples:
             words = "no pair of field and acceleration samples could be made"
-            raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *self.complaints()]))
+            why = self.complaints() or [NEVER_TOGETHER]
+            raise Refusal(Reason.TOO_FEW_SAMPLES, "; ".join([words, *why]))
         window = self._session.window()
         try:
             self.progress().require_arc(self._session.limits.smallest_arc)

@@ -21,11 +21,14 @@ from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.unknowns import (
+    AT,
     KINDS,
+    LATE,
     ON_THE_SPOT,
     ON_WHEELS,
     SIZES,
     SMALL_CIRCLE,
+    UNKNOWNS,
     USUAL,
     priors_of,
 )
@@ -47,6 +50,10 @@ ROLLS = 0.2
 """m/s of the speed of the wheels from which a robot certainly drives."""
 MOST_FITS = 3 * len(KINDS)
 """Of a drive: each kind of motion roughly, to the end, and from the best of the others."""
+LATE_BY = 0.1
+"""Seconds by which the field is late where the iterations of `LATE` begin."""
+MOTORS, BEYOND_USUAL = ("motors_moving", "motors_rate"), 2.0
+"""The field of the motors, and the factor of their usual size from which a late field is tried."""
 NEARLY = 0.95
 """Share of the largest gyro noise, beyond which the gyro does not agree with the other sensors."""
 
@@ -146,7 +153,7 @@ class _Trials:
             if self._told is not None:
                 self._told(min((begun + min(rounds / ROUGHLY.rounds, 1.0)) / MOST_FITS, 1.0))
 
-        start = self.nodes, self._priors, self._state, KINDS[name]
+        start = self.nodes, self._priors, self._state, KINDS.get(name, KINDS[ON_THE_SPOT])
         try:
             found = fit(*start, tolerances, like, told)
         except np.linalg.LinAlgError:
@@ -154,6 +161,27 @@ class _Trials:
         known = self.fits.get(name)
         if is_upright(found) and (known is None or found.evidence < known.evidence):
             self.fits[name] = found
+
+    def field_late(self) -> Fit:
+        """Fit a turn on the spot with a field that is late, and return the better fit of it.
+
+        From rest to rest at one heading, a late field and that of motors look alike, so that each
+        is an optimum of its own. The motors' is found first.
+        """
+        spot = self.fits[ON_THE_SPOT]
+        groups = spot.point.groups
+        if max(groups[name] for name in MOTORS) < BEYOND_USUAL:
+            return spot
+        shared = spot.state.shared.copy()
+        shared[AT["latency"]] = LATE_BY
+        for name in MOTORS:
+            shared[AT[name]] = 0.0
+        usual = {**dict.fromkeys(MOTORS, 1.0), "latency": LATE_BY / UNKNOWNS["latency"].sigma[0]}
+        point = replace(
+            spot.point, state=replace(spot.state, shared=shared), groups={**groups, **usual}
+        )
+        self.add(LATE, replace(spot, point=point))
+        return min(self.fits.values(), key=lambda each: each.evidence)
 
     def drives(self) -> None:
         """Fit all kinds of motion anew, where the robot did certainly not turn on the spot."""
@@ -226,8 +254,9 @@ def smooth(
     if (spot := trials.on_the_spot()) is not None:
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)
+        best = trials.field_late()
         for name in trials.others:
-            trials.add(name, trials.fits[ON_THE_SPOT])
+            trials.add(name, best)
     elif too_slow is not None:
         raise too_slow
     else:
@@ -281,8 +310,8 @@ def mixed(
 
 
 def is_upright(fit: Fit) -> bool:
-    """Return whether the soft iron of a fit mirrors nothing."""
-    return bool(np.linalg.det(soft_iron(fit.state.shared)) > 0.0)
+    """Return whether the soft iron of a fit mirrors nothing, nor turns the level field round."""
+    return bool(np.linalg.eigvalsh(soft_iron(fit.state.shared)).min() > 0.0)
 
 
 def mixture(found: dict[str, Posterior], weights: dict[str, float], mode: str) -> Posterior:

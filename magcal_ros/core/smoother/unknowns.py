@@ -101,7 +101,7 @@ UNKNOWNS: dict[str, Unknown] = {
         (0.08,) * 3, 0.5, 4.0, "m", "accelerometer from the pivot", "small robots"
     ),
     "latency": Unknown(
-        (0.005,), 1.0, 20.0, "s", "by how much the field is late", "drivers: 0 to 20 ms"
+        (0.005,), 1.5, 60.0, "s", "by how much the field is late", "drivers: 0 to 20 ms, some .3 s"
     ),
     "motors_moving": Unknown(
         (0.05,) * 3, 2.0, 600.0, "µT", "field while the robot moves", "most: none"
@@ -240,7 +240,9 @@ KINDS: dict[str, KindOfMotion] = {
     ANY_WAY: KindOfMotion(6.0, 1.0, 1.0, 0.3, 0.7, 5.0),
 }
 """The kinds of motion that are tried; they differ in nothing else."""
-USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, ANY_WAY: 0.1}
+LATE = f"{ON_THE_SPOT}, field late"
+"""A turn on the spot again, in which a late field explains what motors may."""
+USUAL: Mapping[str, float] = {ON_THE_SPOT: 0.5, LATE: 0.5, ANY_WAY: 0.1}
 """Relative prior weights of the kinds of motion; one where none is given. Most robots have wheels,
 and few turn exactly on a spot."""
 

@@ -342,9 +342,24 @@ def test_the_scale_of_a_gyro_that_one_turn_shows_is_asked_for_once_more():
     assert line.remedy.startswith("look once more: stand still, turn a full")
 
 
+@pytest.mark.parametrize(("times", "words"), [(57.3, "57.3 times too large"), (1.0, "")])
+def test_the_unit_of_the_gyro_is_told_by_a_slow_turn(times, words):
+    """In half a second a robot that turns by 15 degrees a second shows too little of it."""
+    rng = np.random.default_rng(4)
+    time = np.arange(-6.0, 31.0, 1.0 / 30.0)
+    rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
+    turned = exp_rotations(-np.outer(np.cumsum(rate) / 30.0, [0.0, 0.0, 1.0]))
+    field = turned @ np.array([0.0, 25e-6, -43e-6]) + 0.3e-6 * rng.normal(size=(len(time), 3))
+    force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.normal(size=field.shape)
+    rates = times * (np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape))
+    lines = {f.key: f for f in examine(SensorLog(time, force, rates, time, field)).findings}
+    assert lines["rate_unit"].is_wrong == bool(words)
+    assert words in lines["rate_unit"].remedy
+
+
 @pytest.mark.parametrize("size", [7e-6, 15e-6])
-def test_motors_that_follow_the_rate_are_not_called_ok(size):
-    """A field that is early by .8 s explains the same turn: neither is said for certain."""
+def test_motors_that_follow_the_rate_are_worth_a_look(size):
+    """A field that is early by .8 s explains the same turn: both are said."""
     rng = np.random.default_rng(4)
     time = np.arange(-6.0, 31.0, 1.0 / 30.0)
     rate = 0.26 * np.clip(np.minimum(time, 25.0 - time) / 0.5, 0.0, 1.0)
@@ -355,5 +370,5 @@ def test_motors_that_follow_the_rate_are_not_called_ok(size):
     force = np.array([0.0, 0.0, 9.81]) + 0.05 * rng.normal(size=field.shape)
     rates = np.outer(rate, [0.0, 0.0, 1.0]) + 2e-3 * rng.normal(size=field.shape)
     lines = {f.key: f for f in examine(SensorLog(time, force, rates, time, field)).findings}
-    assert lines["motors"].grade is not Grade.EXCELLENT
+    assert lines["motors"].is_wrong
     assert not lines["latency"].is_wrong

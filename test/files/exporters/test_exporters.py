@@ -105,7 +105,7 @@ def test_the_lost_rotation_is_said_or_refused(name):
     lost = next(line for line in text.splitlines() if "LOST" in line)
     assert lost.startswith("# LOST: a rotation of 3.00 degrees, roll 3.00, pitch 0.00, yaw 0.00")
     EXPORTERS[name](turned_by(4.9))
-    with pytest.raises(NotExportable, match="sensor rotation"):
+    with pytest.raises(NotExportable, match="orientation"):
         EXPORTERS[name](turned_by(5.1))
 
 
