@@ -203,7 +203,9 @@ def _without(standings: Sequence[Standing], left_out: int) -> list[Standing]:
     """Return all standings but one; no gyro tells of the turn across the gap."""
     rest = [each for k, each in enumerate(standings) if k != left_out]
     if left_out < len(rest):
-        rest[left_out] = replace(rest[left_out], turned_sigma=math.inf)
+        next_ = rest[left_out]
+        way = standings[left_out].way + next_.way
+        rest[left_out] = replace(next_, turned_sigma=math.inf, way=way)
     return rest
 
 

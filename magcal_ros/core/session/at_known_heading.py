@@ -234,6 +234,7 @@ class HeadingLog:
         ]
         self._newest, self._fresh = -math.inf, 0
         self._rested = False
+        self._heard, self._metres = math.nan, 0.0
         self._begin(math.nan)
 
     def _begin(self, stamp: float) -> None:
@@ -256,6 +257,9 @@ class HeadingLog:
         one to magnetic north. A robot at rest gives one mean only: more show nothing new.
         """
         stamp = sample.stamp
+        since, self._heard = stamp - self._heard, stamp
+        if since > 0.0 and not is_at_rest:
+            self._metres += LOG.speed * since
         self._rested = self._rested and is_at_rest
         if self._rested:
             return False
@@ -280,6 +284,7 @@ class HeadingLog:
             by_declination=given.is_true,
             forward=self.forward,
             force_sigma=LOG.force,
+            way=self._metres,
         )
         self._begin(math.nan)
         self._rested = is_at_rest
@@ -299,7 +304,11 @@ class HeadingLog:
     def standings(self) -> tuple[Standing, ...]:
         """What is kept, in the order of time."""
         found = [each for sector in self._kept for each in sector]
-        return tuple(standing for _, standing in sorted(found, key=lambda each: each[0]))
+        kept = [standing for _, standing in sorted(found, key=lambda each: each[0])]
+        before = [-math.inf, *(each.way for each in kept)]
+        return tuple(
+            replace(each, way=each.way - last) for each, last in zip(kept, before, strict=False)
+        )
 
     def take(self) -> tuple[Standing, ...]:
         """Return what is kept, for a fit; what comes after is new."""

@@ -59,6 +59,8 @@ class LogTuning:
     """Radians that are added to the sigma of a heading for what the two are apart in time."""
     force: float = 0.15
     """m/s² per axis by which up is wrong on the way."""
+    speed: float = 5.0
+    """m/s while the robot moves, as nobody tells how far it goes between two means."""
     first: int = 8
     """New means after which it is worth while to fit."""
 

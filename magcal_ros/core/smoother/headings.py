@@ -143,7 +143,7 @@ def sigma_with(
     heading : float
         Of the further one, as sure as the last; radians to magnetic north.
     """
-    last = replace(standings[-1], heading=heading, turned_sigma=math.inf)
+    last = replace(standings[-1], heading=heading, turned_sigma=math.inf, way=math.inf)
     more = Standings.of([*standings, last], knowledge)
     # Its field is what the fit expects there, so that only the covariance changes.
     state = replace(more.start, shared=fit.state.shared)

@@ -78,8 +78,10 @@ class _Step:
     log_determinant: float
 
     @classmethod
-    def at(cls, models: Sequence[Model], points: Sequence[Point]) -> _Step:
-        """Take a step.
+    def at(
+        cls, models: Sequence[Model], points: Sequence[Point], *, is_expected: bool = False
+    ) -> _Step:
+        """Take a step, or find the covariance (`solve_at`).
 
         Raises
         ------
@@ -92,7 +94,7 @@ class _Step:
         weighted, alone = [], []
         known = np.zeros(layout.count, dtype=bool)
         for model, point, row in zip(models, points, layout.rows, strict=True):
-            parts, solution = solve_at(model, point)
+            parts, solution = solve_at(model, point, is_expected=is_expected)
             before = prior_at(model, point)
             by_prior = before.information @ before.offset
             # The prior of what windows have in common counts once.
@@ -160,12 +162,8 @@ def imagined_information(fit: Fit, body: FloatArray, world: FloatArray) -> Float
         fit.point,
         state=replace(state, attitude=body @ state.attitude @ world),
         course=replace(fit.point.course, nodes=turned),
-        is_robust=False,
     )
-    expected = [
-        replace(part, linear=replace(part.linear, residual=np.zeros_like(part.linear.residual)))
-        for part in weigh(model, point).values()
-    ]
+    expected = [part.imagined for part in weigh(model, point).values()]
     counted = counted_unknowns(model, point.places)
     return information_of(model, point, solve(expected, prior_at(model, point), counted))
 
@@ -221,7 +219,7 @@ def fit_together(
         if rounds >= tolerances.gaussian:
             points = [replace(point, is_robust=True) for point in points]
     wide = _agreed(models, [_widened(models[k], points[k], found, k) for k in every])
-    doubted = _Step.at(models, wide)
+    doubted = _Step.at(models, wide, is_expected=True)
     fits, informations = [], []
     for k, solution in enumerate(doubted.solutions):
         free, covariance = models[k].free, np.zeros((SHARED, SHARED))

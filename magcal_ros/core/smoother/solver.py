@@ -42,6 +42,14 @@ class Weighted:
         return np.asarray(weight * reach / (reach + 2.0) if self.is_expected else weight)
 
     @property
+    def imagined(self) -> Weighted:
+        """The same of samples that were not taken: no residual, and the expected curvature."""
+        linear = replace(self.linear, residual=np.zeros_like(self.linear.residual))
+        reach = self.freedom + linear.residual.shape[1]
+        variance = self.variance * (reach + 2.0) / self.freedom
+        return replace(self, linear=linear, variance=variance)
+
+    @property
     def costs(self) -> FloatArray:
         """Minus twice the logarithm of each likelihood, but for a constant, shape (k,)."""
         variance = np.where(np.isfinite(self.variance), self.variance, 1.0)

@@ -69,6 +69,9 @@ class Standing:
     turned_sigma: float = math.inf
     """Radians to the left since the standing before, by the gyro; an infinite sigma where nothing
     tells."""
+    way: float = math.inf
+    """Metres from the standing before: nearby the local disturbance is alike. Infinite where it is
+    another place."""
     noise_field: float = 0.3e-6
     noise_up: float = 0.003
     """Standard deviations of single samples: tesla per axis, radians of tilt per axis."""
@@ -108,6 +111,8 @@ class Standings:
     forward: FloatArray
     turned: FloatArray
     turned_sigma: FloatArray
+    keeps: FloatArray
+    """Correlation of the local disturbance with that of the standing before. Shape (n - 1,)."""
     common: FloatArray
     priors: Priors
     start: State
@@ -132,6 +137,7 @@ class Standings:
             forward,
             np.array([each.turned for each in standings[1:]]),
             np.array([each.turned_sigma for each in standings[1:]]),
+            np.exp(-np.array([each.way for each in standings[1:]]) / priors.lengths.street),
             by * knowledge.reference.declination_sigma,
             replace(priors, mean=_about(priors, state)),
             state,
@@ -141,8 +147,8 @@ class Standings:
         """Return what the field says."""
         return factors.magnetic(self.course, state, Places.none(len(self.heading), 1.0))
 
-    def weighed(self, state: State) -> dict[str, Weighted]:
-        """Return all residuals with their variances."""
+    def weighed(self, state: State, size: float) -> dict[str, Weighted]:
+        """Return all residuals with their variances, with a size of the local disturbance."""
         ones = np.ones(len(self.heading))
 
         def known(linear: factors.Linear, variance: FloatArray) -> Weighted:
@@ -158,13 +164,16 @@ class Standings:
         if len(ones) > 1:
             turn = factors.known_turn(self.turned, self.forward, state)
             found["turn"] = known(turn, self.turned_sigma**2)
+            variance = size**2 * (1.0 - self.keeps**2) + LEAST_VARIANCE
+            found["street"] = known(factors.process(state, STREET, self.keeps), variance)
         return found
 
     def prior(self, state: State, size: float) -> Prior:
         """Return the priors with a size of the local disturbance."""
         local = np.full_like(state.local, 1.0)
         local[:, : LOCAL - 8] = LEAST_VARIANCE
-        local[:, STREET] = size**-2.0
+        local[0, STREET] = size**-2.0
+        local[1:, STREET] = LEAST_VARIANCE
         local[:, BODY_FIELD] = rms_size(SIZES["body_field"]) ** -2.0
         free = self.free
         information = np.zeros((SHARED, SHARED))
@@ -182,7 +191,7 @@ class Standings:
         """Return the optimum at a size of the local disturbance."""
         state, free = start or self.start, self.free
         for _ in range(STEPS):
-            weighted, prior = self.weighed(state), self.prior(state, size)
+            weighted, prior = self.weighed(state, size), self.prior(state, size)
             solution = solve(list(weighted.values()), prior, free)
             if float(np.max(np.abs(solution.shared) / _sigmas(solution))) < CLOSE:
                 break

@@ -18,6 +18,7 @@ from magcal_ros.core.session.at_known_heading import add_standing
 from magcal_ros.core.simulation.simulator import DEGREE, Robot
 from magcal_ros.core.smoother.headings import fit_headings
 from magcal_ros.core.smoother.standings import Standing
+from magcal_ros.core.smoother.unknowns import SIZES
 
 ROBOT = Robot(yaw=2.0 * DEGREE)
 SIGMA = 1.0 * DEGREE
@@ -84,6 +85,24 @@ def test_sigma_is_honest(yaws, request):
         rng = np.random.default_rng(seed)
         robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
         found = fit_headings(standings(yaws, rng, 0.9e-6, robot), knowledge()).posterior
+        ratios.append(np.mean(off(found.correction, robot) ** 2) / found.heading_sigma**2)
+    assert 0.3 < np.mean(ratios) < 1.5
+
+
+def test_a_street_passed_once_counts_as_one_place():
+    ratios = []
+    for seed in range(16):
+        rng = np.random.default_rng(seed)
+        robot = replace(ROBOT, yaw=2.0 * DEGREE * rng.standard_normal())
+        kept, way = [], 6.0
+        keeps, here = math.exp(-way / 30.0), 2e-6 * rng.standard_normal(3)
+        for yaw in np.repeat(np.linspace(0.0, math.tau, 4, endpoint=False), 10):
+            here = keeps * here + 2e-6 * math.sqrt(1.0 - keeps**2) * rng.standard_normal(3)
+            (standing,) = standings([yaw + 0.2 * rng.standard_normal()], rng, 0.0, robot)
+            pose = rotation_from_rpy(0.0, 0.0, yaw).T
+            bent = standing.field + robot.distortion @ pose @ here
+            kept.append(replace(standing, field=bent, way=way))
+        found = fit_headings(kept, knowledge(), SIZES["street"]).posterior
         ratios.append(np.mean(off(found.correction, robot) ** 2) / found.heading_sigma**2)
     assert 0.3 < np.mean(ratios) < 1.5
 

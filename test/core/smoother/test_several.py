@@ -47,6 +47,13 @@ def test_the_information_of_turns_adds_up_to_the_covariance(joint: Together) -> 
     )
 
 
+def test_a_turn_without_another_is_as_sure_as_alone(alone: list[Fit]) -> None:
+    at = AT["installation"]
+    joined = fit_together(alone[:1], 1e-4).fits[0].covariance[at, at]
+    found = np.sqrt(np.diag(joined) / np.diag(alone[0].covariance[at, at]))
+    np.testing.assert_allclose(found, 1.0, atol=0.04)
+
+
 def test_the_order_of_turns_does_not_matter(alone: list[Fit], joint: Together) -> None:
     other = fit_together(alone[::-1], SIGMA)
     assert other.evidence == pytest.approx(joint.evidence, abs=1.0)
