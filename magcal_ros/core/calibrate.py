@@ -131,15 +131,17 @@ def calibrate(
 
 
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
-    """Judge an estimate unless the samples say that axes or stamps are wrong."""
+    """Judge an estimate unless the samples say that axes or stamps are wrong.
+
+    Looking for wrong axes takes time, and with them the smoother's sigma is not good.
+    """
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
-    wrong = wrong_axes(window, knowledge)
-    if wrong is not None:
-        return Outcome.refused(wrong, window)
     outcome = judged(estimate, knowledge, window)
-    explains = estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
-    wrong = None if outcome.verdict.accepted and explains else wrong_stamps(window)
+    explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
+    if explains and outcome.verdict.is_good and estimate.method in (JOINS, DRIVES):
+        return outcome
+    wrong = wrong_axes(window, knowledge) or (None if explains else wrong_stamps(window))
     return outcome if wrong is None else Outcome.refused(wrong, window)
 
 
