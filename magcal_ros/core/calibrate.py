@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.assessment.verdict import Verdict, judge, refuse
 from magcal_ros.core.calibration.calibration import Calibration, Estimate
 from magcal_ros.core.calibration.figure import Figure
@@ -133,13 +134,17 @@ def calibrate(
 def _judged_by_axes_too(estimate: Estimate, knowledge: Knowledge, window: Window) -> Outcome:
     """Judge an estimate unless the samples say that axes or stamps are wrong.
 
-    Looking for wrong axes takes time, and with them the smoother's sigma is not good.
+    Looking for wrong axes takes time, and with them the smoother's sigma is not good. A z axis that
+    points down explains the rest.
     """
     from magcal_ros.core.doctor.page import wrong_axes, wrong_stamps
 
     outcome = judged(estimate, knowledge, window)
     explains = outcome.verdict.accepted and estimate.figures.get(Figure.GYRO_CARRIED, 1.0) > 0.0
     if explains and outcome.verdict.is_good and estimate.method in (JOINS, DRIVES):
+        return outcome
+    refused = {each.figure for each in outcome.verdict.checks if each.grade is Grade.REFUSED}
+    if Figure.AXIS_LEAN in refused:
         return outcome
     wrong = wrong_axes(window, knowledge) or (None if explains else wrong_stamps(window))
     return outcome if wrong is None else Outcome.refused(wrong, window)

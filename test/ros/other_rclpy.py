@@ -53,7 +53,7 @@ class Vanishing:
         self.method, self.name, self.uses = method, name, uses
 
     def __get__(self, instance, owner=None):
-        if sys._getframe(1).f_code.co_filename.endswith("sensor_loop.py"):
+        if sys._getframe(1).f_code.co_filename.endswith("threads.py"):
             self.uses -= 1
             if self.uses < 0:
                 raise AttributeError(f"{owner.__name__!r} object has no attribute {self.name!r}")

@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import Float64
 from support import PATIENCE, wait_until
 
-from magcal_ros.ros import sensor_loop
+from magcal_ros.ros import threads
 from magcal_ros.ros.threads import MOST_AT_ONCE, SensorGroup, Spinner
 
 
@@ -174,7 +174,7 @@ def test_a_flood_is_taken_in_pieces(served, number, monkeypatch):
         def __exit__(self, *_):
             pass
 
-    loop = sensor_loop.SensorLoop(
+    loop = threads.SensorLoop(
         served.node, [served.subscription], served.group, Lock(), served.errors.append, print
     )
     number(*range(90))

@@ -35,8 +35,8 @@ def test_what_chance_explains_is_not_stale():
 def test_where_chance_reaches_the_bound_nothing_is_shown():
     found = check_beside_chance(BOUND, degrees(5.0), degrees(9.0), None)
     assert found.grade is Grade.WARN
-    assert "not shown" in found.words
-    assert "no more than chance may be" in found.words
+    assert "too uncertain to judge" in found.words
+    assert "no more than chance explains" in found.words
     assert "9" not in found.words
 
 
