@@ -40,7 +40,7 @@ from magcal_ros.core.smoother.unknowns import (
     VELOCITY,
     YAW,
 )
-from magcal_ros.core.smoother.without_gyro import living_axes
+from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
 METHOD = "maximum_likelihood"
 """As the parameter `method` calls it."""
@@ -48,10 +48,6 @@ SECTORS, FEWEST_SECTORS = 12, 4
 """Of heading, and how many of them a drive has to go to."""
 LARGEST_STREET = 12.0
 """µT of a local disturbance beyond which the sensors do not belong together."""
-DEAD_AXES = (
-    "the gyro measures about its z axis only, so that acceleration and lean of a robot that drives"
-    " cannot be separated; turn once on the spot, or mend the gyro"
-)
 BELIEVED = 0.3
 """Student weight above which a node counts as an inlier."""
 SIGMAS = 3.0

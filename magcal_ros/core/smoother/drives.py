@@ -39,7 +39,7 @@ from magcal_ros.core.smoother.unknowns import (
     Priors,
     priors_of,
 )
-from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
+from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
 SECTORS = 12
 FEWEST = 16
@@ -143,8 +143,9 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
         `TOO_FEW_SAMPLES` of too short a drive, `NO_SOLUTION` where no fit converges.
     """
     check_length(nodes)
-    priors = with_dead_axes(priors_of(knowledge, log.bias_sigma), living_axes(log.rate))
-    state, about = start(nodes, priors)
+    if not all(living_axes(log.rate)):
+        raise Refusal(Reason.AXES_DISAGREE, DEAD_AXES)
+    state, about = start(nodes, priors_of(knowledge, log.bias_sigma))
     try:
         found = fit(nodes, about, state, KINDS[ON_WHEELS], TOLERANCES)
     except np.linalg.LinAlgError as fault:

@@ -46,6 +46,11 @@ CIRCLE = 0.6
 NOISELESS = 1e-6
 """Bend of a rate from sample to sample, over its largest value, below which it has no noise."""
 Z = np.array([0.0, 0.0, 1.0])
+DEAD_AXES = (
+    "the gyro measures about its z axis only, so that acceleration and lean of a robot that drives"
+    " cannot be separated; turn once on the spot, or mend the gyro"
+)
+
 
 DEAD = Size(0.01, 1.5, 6.0, "rad/√s", "sway about axes that do not live", "robots: 0 to .1", 0.1)
 SWAY: Mapping[str, Size] = {
