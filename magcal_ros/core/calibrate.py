@@ -86,7 +86,7 @@ def find_method(name: str) -> Fit:
     """
     if name not in METHODS:
         raise ValueError(f"there is no method {name!r}; choose one of {', '.join(METHODS)}")
-    name = ONE_SMOOTHER[1] if name in ONE_SMOOTHER else name
+    name = METHODS[0] if name in ONE_SMOOTHER else name
     module = importlib.import_module(f"magcal_ros.core.methods.{name}")
     return cast("Fit", module.fit)
 

@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import refuse_empty
-from magcal_ros.core.methods.smoother_one import check, estimate_of
+from magcal_ros.core.methods.maximum_likelihood import check, estimate_of
 from magcal_ros.core.samples.drive_log import DriveLog, log_of
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.drives import MIRRORED, check_length, drive_nodes

@@ -12,7 +12,7 @@ from magcal_ros.core.calibration import PARAMETERS, Estimate, Figure
 from magcal_ros.core.calibration.heading_sigma import CHECKED_TILT, heading_jacobian, rms_sigma
 from magcal_ros.core.geometry import FloatArray, field_in_enu, minimal_rotation, rotation_from_rpy
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.methods.smoother_one import estimate_of
+from magcal_ros.core.methods.maximum_likelihood import estimate_of
 from magcal_ros.core.multi_turn.result import Advice, Several, Shown, TurnFate
 from magcal_ros.core.multi_turn.turn import Agreement, Turn, agreement
 from magcal_ros.core.smoother.fit import Fit

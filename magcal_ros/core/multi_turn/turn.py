@@ -19,7 +19,7 @@ from magcal_ros.core.doctor.page import blamed_on_axes, wrong_axes
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import check_window
-from magcal_ros.core.methods.smoother_one import check, estimate_of, smoothed
+from magcal_ros.core.methods.maximum_likelihood import check, estimate_of, smoothed
 from magcal_ros.core.samples.window import Window
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed
