@@ -145,8 +145,8 @@ def bench_fit(seeds: range) -> None:
             begun = time.process_time()
             found = fitted(window, BOSTON)
             took.append(time.process_time() - begun)
-            errors.append(error(found.correction, drive, 0.0))
-            said.append(math.degrees(found.heading_sigma))
+            errors.append(error(found.posterior.correction, drive, 0.0))
+            said.append(math.degrees(found.posterior.heading_sigma))
         squares = (np.array(errors) / np.array(said)) ** 2
         print(
             f"fit to {seconds:3.0f} s, no speed: rms {rms(errors):.2f} median"
@@ -165,8 +165,8 @@ def bench_circles(seeds: range) -> None:
             off = np.random.default_rng(seed).normal(0.0, math.radians(2.0), 3) * biased
             taken = Window(drive.time, drive.field, drive.force, drive.rate + off)
             found = fitted(taken, BOSTON)
-            errors.append(error(found.correction, drive, 0.0))
-            said.append(math.degrees(found.heading_sigma))
+            errors.append(error(found.posterior.correction, drive, 0.0))
+            said.append(math.degrees(found.posterior.heading_sigma))
         squares = (np.array(errors) / np.array(said)) ** 2
         print(
             f"circles of {radius:2.0f} m{', a poor gyro' if biased else ''}: rms {rms(errors):.2f}"
@@ -187,8 +187,8 @@ def bench_long(seeds: range) -> None:
                     window = swaying_window(robot, motion, np.random.default_rng(seed))
                     found = fitted(window, known)
                     drive = replace(drive_of(0, 10.0), vehicle=Vehicle(robot))
-                    errors.append(error(found.correction, drive, 0.0))
-                    said.append(math.degrees(found.heading_sigma))
+                    errors.append(error(found.posterior.correction, drive, 0.0))
+                    said.append(math.degrees(found.posterior.heading_sigma))
                 squares = (np.array(errors) / np.array(said)) ** 2
                 name = f"{'mid' if turns else 'low'}, {'soft iron' if soft.any() else 'none'}"
                 print(

@@ -57,6 +57,13 @@ def runs(flags: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
+def block_means(values: FloatArray, first: IntArray) -> FloatArray:
+    """Return the means of blocks of rows (n, ...); `first` holds the first row of each block."""
+    count = np.diff(np.append(first, len(values)))
+    sums = np.add.reduceat(values, first, axis=0)
+    return np.asarray(sums / count.reshape(-1, *[1] * (values.ndim - 1)))
+
+
 def running_mean(values: FloatArray, width: int) -> FloatArray:
     """Return the mean of the `width` values around each, fewer at the ends, shape (n,)."""
     window = np.ones(min(width, len(values)))

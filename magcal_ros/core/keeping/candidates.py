@@ -202,40 +202,39 @@ def candidate_of(
     start, end : float
         Clock of the road, seconds.
     """
-    sigma = fitted.heading_sigma
-    covariance = fitted.covariance
+    sigma = fitted.posterior.heading_sigma
+    covariance = fitted.posterior.covariance
     if kind is Kind.IRON and before is not None:
         # The matrix is the old one's, and so is its uncertainty.
         covariance = np.zeros_like(covariance)
         covariance[:9, :9] = before.covariance[:9, :9]
-        covariance[9:, 9:] = fitted.covariance[9:, 9:]
+        covariance[9:, 9:] = fitted.posterior.covariance[9:, 9:]
     words = (
         f"Calibrated from {fitted.seconds:.0f} s of ordinary driving, {fitted.sectors} of 12"
         f" headings: heading ±{math.degrees(sigma):.1f}° on the level (1σ) by the calibration"
     )
-    street = fitted.local_field
     figures = {
         Figure.HEADINGS_DRIVEN.value: float(fitted.sectors),
         Figure.DRIVING_TIME.value: fitted.seconds,
-        Figure.STREET.value: street,
-        Figure.LOCAL_FIELD.value: street,
+        Figure.STREET.value: fitted.street,
+        Figure.LOCAL_FIELD.value: fitted.local_field,
     }
     # The road was driven without the motors' field as it is known.
     motors = None if before is None else before.motors
     motors = None if motors is None else motors.with_another_calibration()
     calibration = Calibration(
-        fitted.correction,
+        fitted.posterior.correction,
         covariance,
         fitted.noise,
         0.01 if before is None else before.noise_up,
-        fitted.strength,
-        fitted.inclination,
+        fitted.posterior.strength,
+        fitted.posterior.inclination,
         Evidence(METHOD, "good", "good", words, figures=figures),
         motors,
     )
-    local = local_sigma(calibration)
-    figures[Figure.LOCAL_SIGMA.value] = local
-    figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, local)
+    by_place = local_sigma(calibration)
+    figures[Figure.LOCAL_SIGMA.value] = by_place
+    figures[Figure.HEADING_SIGMA.value] = math.hypot(sigma, by_place)
     return DriveCandidate(
         kind,
         replace(calibration, evidence=replace(calibration.evidence, figures=figures)),

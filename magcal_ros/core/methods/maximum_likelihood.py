@@ -11,7 +11,7 @@ from magcal_ros.core.calibration.calibration import Estimate, GyroSwing, Install
 from magcal_ros.core.calibration.figure import Figure
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY, body_from_enu, unit
-from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
+from magcal_ros.core.geometry.rotations import chained, rotation_vectors
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.methods.checks import (
     check_agreement,
@@ -23,7 +23,7 @@ from magcal_ros.core.methods.checks import (
 )
 from magcal_ros.core.samples.units import likely_field_unit
 from magcal_ros.core.samples.window import Window
-from magcal_ros.core.smoother.factors import QUARTER, distortion, gyro_matrix, soft_iron
+from magcal_ros.core.smoother.factors import QUARTER, distortion, soft_iron, turned_by
 from magcal_ros.core.smoother.fit import Fit
 from magcal_ros.core.smoother.gyro_swing import gyro_compass_swing
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, gyro_is_usual, smooth
@@ -44,8 +44,8 @@ from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
 METHOD = "maximum_likelihood"
 """As the parameter `method` calls it."""
-SECTORS, FEWEST_SECTORS = 12, 4
-"""Of heading, and how many of them a drive has to go to."""
+FEWEST_SECTORS = 4
+"""Of twelve of heading that a drive has to go to."""
 LARGEST_STREET = 12.0
 """µT of a local disturbance beyond which the sensors do not belong together."""
 BELIEVED = 0.3
@@ -220,8 +220,7 @@ def _swing(found: Smoothed) -> GyroSwing:
     body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
     attitude = body_from_enu(best.state.attitude[:, :, 2], body)
     moves = course.moving > 0.0
-    error = nodes.seconds[:, None] * shared[AT["gyro_bias"]] + nodes.angle @ gyro_matrix(shared).T
-    relative = chained((exp_rotations(error) @ nodes.turned)[None])[0]
+    relative = chained(turned_by(nodes, shared)[None])[0]
     return gyro_compass_swing(relative[moves], attitude[moves], nodes.time[moves])
 
 
@@ -229,7 +228,7 @@ def _arc(found: Smoothed, window: Window) -> float:
     """Return the radians of heading that were seen, or of turning about the axis."""
     attitude, nodes = found.fit.state.attitude, found.nodes
     if nodes.tied_to is None:
-        angle = np.unwrap(np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0]))
+        angle = np.unwrap(found.fit.state.yaw)
     else:
         steps = rotation_vectors(attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2))
         angle = np.append(0.0, np.cumsum(steps @ nodes.tied_to[:, 2]))
@@ -279,13 +278,10 @@ def _figures(found: Smoothed) -> dict[Figure, float]:
 
 def _of_a_drive(found: Smoothed) -> dict[Figure, float]:
     nodes, course = found.nodes, found.fit.point.course
-    attitude = found.fit.state.attitude[course.moving > 0.0]
-    yaw = np.arctan2(attitude[:, 0, 1], attitude[:, 0, 0])
-    sectors = np.unique(np.floor(np.mod(yaw, math.tau) * SECTORS / math.tau))
-    sizes = found.fit.point.sizes
+    sectors = np.unique(found.fit.state.sector[course.moving > 0.0])
     return {
         Figure.HEADINGS_DRIVEN: float(len(sectors)),
         Figure.DRIVING_TIME: float(np.ptp(nodes.time)),
-        Figure.STREET: sizes["street"] / MICROTESLA,
-        Figure.LOCAL_FIELD: math.hypot(sizes["street"], sizes["motors_noise"]) / MICROTESLA,
+        Figure.STREET: found.fit.point.sizes["street"] / MICROTESLA,
+        Figure.LOCAL_FIELD: found.fit.local_field / MICROTESLA,
     }

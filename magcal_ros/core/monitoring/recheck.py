@@ -321,8 +321,8 @@ def iron_added(drive: DriveLog, calibration: Calibration) -> Check | None:
         return None
     # On the level across body z; an iron along it is a matter of slopes.
     matrix = correction.matrix[:2]
-    added = matrix @ (found.correction.hard_iron - correction.hard_iron)
-    covariance = matrix @ found.covariance[9:, 9:] @ matrix.T
+    added = matrix @ (found.posterior.correction.hard_iron - correction.hard_iron)
+    covariance = matrix @ found.posterior.covariance[9:, 9:] @ matrix.T
     level = calibration.strength * math.cos(calibration.inclination)
     share = math.hypot(*added) / level
     sigma = math.sqrt(float(covariance.trace()) / 2.0) / level

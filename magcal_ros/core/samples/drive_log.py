@@ -9,7 +9,7 @@ from operator import add
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import FloatArray, interpolated
+from magcal_ros.core.geometry.arrays import FloatArray, block_means, interpolated
 from magcal_ros.core.geometry.vec3 import Triple
 from magcal_ros.core.samples.rest import GyroAtRest
 from magcal_ros.core.samples.streams import STREAMS
@@ -88,18 +88,12 @@ def log_of(window: Window, speed: FloatArray | None = None) -> DriveLog:
     assert window.angular_rate is not None
     block = ((window.time - window.time[0]) / TUNING.row).astype(int)
     first = np.flatnonzero(np.diff(block, prepend=-1))
-    count = np.diff(np.append(first, len(window)))
-
-    def means(values: FloatArray) -> FloatArray:
-        sums = np.add.reduceat(values, first, axis=0)
-        return np.asarray(sums / (count if values.ndim == 1 else count[:, None]))
-
     return DriveLog(
-        means(window.time),
-        means(window.field),
-        means(window.specific_force),
-        means(window.angular_rate),
-        np.full(len(first), np.nan) if speed is None else means(speed),
+        block_means(window.time, first),
+        block_means(window.field, first),
+        block_means(window.specific_force, first),
+        block_means(window.angular_rate, first),
+        np.full(len(first), np.nan) if speed is None else block_means(speed, first),
         window.bias_sigma,
     )
 

@@ -12,7 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, frozen_array, runs
+from magcal_ros.core.geometry.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    block_means,
+    frozen_array,
+    runs,
+)
 from magcal_ros.core.geometry.vec3 import Triple, length
 
 CHANGES_BY = 0.03
@@ -128,8 +135,8 @@ def _stands(
 
 def mean_and_sigma(time: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:
     """Return the mean of values (n, 3) at rest and its sigma per axis, slow noise included."""
-    first, count = _split(time)
-    means = np.add.reduceat(values, first, axis=0) / count[:, None]
+    first, _ = _split(time)
+    means = block_means(values, first)
     between = float(np.mean(means.var(axis=0, ddof=1))) / len(means) if len(means) > 1 else 0.0
     within = float(np.mean(values.var(axis=0))) / len(values)
     return values.mean(axis=0), math.sqrt(max(between, within))
@@ -207,7 +214,7 @@ class _Blocks:
     @classmethod
     def of(cls, values: FloatArray, first: IntArray, count: IntArray, allowed: float) -> _Blocks:
         """Average, and compare each block with those after it, `TUNING.at_least` with itself."""
-        mean = np.add.reduceat(values, first, axis=0) / count[:, None]
+        mean = block_means(values, first)
         noise = np.median(np.abs(np.diff(values, axis=0)), axis=0) / 0.954
         limit = allowed + TUNING.clear * noise * np.sqrt(2.0 / np.maximum(count, 1))[:, None]
         stays = np.zeros(len(mean), dtype=bool)

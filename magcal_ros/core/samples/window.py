@@ -12,6 +12,7 @@ from magcal_ros.core.geometry.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    block_means,
     frozen_array,
     interpolated,
 )
@@ -220,11 +221,10 @@ def stretch_of_log(
     inside = (field_time >= span[0]) & (field_time <= span[1])
     stamps, field = field_time[inside], log.field[inside]
     block = np.minimum(((stamps - span[0]) / (span[1] - span[0]) * count).astype(int), count - 1)
-    _, first, number = np.unique(block, return_index=True, return_counts=True)
+    _, first = np.unique(block, return_index=True)
     if len(first) < 20:
         return None
-    means = [np.add.reduceat(v, first, axis=0) / number[:, None] for v in (stamps[:, None], field)]
-    moment, field = means[0][:, 0], means[1]
+    moment, field = block_means(stamps, first), block_means(field, first)
     width = (span[1] - span[0]) / count
     force = _mean_around(time, _integral(time, log.force[imu]), moment, width)
     angle, bend = (

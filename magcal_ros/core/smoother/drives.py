@@ -11,23 +11,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from magcal_ros.core.calibration.correction import Correction
-from magcal_ros.core.calibration.heading_sigma import heading_jacobian, rms_sigma
+from magcal_ros.core.calibration.correction import PARAMETERS, Correction
 from magcal_ros.core.errors import Reason, Refusal
 from magcal_ros.core.geometry.arrays import FloatArray, IntArray
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.drive_log import DriveLog
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import (
+    BELIEVED,
     NO_SOLUTION,
     WHILE_DRIVING,
     is_upright,
     nodes_of_log,
 )
 from magcal_ros.core.smoother.nodes import Nodes
-from magcal_ros.core.smoother.posterior import posterior
+from magcal_ros.core.smoother.posterior import Posterior, posterior
 from magcal_ros.core.smoother.start import start
-from magcal_ros.core.smoother.state import State
+from magcal_ros.core.smoother.state import SECTORS, State
 from magcal_ros.core.smoother.unknowns import (
     AT,
     EARTH,
@@ -41,11 +41,8 @@ from magcal_ros.core.smoother.unknowns import (
 )
 from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 
-SECTORS = 12
 FEWEST = 16
 """Nodes of the shortest drive that is fitted."""
-BELIEVED = 0.25
-"""Of a difference of evidence or cost, as for kinds of motion."""
 FIXED = 0.01
 """Spread of the logarithm of a size that is known."""
 TOLERANCES = Tolerances(rounds=60, step=0.2, evidence=2.0)
@@ -74,25 +71,13 @@ class DriveFit:
     """What a drive shows."""
 
     fit: Fit
-    correction: Correction
+    posterior: Posterior
     """Of the raw field."""
-    covariance: FloatArray
-    """Of its twelve numbers. Shape (12, 12)."""
-    strength: float
-    inclination: float
-    """Of the Earth's field: tesla, radians."""
-
-    @property
-    def heading_sigma(self) -> float:
-        """Standard deviation of the heading on the level by the calibration, radians."""
-        level, down = math.cos(self.inclination), math.sin(self.inclination)
-        earth = self.strength * np.array([0.0, level, -down])
-        return rms_sigma(heading_jacobian(self.correction, earth, 0.0), self.covariance)
 
     @property
     def sectors(self) -> int:
         """How many of twelve sectors of 30° were driven with the iron that is sought."""
-        return len(np.unique(_sector(self.fit.state)[self._counted]))
+        return len(np.unique(self.fit.state.sector[self._counted]))
 
     @property
     def seconds(self) -> float:
@@ -100,10 +85,14 @@ class DriveFit:
         return float(np.ptp(self.fit.model.nodes.time[self._counted]))
 
     @property
-    def local_field(self) -> float:
+    def street(self) -> float:
         """Size of the local disturbance, tesla per axis."""
-        sizes = self.fit.point.sizes
-        return math.hypot(sizes["street"], sizes["motors_noise"]) / MICROTESLA
+        return self.fit.point.sizes["street"] / MICROTESLA
+
+    @property
+    def local_field(self) -> float:
+        """The same with what motors add unsteadily."""
+        return self.fit.local_field / MICROTESLA
 
     @property
     def noise(self) -> float:
@@ -115,11 +104,6 @@ class DriveFit:
         nodes = self.fit.model.nodes
         is_added = math.isfinite(nodes.added_from)
         return np.flatnonzero(nodes.time > (nodes.added_from if is_added else -math.inf))
-
-
-def _sector(state: State) -> IntArray:
-    yaw = np.arctan2(state.attitude[:, 0, 1], state.attitude[:, 0, 0])
-    return (np.mod(yaw, math.tau) / (math.tau / SECTORS)).astype(np.int64) % SECTORS
 
 
 def drive_nodes(log: DriveLog, to_body: FloatArray) -> Nodes:
@@ -152,8 +136,7 @@ def fit_drive(log: DriveLog, nodes: Nodes, knowledge: Knowledge) -> DriveFit:
         raise Refusal(Reason.NO_SOLUTION, NO_SOLUTION) from fault
     if not is_upright(found):
         raise Refusal(Reason.AXES_DISAGREE, MIRRORED)
-    mean = posterior(found, knowledge.mounting.matrix)
-    return DriveFit(found, mean.correction, mean.covariance, mean.strength, mean.inclination)
+    return DriveFit(found, posterior(found, knowledge.mounting.matrix))
 
 
 def check_length(nodes: Nodes) -> None:
@@ -163,18 +146,26 @@ def check_length(nodes: Nodes) -> None:
     ------
     Refusal
     """
+    refusal = why_too_little(nodes)
+    if refusal is not None:
+        raise refusal
+
+
+def why_too_little(nodes: Nodes) -> Refusal | None:
+    """Return the refusal of a drive that is too short, or of which the gyro is not heard."""
     if len(nodes) < FEWEST:
-        raise Refusal(
+        return Refusal(
             Reason.TOO_FEW_SAMPLES,
             f"only {len(nodes) * WHILE_DRIVING.longest:.0f} s of movement; at least"
             f" {FEWEST * WHILE_DRIVING.longest:.0f} s are needed: drive on",
         )
     if np.mean(nodes.is_tied) < 0.5:
-        raise Refusal(
+        return Refusal(
             Reason.AXES_DISAGREE,
             "for most of the drive the gyro is not heard: its stamps come in bursts, or too seldom;"
             " stamp each sample when it is measured, not when a buffer is read",
         )
+    return None
 
 
 def corrected(nodes: Nodes, correction: Correction, to_sensor: FloatArray) -> Nodes:
@@ -242,7 +233,7 @@ def fit_iron(nodes: Nodes, correction: Correction, knowledge: Knowledge) -> Driv
     DriveFit or None
         Of the raw field. None where too little was driven.
     """
-    if len(nodes) < FEWEST or np.mean(nodes.is_tied) < 0.5:
+    if why_too_little(nodes) is not None:
         return None
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
     free = np.array(UNKNOWNS["added"].sigma)
@@ -258,16 +249,13 @@ def added_to(correction: Correction, found: Fit, iron: slice) -> DriveFit:
     moved = replace(moved, covariance=found.covariance[np.ix_(swapped, swapped)])
     change = posterior(moved, np.eye(3))
     # A = A1 A0 and h = h0 + A0^-1 h1: how the twelve numbers follow those of the change.
-    by_change = np.zeros((12, 12))
+    by_change = np.eye(len(change.numbers))
     by_change[:9, :9] = np.kron(np.eye(3), correction.matrix.T)
-    by_change[9:, 9:] = np.linalg.inv(correction.matrix)
-    return DriveFit(
-        found,
-        change.correction.after(correction),
-        by_change @ change.covariance @ by_change.T,
-        change.strength,
-        change.inclination,
-    )
+    by_change[9:12, 9:12] = np.linalg.inv(correction.matrix)
+    numbers = change.numbers.copy()
+    numbers[:PARAMETERS] = change.correction.after(correction).parameters
+    joint = by_change @ change.joint @ by_change.T
+    return DriveFit(found, replace(change, numbers=numbers, joint=joint))
 
 
 def _with_iron(state: State, iron: slice) -> State:
@@ -342,7 +330,7 @@ def likelihood_ratio_of(old: Nodes, new: Nodes, knowledge: Knowledge) -> Likelih
     if before is None or after is None:
         return LikelihoodRatio()
     by_node = BELIEVED * (_costs(before) - _costs(after))
-    return LikelihoodRatio(by_node, _sector(after.state))
+    return LikelihoodRatio(by_node, after.state.sector)
 
 
 def _costs(found: Fit) -> FloatArray:

@@ -19,6 +19,7 @@ from magcal_ros.core.geometry.rotations import (
     skew,
     skews,
 )
+from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
@@ -96,6 +97,17 @@ def soft_iron(shared: FloatArray) -> FloatArray:
 def gyro_matrix(shared: FloatArray) -> FloatArray:
     """Return the gyro's scale and misalignment, shape (3, 3)."""
     return shared[AT["gyro_matrix"]].reshape(3, 3)
+
+
+def gyro_error(nodes: Nodes, shared: FloatArray) -> FloatArray:
+    """Return the rotation between nodes that bias and matrix add, radians, shape (n - 1, 3)."""
+    bias = nodes.seconds[:, None] * shared[AT["gyro_bias"]]
+    return np.asarray(bias + nodes.angle @ gyro_matrix(shared).T)
+
+
+def turned_by(nodes: Nodes, shared: FloatArray) -> FloatArray:
+    """Return the rotation between nodes by the corrected gyro, shape (n - 1, 3, 3)."""
+    return np.asarray(exp_rotations(gyro_error(nodes, shared)) @ nodes.turned)
 
 
 def distortion(shared: FloatArray) -> FloatArray:
@@ -272,8 +284,7 @@ def speed(measured: FloatArray, state: State) -> Linear:
 def gyro(course: Course, state: State) -> Linear:
     """Return what the gyro says of the rotation between nodes, radians."""
     nodes, shared = course.nodes, state.shared
-    matrix = gyro_matrix(shared)
-    error = nodes.seconds[:, None] * shared[AT["gyro_bias"]] + nodes.angle @ matrix.T
+    error = gyro_error(nodes, shared)
     between = state.attitude[1:] @ np.swapaxes(state.attitude[:-1], 1, 2)
     off = rotation_vectors(between @ np.swapaxes(nodes.turned, 1, 2) @ exp_rotations(-error))
     count = len(error)

@@ -72,6 +72,11 @@ class Fit:
         return self.point.state
 
     @property
+    def local_field(self) -> float:
+        """Size of the local disturbance, with what motors add unsteadily, µT per axis."""
+        return math.hypot(self.point.sizes["street"], self.point.sizes["motors_noise"])
+
+    @property
     def message(self) -> str:
         """Why it stopped."""
         return "converged" if self.converged else f"no convergence in {self.rounds} rounds"

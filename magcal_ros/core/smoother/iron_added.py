@@ -13,20 +13,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.calibration.calibration import Calibration
-from magcal_ros.core.geometry.rotations import chained, exp_rotations
+from magcal_ros.core.geometry.rotations import chained
 from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.smoother.drives import (
-    BELIEVED,
-    FEWEST,
     TOLERANCES,
     DriveFit,
     added_to,
     corrected,
     held_fit,
     held_priors,
+    why_too_little,
 )
-from magcal_ros.core.smoother.factors import gyro_matrix, magnetic
+from magcal_ros.core.smoother.factors import magnetic, turned_by
 from magcal_ros.core.smoother.fit import Fit, fit
+from magcal_ros.core.smoother.kinds_of_motion import BELIEVED
 from magcal_ros.core.smoother.model import course_at, solve_at
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.state import State
@@ -67,7 +67,7 @@ def find_change(nodes: Nodes, calibration: Calibration, knowledge: Knowledge) ->
     IronChange or None
         None where too little was driven, or no moment explains anything.
     """
-    if len(nodes) < FEWEST or np.mean(nodes.is_tied) < 0.5:
+    if why_too_little(nodes) is not None:
         return None
     correction = calibration.correction
     inside = corrected(nodes, correction, knowledge.mounting.matrix)
@@ -138,10 +138,9 @@ def _begun(same: Fit, nodes: Nodes) -> State:
     state = same.state
     shared, local, attitude = state.shared.copy(), state.local.copy(), state.attitude.copy()
     first = int(np.searchsorted(nodes.time, nodes.added_from, side="right"))
-    error = nodes.seconds[:, None] * shared[AT["gyro_bias"]] + nodes.angle @ gyro_matrix(shared).T
     steps = np.where(
         nodes.is_tied[:, None, None],
-        exp_rotations(error) @ nodes.turned,
+        turned_by(nodes, shared),
         attitude[1:] @ np.swapaxes(attitude[:-1], 1, 2),
     )
     attitude[first - 1 :] = chained(steps[None, first - 1 :])[0] @ attitude[first - 1]

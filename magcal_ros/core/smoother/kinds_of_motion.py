@@ -110,7 +110,7 @@ class _Trials:
     ) -> None:
         self._samples, self._knowledge = window, knowledge
         self._told, self._begun = told, 0
-        self._begin(Spacing())
+        self.fits: dict[str, Fit] = {}
 
     def _begin(self, spacing: Spacing) -> None:
         samples, knowledge = self._samples, self._knowledge
@@ -122,7 +122,7 @@ class _Trials:
             lives = living_axes(samples.angular_rate)
         priors = with_dead_axes(priors_of(knowledge, samples.bias_sigma), lives)
         self._state, self._priors = start(self.nodes, priors)
-        self.fits: dict[str, Fit] = {}
+        self.fits = {}
 
     @property
     def others(self) -> list[str]:
@@ -133,6 +133,7 @@ class _Trials:
         """Fit a turn on the spot roughly, and return it if it explains the samples."""
         if self._rolls:
             return None
+        self._begin(Spacing())
         self.add(ON_THE_SPOT, tolerances=ROUGHLY)
         spot = self.fits.get(ON_THE_SPOT)
         return spot if spot is not None and gyro_is_usual(spot) else None
@@ -140,8 +141,9 @@ class _Trials:
     @property
     def _rolls(self) -> bool:
         """Whether wheels say that the robot drives."""
-        speed = self.nodes.speed
-        return speed is not None and bool(np.nanmedian(np.abs(speed)) > ROLLS)
+        if not isinstance(self._samples, DriveLog) or np.isnan(self._samples.speed).all():
+            return False
+        return bool(np.nanmedian(np.abs(self._samples.speed)) > ROLLS)
 
     def add(
         self, name: str, like: Fit | None = None, tolerances: Tolerances = Tolerances()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray, block_means
 from magcal_ros.core.geometry.rotations import chained, exp_rotations, rotation_vectors
 from magcal_ros.core.samples.rest import RestBeside
 from magcal_ros.core.samples.streams import SWAY
@@ -87,7 +87,7 @@ class Nodes:
         return len(self.time)
 
     def between(self, start: float, end: float = math.inf) -> Nodes:
-        """Return the nodes after one moment, up to another, seconds; at least two."""
+        """Return the nodes after one moment, up to another, seconds."""
         first, last = np.searchsorted(self.time, [start, end], side="right")
         links = slice(first, max(last - 1, first))
         changes = {}
@@ -162,14 +162,14 @@ def nodes_of(
     middle = (first + last - 1) // 2
     count = (last - first).astype(float)
     from_middle = attitude @ np.swapaxes(np.repeat(attitude[middle], last - first, axis=0), 1, 2)
-    mean_rate = _means(rate, first, count)
+    mean_rate = block_means(rate, first)
     links = _Links.of(window, attitude, middle, steps, unseen)
     spreads = (_spread(each, first, count) for each in (field, window.specific_force, rate))
-    mean_field = _means(field, first, count)
+    mean_field = block_means(field, first)
     nodes = Nodes(
         time[middle],
         mean_field,
-        _means(from_middle, first, count),
+        block_means(from_middle, first),
         mean_rate,
         count,
         may_rest & rests(mean_field, count, *spreads),
@@ -182,8 +182,8 @@ def nodes_of(
         np.diff(middle).astype(float),
         links.unseen,
         float(np.median(white_noise(field))),
-        _means(window.specific_force, first, count),
-        None if speed is None else _means(speed, first, count),
+        block_means(window.specific_force, first),
+        None if speed is None else block_means(speed, first),
     )
     nodes = _untied(nodes, np.add.reduceat(np.append(lost, 0.0), middle)[:-1] > 0.0)
     return _with_rests(nodes, window, attitude, middle, to_body)
@@ -262,15 +262,10 @@ def _first_rows(
     return first[:-1] if len(first) > 1 and clock[-1] - clock[first[-1]] < 0.5 else first
 
 
-def _means(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
-    shape = (-1, *([1] * (values.ndim - 1)))
-    return np.asarray(np.add.reduceat(values, first, axis=0) / count.reshape(shape))
-
-
 def _spread(values: FloatArray, first: IntArray, count: FloatArray) -> FloatArray:
     """Return the largest standard deviation of the three axes within each node."""
-    mean = _means(values, first, count)
-    square = _means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first, count)
+    mean = block_means(values, first)
+    square = block_means((values - np.repeat(mean, count.astype(int), axis=0)) ** 2, first)
     return np.asarray(np.sqrt(square).max(axis=1))
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, IntArray
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotations
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.unknowns import ATTITUDE, EARTH, SHARED, Lengths
+
+SECTORS = 12
+"""Of heading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,17 @@ class State:
         values[:, ATTITUDE] = 0.0
         centres = self.centres + shared[SHARED:].reshape(-1, 3)
         return State(turned, values, self.shared + shared[:SHARED], centres)
+
+    @property
+    def yaw(self) -> FloatArray:
+        """Heading of body x to magnetic north, ENU, radians, shape (n,)."""
+        return np.asarray(np.arctan2(self.attitude[:, 0, 1], self.attitude[:, 0, 0]))
+
+    @property
+    def sector(self) -> IntArray:
+        """Which of `SECTORS` of heading it looks to, shape (n,)."""
+        share = np.mod(self.yaw, math.tau) / (math.tau / SECTORS)
+        return np.asarray(share.astype(np.int64) % SECTORS)
 
     @property
     def earth(self) -> FloatArray:

@@ -54,8 +54,8 @@ def fit_of(log, knowledge):
 
 
 def test_a_drive_shows_the_calibration_within_what_is_said(drive, fitted):
-    error = heading_error(fitted.correction, drive.vehicle.robot)
-    said = math.degrees(fitted.heading_sigma)
+    error = heading_error(fitted.posterior.correction, drive.vehicle.robot)
+    said = math.degrees(fitted.posterior.heading_sigma)
     assert error < 3.0
     assert said < 3.0
     assert error < 2.5 * said
@@ -70,7 +70,7 @@ def test_a_start_eighty_degrees_off_is_found_all_the_same(drive):
     )
     other = driven(5, 240.0, vehicle=vehicle)
     found = fit_to(other)
-    assert heading_error(found.correction, vehicle.robot) < 4.0
+    assert heading_error(found.posterior.correction, vehicle.robot) < 4.0
 
 
 def test_a_gyro_that_turns_the_other_way_is_refused(drive):
@@ -103,8 +103,8 @@ def test_pieces_between_which_the_gyro_was_lost_make_one_calibration(drive):
     nodes = drive_nodes(holed, NOBODY)
     assert np.count_nonzero(~nodes.is_tied) == 1
     found = fit_of(holed, BOSTON)
-    error = heading_error(found.correction, drive.vehicle.robot)
-    assert error < 2.5 * math.degrees(found.heading_sigma)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    assert error < 2.5 * math.degrees(found.posterior.heading_sigma)
 
 
 def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
@@ -113,9 +113,9 @@ def test_the_iron_that_was_added_is_found_in_ninety_seconds(drive):
     other = driven(9, 90.0, vehicle=changed)
     found = fit_iron(drive_nodes(log_from(other), NOBODY), robot.true_correction, BOSTON)
     before = heading_error(robot.true_correction, changed.robot)
-    after = heading_error(found.correction, changed.robot)
+    after = heading_error(found.posterior.correction, changed.robot)
     assert before > 10.0
-    assert after < min(6.0, 3.0 * math.degrees(found.heading_sigma))
+    assert after < min(6.0, 3.0 * math.degrees(found.posterior.heading_sigma))
 
 
 def test_the_true_calibration_is_likelier_than_a_wrong_one(drive, nodes):
@@ -144,8 +144,8 @@ def weak_motion(seconds, turns, soft_iron, seed):
     robot = swaying_robot(soft_iron)
     window = swaying_window(robot, swaying(seconds, turns=turns), np.random.default_rng(seed))
     found = fit_of(log_of(window), LONG)
-    error = heading_error(found.correction, robot)
-    return error, math.degrees(found.heading_sigma)
+    error = heading_error(found.posterior.correction, robot)
+    return error, math.degrees(found.posterior.heading_sigma)
 
 
 @pytest.mark.parametrize("turns", [False, True])
@@ -173,8 +173,8 @@ def test_a_robot_that_creeps_along_a_street_says_no_more_than_it_may():
     """Nothing pulls here either, but the street is in what is left of the field."""
     drive = driven(3, legs=city(np.random.default_rng(3), 120.0, fastest=0.4))
     found = fit_to(drive)
-    error = heading_error(found.correction, drive.vehicle.robot)
-    said = math.degrees(found.heading_sigma)
+    error = heading_error(found.posterior.correction, drive.vehicle.robot)
+    said = math.degrees(found.posterior.heading_sigma)
     assert error < 2.5 * said
     assert said > 1.0
 
@@ -188,8 +188,8 @@ def test_sigma_is_right_over_many_drives(seconds, speed):
     for seed in range(100):
         drive = driven(seed, seconds)
         found = fit_to(drive, speed=speed)
-        errors.append(heading_error(found.correction, drive.vehicle.robot))
-        said.append(math.degrees(found.heading_sigma))
+        errors.append(heading_error(found.posterior.correction, drive.vehicle.robot))
+        said.append(math.degrees(found.posterior.heading_sigma))
     wrong, predicted = (math.sqrt(np.mean(np.square(each))) for each in (errors, said))
     assert wrong < (3.0 if seconds > 200.0 else 4.5)
     assert 1.0 / 1.5 < wrong / predicted < 1.5

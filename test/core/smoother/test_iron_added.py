@@ -48,8 +48,8 @@ def test_iron_that_came_half_a_minute_ago_is_found_with_its_moment(seed):
     assert since == pytest.approx(CAME, abs=1.5)
     with_iron = drive.vehicle.with_iron(np.array(iron)).robot
     assert heading_error(in_force(drive).correction, with_iron) > 10.0
-    left = heading_error(found.fit.correction, with_iron)
-    assert left < min(6.0, 3.0 * math.degrees(found.fit.heading_sigma))
+    left = heading_error(found.fit.posterior.correction, with_iron)
+    assert left < min(6.0, 3.0 * math.degrees(found.fit.posterior.heading_sigma))
 
 
 @pytest.mark.parametrize("seed", [4, 7])
