@@ -31,6 +31,7 @@ from magcal_ros.core.smoother.posterior import motors_of
 from magcal_ros.core.smoother.turn_by_field import rival_gap, smooth_by_field
 from magcal_ros.core.smoother.unknowns import (
     AT,
+    BODY_FIELD,
     DRIVES,
     MICROTESLA,
     ON_THE_SPOT,
@@ -216,6 +217,7 @@ def _swing(found: Smoothed) -> GyroSwing:
     shared, course = best.state.shared, best.point.course
     motors = course.moving[:, None] * shared[AT["motors_moving"]]
     motors = motors + nodes.rate[:, 2:] * shared[AT["motors_rate"]]
+    motors = motors + best.state.local[:, BODY_FIELD]
     back = np.linalg.inv(distortion(shared))
     body = (nodes.field - shared[AT["iron"]] - motors) @ back.T
     attitude = body_from_enu(best.state.attitude[:, :, 2], body)

@@ -26,6 +26,7 @@ from magcal_ros.core.smoother.kinds_of_motion import (
 )
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import Posterior, posterior
+from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.state import SECTORS, State
 from magcal_ros.core.smoother.unknowns import (
@@ -36,8 +37,6 @@ from magcal_ros.core.smoother.unknowns import (
     ON_WHEELS,
     SHARED,
     UNKNOWNS,
-    Priors,
-    priors_of,
 )
 from magcal_ros.core.smoother.without_gyro import DEAD_AXES, living_axes
 

@@ -9,24 +9,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.smoother.model import Model, Point, course_at, evidence, solve_at
+from magcal_ros.core.smoother.evidence import evidence
+from magcal_ros.core.smoother.model import (
+    Model,
+    Point,
+    course_at,
+    prior_at,
+    solve_at,
+    weigh,
+)
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.sizes import (
     effect_factors,
     expected_square,
     noise_sizes,
 )
-from magcal_ros.core.smoother.solver import Solution, Weighted
+from magcal_ros.core.smoother.solver import Solution, Weighted, chain_of
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import (
-    AT,
-    ATTITUDE,
-    SHARED,
-    UNKNOWNS,
-    KindOfMotion,
-    Priors,
-)
+from magcal_ros.core.smoother.unknowns import AT, ATTITUDE, EARTH, SHARED, UNKNOWNS, KindOfMotion
+
+STEPS = {EARTH.stop - 1: 0.1, AT["height"].start: 0.01}
+"""Of the downward field, µT, and the height, m, by which derivatives are taken."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,8 @@ class Tolerances:
     """Steps at most and at least."""
     step: float = 0.05
     """Of the answer, in its own sigmas."""
+    settled: float = 0.2
+    """The same of a fit whose last rounds still change something else."""
     evidence: float = 0.5
     """Change of minus twice the logarithm of the evidence."""
     largest_turn: float = 0.4
@@ -65,6 +72,8 @@ class Fit:
     """The residuals at the optimum."""
     rounds: int
     converged: bool
+    moved: float
+    """Last step of the answer, in its own sigmas."""
 
     @property
     def state(self) -> State:
@@ -79,7 +88,9 @@ class Fit:
     @property
     def message(self) -> str:
         """Why it stopped."""
-        return "converged" if self.converged else f"no convergence in {self.rounds} rounds"
+        # Velocities may alternate between two sets of outliers, on which no answer depends.
+        settled = self.converged or self.moved < Tolerances.settled
+        return "converged" if settled else f"no convergence in {self.rounds} rounds"
 
 
 def fit(
@@ -127,14 +138,41 @@ def fit(
         if converged or rounds == tolerances.rounds:
             break
         before = found
+        if rounds >= tolerances.gaussian:
+            point = replace(point, is_robust=True)
+            if model.lean_has_no_scale:
+                point = replace(point, marginal=marginal_gradient(model, point, weighted))
         sizes, point = sizes.next(model, point, weighted, solution, rounds > 0)
         point = stepped(model, point, solution, share)
         if rounds >= tolerances.held:
             point = replace(point, groups=effect_factors(model, point, solution))
-        if rounds >= tolerances.gaussian:
-            point = replace(point, is_robust=True)
     covariance = _covariance(model, point, weighted, solution)
-    return Fit(kind, model, point, covariance, found, weighted, rounds, converged)
+    return Fit(kind, model, point, covariance, found, weighted, rounds, converged, moved)
+
+
+def marginal_gradient(model: Model, point: Point, weighted: dict[str, Weighted]) -> FloatArray:
+    """Return the gradient of the logarithm of the determinant of the nodes' information matrix.
+
+    By the downward field and the height of the accelerometer, which multiply the lean: their most
+    likely values with the most likely leans are too large (Neyman and Scott, Econometrica 16,
+    1948).
+
+    Returns
+    -------
+    ndarray, shape (SHARED,)
+    """
+    prior, out = prior_at(model, point), np.zeros(SHARED)
+    usual = chain_of(list(weighted.values()), prior).log_determinant
+    for which, step in STEPS.items():
+        shared = point.state.shared.copy()
+        shared[which] += step
+        moved = weigh(model, replace(point, state=replace(point.state, shared=shared)))
+        parts = [
+            replace(part, linear=replace(moved[name].linear, residual=part.linear.residual))
+            for name, part in weighted.items()
+        ]
+        out[which] = (chain_of(parts, prior).log_determinant - usual) / step
+    return out
 
 
 def _begin(

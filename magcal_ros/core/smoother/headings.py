@@ -20,13 +20,7 @@ from magcal_ros.core.smoother.standings import (
     rms_size,
 )
 from magcal_ros.core.smoother.state import State
-from magcal_ros.core.smoother.unknowns import (
-    MICROTESLA,
-    SHARED,
-    STANDING,
-    YAW,
-    Size,
-)
+from magcal_ros.core.smoother.unknowns import MICROTESLA, SHARED, STANDING, YAW, Size
 
 SPREADS = np.linspace(-2.4, 2.4, 7)
 """Spreads of its logarithm at which the size of the local disturbance is tried."""

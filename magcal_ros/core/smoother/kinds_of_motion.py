@@ -19,6 +19,7 @@ from magcal_ros.core.smoother.factors import soft_iron
 from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
 from magcal_ros.core.smoother.posterior import Posterior, posterior
+from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.start import start
 from magcal_ros.core.smoother.unknowns import (
     AT,
@@ -30,7 +31,6 @@ from magcal_ros.core.smoother.unknowns import (
     SMALL_CIRCLE,
     UNKNOWNS,
     USUAL,
-    priors_of,
 )
 from magcal_ros.core.smoother.without_gyro import living_axes, with_dead_axes
 
@@ -257,7 +257,8 @@ def smooth(
         if not spot.converged:
             trials.add(ON_THE_SPOT, spot)
         best = trials.field_late()
-        for name in trials.others:
+        # Sensors that are exact move no more than their robot does.
+        for name in () if knowledge.exact_sensors else trials.others:
             trials.add(name, best)
     elif too_slow is not None:
         raise too_slow

@@ -1,9 +1,8 @@
-"""The model at a point: residuals with their variances, priors, and the evidence."""
+"""The model at a point: residuals with their variances, and priors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import LEVEL_AXES, UP_AXIS, Linear
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import Course, State, damped, level_axes
 from magcal_ros.core.smoother.unknowns import (
@@ -29,7 +29,6 @@ from magcal_ros.core.smoother.unknowns import (
     UNKNOWNS,
     VELOCITY,
     KindOfMotion,
-    Priors,
 )
 
 GAUSSIAN = 1e9
@@ -85,6 +84,18 @@ class Model:
         none = Places.none(len(self.nodes), self.priors.lengths.street)
         return none if self.nodes.tied_to is None else replace(none, rest=np.zeros(len(self.nodes)))
 
+    def scales(self, groups: dict[str, float]) -> FloatArray:
+        """Return the sigmas of the shared unknowns' priors, shape (SHARED,)."""
+        scale = self.priors.scale.copy()
+        for name, at in AT.items():
+            scale[at] *= groups[name]
+        return scale
+
+    @property
+    def lean_has_no_scale(self) -> bool:
+        """Whether neither a gyro shows how far the body leans, nor a reference the field."""
+        return self.nodes.tied_to is not None and self.priors.strength is not None
+
     @property
     def free(self) -> IntArray:
         """Which of the shared unknowns are free; those of the centres of places come after."""
@@ -104,6 +115,9 @@ class Point:
     places: Places
     doubt: FloatArray = field(repr=False)
     """Variance of the nodes' velocities, both axes together, (m/s)². Shape (n,)."""
+    marginal: FloatArray | None = field(default=None, repr=False)
+    """Gradient by the shared unknowns of the logarithm of the determinant of the nodes' information
+    matrix: the most likely nodes are not where those unknowns are most likely. Shape (SHARED,)."""
     is_robust: bool = False
     """Whether residuals follow Student distributions; at first they are Gaussian, or the few
     residuals that show an effect, as rests show the motors, would pass for outliers."""
@@ -122,6 +136,11 @@ class Point:
             model.no_places,
             np.full(len(model.nodes), float(model.speed @ model.speed)),
         )
+
+    @property
+    def body_field_at_first(self) -> float:
+        """Size of the body's coloured noise at the first node, µT."""
+        return self.sizes["body_field" if self.course.still[0] else "motors_noise"]
 
     def freedom(self, model: Model, name: str) -> float:
         """Return the degrees of freedom of a noise's Student distribution."""
@@ -282,33 +301,28 @@ def way_between(model: Model, point: Point) -> FloatArray:
     return np.asarray(nodes.seconds * np.sqrt(square + around**2) * share + 1e-6)
 
 
-def _scales(model: Model, groups: dict[str, float]) -> FloatArray:
-    """Return the sigmas of the shared unknowns' priors, shape (SHARED,)."""
-    scale = model.priors.scale.copy()
-    for name, at in AT.items():
-        scale[at] *= groups[name]
-    return scale
-
-
 def prior_at(model: Model, point: Point) -> Prior:
     """Return the priors at a point."""
     state, sizes, places = point.state, point.sizes, point.places
     local = np.full_like(state.local, LEAST_VARIANCE)
     local[0, VELOCITY] = model.speed**-2.0
     local[0, STREET] = sizes["street"] ** -2.0
-    local[0, BODY_FIELD] = _body_field_at_first(point) ** -2.0
+    local[0, BODY_FIELD] = point.body_field_at_first**-2.0
     local[0, ACCELERATION] = [sizes[name] ** -2.0 for name in CHANGES]
     local[point.course.still, VELOCITY] = model.priors.lengths.creep**-2.0
     count = SHARED + 3 * len(places)
     information = np.zeros((count, count))
     free = model.free
-    information[free, free] = _scales(model, point.groups)[free] ** -2.0
+    information[free, free] = model.scales(point.groups)[free] ** -2.0
     information[EARTH, EARTH], earth_offset = model.priors.of_earth(state.shared[EARTH])
     information[SHARED:, SHARED:] = np.kron(places.information, np.eye(3)) / sizes["street"] ** 2
     offset = np.concatenate([model.priors.mean - state.shared, -state.centres.ravel()])
     offset[EARTH] = earth_offset
     counted = counted_unknowns(model, places)
-    return Prior(local, -state.local, information[np.ix_(counted, counted)], offset[counted])
+    known, offset = information[np.ix_(counted, counted)], offset[counted]
+    if point.marginal is not None:
+        offset = offset - 0.5 * np.linalg.solve(known, point.marginal[counted])
+    return Prior(local, -state.local, known, offset)
 
 
 def counted_unknowns(model: Model, places: Places) -> IntArray:
@@ -331,62 +345,3 @@ def solve_at(
         weighted = {name: replace(part, is_expected=True) for name, part in weighted.items()}
     counted = counted_unknowns(model, point.places)
     return weighted, solve(list(weighted.values()), prior_at(model, point), counted)
-
-
-def evidence(
-    model: Model, point: Point, weighted: dict[str, Weighted], solution: Solution
-) -> float:
-    """Return minus twice the logarithm of the evidence by Laplace's approximation.
-
-    But for a constant of the window; the sizes are at their most likely values.
-    """
-    by_shared = cost_of_shared(model, point) + solution.log_determinant
-    return cost_of_nodes(model, point, weighted) + by_shared
-
-
-def cost_of_nodes(model: Model, point: Point, weighted: dict[str, Weighted]) -> float:
-    """Return minus twice the logarithm of likelihood and priors but for the shared unknowns'."""
-    state, sizes, places = point.state, point.sizes, point.places
-    cost = sum(part.cost for part in weighted.values())
-    levels = (
-        (VELOCITY, model.speed),
-        (STREET, sizes["street"]),
-        (BODY_FIELD, _body_field_at_first(point)),
-        (ACCELERATION, np.array([sizes[name] for name in CHANGES])),
-    )
-    for which, level in levels:
-        cost += float(np.sum((state.local[0, which] / level) ** 2 + 2.0 * np.log(level)))
-    # A rest is a measurement of the velocity.
-    creep = model.priors.lengths.creep
-    rests = state.local[point.course.still, VELOCITY] / creep
-    cost += float(np.sum(rests**2)) + 2.0 * rests.size * math.log(creep)
-    centres = state.centres / sizes["street"]
-    cost += float(np.sum(places.information * (centres @ centres.T)))
-    cost += 3.0 * (places.log_determinant + 2.0 * len(places) * math.log(sizes["street"]))
-    for name, belief in model.priors.sizes.items():
-        cost += (math.log(sizes[name] / belief.usual) / belief.spread) ** 2
-    return cost
-
-
-def _body_field_at_first(point: Point) -> float:
-    """Return the size of the body's coloured noise at the first node."""
-    return point.sizes["body_field" if point.course.still[0] else "motors_noise"]
-
-
-def cost_of_shared(model: Model, point: Point, names: Iterable[str] = tuple(AT)) -> float:
-    """Return minus twice the logarithm of the prior of some groups of shared unknowns."""
-    off, scales, cost = point.state.shared - model.priors.mean, _scales(model, point.groups), 0.0
-    for name in names:
-        at = AT[name]
-        if name == "earth":
-            earth = model.priors.earth
-            cost += float(off[at] @ np.linalg.solve(earth, off[at]) + np.linalg.slogdet(earth)[1])
-            excess, sigma, _ = model.priors.beyond_strongest(point.state.shared[at])
-            cost += (excess / sigma) ** 2
-            continue
-        seen = scales[at] > 0.0
-        scale, spread = scales[at][seen], model.priors.spread[name]
-        cost += float(np.sum((off[at][seen] / scale) ** 2 + 2.0 * np.log(scale)))
-        if spread > 0.0:
-            cost += (math.log(point.groups[name]) / spread) ** 2
-    return cost

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
+from magcal_ros.core.smoother.evidence import cost_of_nodes, cost_of_shared
 from magcal_ros.core.smoother.fit import (
     Fit,
     SizeSteps,
@@ -27,8 +28,6 @@ from magcal_ros.core.smoother.fit import (
 from magcal_ros.core.smoother.model import (
     Model,
     Point,
-    cost_of_nodes,
-    cost_of_shared,
     counted_unknowns,
     prior_at,
     solve_at,
@@ -207,7 +206,8 @@ def fit_together(
         for k in every:
             model, solution, parts = models[k], found.solutions[k], found.weighted[k]
             steps[k], point = steps[k].next(model, points[k], parts, solution, rounds > 0)
-            points[k] = stepped(model, point, solution, share)
+            stands = stepped(model, point, solution, share)
+            points[k] = replace(stands, is_robust=rounds >= tolerances.gaussian)
         if rounds >= tolerances.held:
             points = _agreed(
                 models,
@@ -216,16 +216,14 @@ def fit_together(
                     for m, p, s in zip(models, points, found.solutions, strict=True)
                 ],
             )
-        if rounds >= tolerances.gaussian:
-            points = [replace(point, is_robust=True) for point in points]
     wide = _agreed(models, [_widened(models[k], points[k], found, k) for k in every])
     doubted = _Step.at(models, wide, is_expected=True)
     fits, informations = [], []
     for k, solution in enumerate(doubted.solutions):
         free, covariance = models[k].free, np.zeros((SHARED, SHARED))
         covariance[np.ix_(free, free)] = solution.covariance[: len(free), : len(free)]
-        kind, parts = alone[k].kind, found.weighted[k]
-        fits.append(Fit(kind, models[k], points[k], covariance, evidence, parts, rounds, converged))
+        kind, parts, end = alone[k].kind, found.weighted[k], (rounds, converged, moved)
+        fits.append(Fit(kind, models[k], points[k], covariance, evidence, parts, *end))
         informations.append(information_of(models[k], wide[k], solution))
     return Together(fits, informations, doubted.prior_of_common, evidence)
 

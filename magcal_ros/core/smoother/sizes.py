@@ -160,8 +160,9 @@ def effect_factors(
         alone, column = np.eye(len(rows)), covariance[:, rows]
         own = np.asarray(np.linalg.inv(column[rows]), dtype=np.float64)
         mean = covariance[rows] @ by_samples
-        bounds = spread, model.priors.most[name]
-        factor = _factor(bounds, own, mean, found[name], is_expected=name in expected)
+        believed = model.priors.log_factor(name, found)
+        x = np.linspace(-3.0 * spread, math.log(model.priors.most[name]), GRID)
+        factor = _factor(x, believed, own, mean, found[name], is_expected=name in expected)
         if (more := factor**-2.0 - found[name] ** -2.0) != 0.0:
             # By the matrix inversion lemma.
             covariance -= column @ np.linalg.solve(alone / more + column[rows], column.T)
@@ -170,7 +171,8 @@ def effect_factors(
 
 
 def _factor(
-    bounds: tuple[float, float],
+    x: FloatArray,
+    believed: tuple[float, float],
     posterior: FloatArray,
     mean: FloatArray,
     before: float,
@@ -180,17 +182,16 @@ def _factor(
     """Return the most likely factor of a group's sigmas, or the root of its mean square.
 
     Of a group the posterior less its prior is what the samples say, with all else integrated out.
-    From that the marginal likelihood of any other factor follows in closed form. `bounds` are the
-    spread of the factor's logarithm and its largest value.
+    From that the marginal likelihood of any other factor follows in closed form. `x` are the
+    logarithms that are tried, and `believed` their mean and variance before the samples.
     """
-    spread, most = bounds
     values, vectors = np.linalg.eigh(posterior - np.eye(len(mean)) / before**2)
     values = np.maximum(values, 0.0)
     drawn = vectors.T @ posterior @ mean
-    x = np.linspace(-3.0 * spread, math.log(most), GRID)
     square = np.exp(2.0 * x)[:, None]
     likely = 0.5 * np.sum(square * drawn**2 / (1.0 + square * values), axis=1)
-    likely -= 0.5 * np.sum(np.log1p(square * values), axis=1) + 0.5 * (x / spread) ** 2
+    likely -= 0.5 * np.sum(np.log1p(square * values), axis=1)
+    likely -= 0.5 * (x - believed[0]) ** 2 / believed[1]
     if not is_expected:
         return float(np.exp(x[np.argmax(likely)]))
     odds = np.exp(likely - likely.max())

@@ -121,14 +121,8 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
         If the matrix is not positive definite.
     """
     nodes, count = len(prior.local_information), len(free)
-    diagonal = np.zeros((nodes, LOCAL, LOCAL))
-    upper = np.zeros((nodes - 1, LOCAL, LOCAL))
-    right = np.zeros((nodes, LOCAL, 1 + count))
     information = prior.information.copy()
     gradient = prior.information @ prior.offset
-    each = np.arange(LOCAL)
-    diagonal[:, each, each] = prior.local_information
-    right[:, :, 0] = prior.local_information * prior.local_offset
     for part in weighted:
         if part.linear.shared is not None:
             shared = part.linear.by(free)
@@ -137,17 +131,7 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
             heavy = (part.weight[:, None, None] * shared).reshape(-1, known)
             information[:known, :known] += flat.T @ heavy
             gradient[:known] += heavy.T @ part.linear.residual.ravel()
-    for parts in _alike(weighted):
-        rows = len(parts[0].linear.here)
-        design, weight = _stacked(parts, free)
-        reached = design.shape[2] - 1 - count
-        product = np.swapaxes(weight[:, :, None] * design[:, :, :reached], 1, 2) @ design
-        diagonal[:rows] += product[:, :LOCAL, :LOCAL]
-        right[:rows] += product[:, :LOCAL, reached:]
-        if reached > LOCAL:
-            diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
-            upper += product[:, :LOCAL, LOCAL:reached]
-            right[1:] += product[:, LOCAL:, reached:]
+    diagonal, upper, right = _of_nodes(weighted, prior, free)
     chain = block_chain(diagonal, upper)
     solved = chain.solve(right).reshape(nodes * LOCAL, -1)
     cross = right[:, :, 1:].reshape(nodes * LOCAL, count)
@@ -160,6 +144,36 @@ def solve(weighted: list[Weighted], prior: Prior, free: IntArray) -> Solution:
     follow = solved[:, 1:].reshape(nodes, LOCAL, count)
     both = chain.log_determinant + by_shared
     return Solution(local, step, covariance, follow, schur, gradient, both, chain)
+
+
+def chain_of(weighted: list[Weighted], prior: Prior) -> Chain:
+    """Return the information matrix of the nodes' unknowns alone."""
+    return block_chain(*_of_nodes(weighted, prior, np.zeros(0, dtype=np.intp))[:2])
+
+
+def _of_nodes(
+    weighted: list[Weighted], prior: Prior, free: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the nodes' blocks on and beside the diagonal, and by the residual and the shared."""
+    nodes, count = len(prior.local_information), len(free)
+    diagonal = np.zeros((nodes, LOCAL, LOCAL))
+    upper = np.zeros((nodes - 1, LOCAL, LOCAL))
+    right = np.zeros((nodes, LOCAL, 1 + count))
+    each = np.arange(LOCAL)
+    diagonal[:, each, each] = prior.local_information
+    right[:, :, 0] = prior.local_information * prior.local_offset
+    for parts in _alike(weighted):
+        rows = len(parts[0].linear.here)
+        design, weight = _stacked(parts, free)
+        reached = design.shape[2] - 1 - count
+        product = np.swapaxes(weight[:, :, None] * design[:, :, :reached], 1, 2) @ design
+        diagonal[:rows] += product[:, :LOCAL, :LOCAL]
+        right[:rows] += product[:, :LOCAL, reached:]
+        if reached > LOCAL:
+            diagonal[1:] += product[:, LOCAL:, LOCAL:reached]
+            upper += product[:, :LOCAL, LOCAL:reached]
+            right[1:] += product[:, LOCAL:, reached:]
+    return diagonal, upper, right
 
 
 def inverse_and_log_determinant(information: FloatArray) -> tuple[FloatArray, float]:

@@ -20,6 +20,7 @@ from magcal_ros.core.smoother import factors
 from magcal_ros.core.smoother.model import GAUSSIAN, LEAST_VARIANCE
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.solver import Prior, Solution, Weighted, solve
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
@@ -33,9 +34,7 @@ from magcal_ros.core.smoother.unknowns import (
     STREET,
     UNKNOWNS,
     YAW,
-    Priors,
     Size,
-    priors_of,
 )
 
 X = np.array([1.0, 0.0, 0.0])

@@ -20,8 +20,9 @@ from magcal_ros.core.geometry.rotations import (
 )
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.smoother.nodes import Nodes
+from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.state import Course, State, level_axes
-from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, SHARED, Priors
+from magcal_ros.core.smoother.unknowns import AT, EARTH, LOCAL, MICROTESLA, SHARED
 
 BIASES = (0.0, 0.01, -0.01, 0.025, -0.025, 0.05, -0.05, 0.1, -0.1)
 """rad/s about up of the gyro's bias that are tried."""

@@ -17,14 +17,9 @@ from magcal_ros.core.smoother.fit import Fit, Tolerances, fit
 from magcal_ros.core.smoother.kinds_of_motion import Smoothed, is_upright, mixed
 from magcal_ros.core.smoother.nodes import Nodes
 from magcal_ros.core.smoother.posterior import posterior
+from magcal_ros.core.smoother.priors import Priors, priors_of
 from magcal_ros.core.smoother.state import Course, State
-from magcal_ros.core.smoother.unknowns import (
-    KINDS,
-    ON_THE_SPOT,
-    SMALL_CIRCLE,
-    Priors,
-    priors_of,
-)
+from magcal_ros.core.smoother.unknowns import KINDS, ON_THE_SPOT, SMALL_CIRCLE
 from magcal_ros.core.smoother.without_gyro import (
     apart,
     guesses,

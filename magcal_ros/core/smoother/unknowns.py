@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from magcal_ros.core.geometry.arrays import FloatArray
-from magcal_ros.core.knowledge import Knowledge
 
 MICROTESLA = 1e6
 """Microtesla in a tesla."""
@@ -154,6 +153,11 @@ UNKNOWNS: dict[str, Unknown] = {
     ),
 }
 
+MODULE = ("axes", "gyro_bias", "gyro_matrix", "force_offset")
+"""Groups that depend on the quality of the sensor module: a cheap one has all of them larger."""
+ALIKE = 0.5
+"""Correlation of the logarithms of their factors."""
+
 SIZES: dict[str, Size] = {
     "field": Size(
         0.07, 0.7, 6.0, "µT", "noise of a node's field beside white noise", "steps of resolution"
@@ -283,114 +287,3 @@ SYMMETRIC = (slice(AT["axes"].start, AT["axes"].stop - 1), AT["soft_iron"])
 SHIELDING = AT["shielding"].start
 TURNED = AT["turned"].start
 EARTH = AT["earth"]
-
-
-@dataclass(frozen=True, eq=False)
-class Priors:
-    """What is believed of the unknowns before the samples."""
-
-    mean: FloatArray
-    """Shape (SHARED,)."""
-    scale: FloatArray
-    """Sigma of each number; zero for one that is known. Shape (SHARED,)."""
-    earth: FloatArray
-    """Covariance of level and downward field, µT². Shape (2, 2)."""
-    strength: tuple[float, float] | None = None
-    """Strength of the Earth's field and its sigma, µT, where no reference tells it."""
-    spread: Mapping[str, float] = field(
-        default_factory=lambda: {name: each.spread for name, each in UNKNOWNS.items()}
-    )
-    """Of the groups' factors (`Unknown`)."""
-    most: Mapping[str, float] = field(
-        default_factory=lambda: {name: each.most for name, each in UNKNOWNS.items()}
-    )
-    """Largest factors."""
-    sizes: Mapping[str, Size] = field(default_factory=lambda: dict(SIZES))
-    lengths: Lengths = Lengths()
-
-    def about(self, iron: FloatArray, level: float) -> Priors:
-        """Return the priors about a start: hard iron, and the level field where it is unknown."""
-        mean = self.mean.copy()
-        mean[AT["iron"]] = iron
-        if self.earth[0, 0] >= UNKNOWNS["earth"].sigma[0] ** 2:
-            mean[EARTH.start] = level
-        return replace(self, mean=mean)
-
-    def of_earth(self, earth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the information on level and downward field, and their expectation less `earth`.
-
-        The strength is not linear in them: its limit counts as at that value.
-        """
-        information = np.linalg.inv(self.earth)
-        drawn = information @ (self.mean[EARTH] - earth)
-        excess, sigma, along = self.beyond_strongest(earth)
-        if excess > 0.0:
-            information = information + np.outer(along, along) / sigma**2
-            drawn = drawn - along * excess / sigma**2
-        return np.asarray(information), np.asarray(np.linalg.solve(information, drawn))
-
-    def beyond_strongest(self, earth: FloatArray) -> tuple[float, float, FloatArray]:
-        """Return by how much a field exceeds its limit, the sigma of that, and its direction."""
-        most, sigma = self.strength or (math.inf, 1.0)
-        size = float(np.linalg.norm(earth))
-        return max(0.0, size - most), sigma, earth / max(size, 1e-9)
-
-
-def priors_of(knowledge: Knowledge, bias_sigma: float = math.inf) -> Priors:
-    """Return the priors that go with what is known of a robot and its place.
-
-    Parameters
-    ----------
-    knowledge : Knowledge
-    bias_sigma : float
-        rad/s per axis of the gyro's bias, where a rest has shown it; else infinite.
-    """
-    mean = np.zeros(SHARED)
-    scale = np.concatenate([np.array(each.sigma) for each in UNKNOWNS.values()])
-    spread = {name: each.spread for name, each in UNKNOWNS.items()}
-    if math.isfinite(bias_sigma):
-        scale[AT["gyro_bias"]] = max(bias_sigma, 1e-6)
-        spread["gyro_bias"] = 0.0
-    # The gyro tells what the lever arm and the place do; only several turns what sets them apart.
-    for name in ("height", "axis", "upright", "gradient", "turned", "place", "added"):
-        scale[AT[name]] = 0.0
-    mean[EARTH], earth = _earth(knowledge)
-    most = {name: each.most for name, each in UNKNOWNS.items()}
-    sizes = dict(SIZES)
-    if knowledge.exact_sensors:
-        for name in (
-            "gyro_matrix",
-            "lever_arm",
-            "latency",
-            "motors_moving",
-            "motors_rate",
-            "drift",
-            "force_moving",
-            "force_offset",
-            "axes",
-            "shielding",
-        ):
-            scale[AT[name]] = 0.0
-        scale[AT["soft_iron"]], spread["soft_iron"], most["soft_iron"] = EXACT_IRON
-        for name in ("street", "body_field", "motors_noise"):
-            sizes[name] = sizes[name]._replace(usual=NOTHING, spread=0.1, start=NOTHING)
-    if knowledge.soft_iron.sigma_diagonal == 0.0:
-        for name in ("axes", "soft_iron", "shielding"):
-            scale[AT[name]] = 0.0
-    strength = STRONGEST if knowledge.reference.strength.is_unknown else None
-    return Priors(mean, scale, earth, strength, spread, most, sizes)
-
-
-def _earth(knowledge: Knowledge) -> tuple[FloatArray, FloatArray]:
-    """Return the expected level and downward field, µT, and their covariance."""
-    wide = np.square(UNKNOWNS["earth"].sigma)
-    strength, dip = knowledge.reference.strength, knowledge.reference.inclination
-    if strength.is_unknown and dip.is_unknown:
-        return np.array([25.0, 20.0]), np.diag(wide)
-    size = 45.0 if strength.is_unknown else strength.value * MICROTESLA
-    angle = math.radians(55.0) if dip.is_unknown else dip.value
-    size_sigma = 20.0 if strength.is_unknown else max(strength.sigma * MICROTESLA, 1e-3)
-    angle_sigma = 0.7 if dip.is_unknown else max(dip.sigma, 1e-5)
-    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
-    spread = np.diag([size_sigma**2, (size * angle_sigma) ** 2])
-    return size * turn[:, 0], turn @ spread @ turn.T

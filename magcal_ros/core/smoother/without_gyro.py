@@ -20,6 +20,7 @@ from magcal_ros.core.geometry.rotations import minimal_rotation
 from magcal_ros.core.knowledge import ReferenceField
 from magcal_ros.core.samples.window import Window, without_spikes
 from magcal_ros.core.smoother.nodes import Nodes, Spacing, nodes_of
+from magcal_ros.core.smoother.priors import Priors
 from magcal_ros.core.smoother.start import Guess, starts
 from magcal_ros.core.smoother.state import State
 from magcal_ros.core.smoother.unknowns import (
@@ -31,7 +32,6 @@ from magcal_ros.core.smoother.unknowns import (
     ROLL_PITCH,
     SHIELDING,
     UNKNOWNS,
-    Priors,
     Size,
 )
 

@@ -15,6 +15,7 @@ from magcal_ros.core.smoother import factors, factors_by_field
 from magcal_ros.core.smoother.factors import Linear
 from magcal_ros.core.smoother.nodes import nodes_of
 from magcal_ros.core.smoother.places import Places
+from magcal_ros.core.smoother.priors import priors_of
 from magcal_ros.core.smoother.state import Course, State
 from magcal_ros.core.smoother.unknowns import (
     ACCELERATION,
@@ -25,7 +26,6 @@ from magcal_ros.core.smoother.unknowns import (
     STREET,
     VELOCITY,
     Lengths,
-    priors_of,
 )
 
 STEP = 1e-6

@@ -97,6 +97,20 @@ def test_lean_is_told_from_sway_that_shakes_a_high_accelerometer(height):
     assert error < 3.0 * DEGREE
 
 
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_how_far_a_body_sways_is_told_without_bias(height):
+    """The most likely leans are too small, and with them the downward field is too large."""
+    ratios = []
+    for seed in range(5, 9):
+        estimate = fit(swaying(height, seed), Knowledge())
+        down = estimate.strength * math.sin(estimate.inclination)
+        true = ROBOT.strength * math.sin(ROBOT.inclination)
+        ratios.append(down / true - 1.0)
+        error = error_on_slopes(estimate, ROBOT)
+        assert error < 2.5 * predicted_heading_sigma(estimate, 10.0 * DEGREE)
+    assert abs(np.mean(ratios)) < 0.025
+
+
 def test_a_dead_axis_is_not_believed():
     """On a slope the body leans all round, which the dead axes say it does not."""
     motion = turn(start_rpy=(0.15, 0.0, 0.3))
