@@ -220,7 +220,7 @@ class _Trials:
     def drives_roughly(self) -> None:
         """Fit the most usual kind of drive alone, and not to the end."""
         self._begin(WHILE_DRIVING)
-        self.add(ON_WHEELS, tolerances=ROUGHLY)
+        self._without_false_rests()
 
     def mixed(self) -> Smoothed:
         """Weigh the fits."""
@@ -270,8 +270,8 @@ def smooth(
 def promised_sigma(window: Window, knowledge: Knowledge) -> float:
     """Return about what sigma of the level heading `smooth` would come to, radians.
 
-    Parameters and errors as of `smooth`. It takes less time, of a drive a fifth: two kinds of
-    motion are fitted, and not to the end.
+    Parameters and errors as of `smooth`. It takes less time, of a drive two fifths: two fits are
+    made, and not to the end.
     """
     trials = _Trials(window, knowledge)
     if (spot := trials.on_the_spot()) is not None:
