@@ -30,9 +30,8 @@ from magcal_ros.core.smoother.without_gyro import (
 )
 
 NOTHING_FITS = "no installation and hard iron fit these samples; check the axes and repeat the turn"
-BENT = f"{ON_THE_SPOT}, bent field"
 OTHER = ", other root"
-USUAL = {SMALL_CIRCLE: 0.1, BENT: 0.3}
+USUAL = {SMALL_CIRCLE: 0.1}
 USUAL |= {name + OTHER: share for name, share in USUAL.items()}
 """How usual kinds of motion are without a gyro, which alone would show them, over the usual one."""
 AGAIN = Tolerances(fewest=4)
@@ -65,11 +64,8 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
     assert nodes.tied_to is not None
     rests = bool(Course.of(nodes, nodes.tied_to, np.zeros(3), usual.lengths).still.any())
     priors = without_rates(usual, rests=rests)
-    led = (
-        _fitted(like.model.nodes, like.model.priors, like.state, AGAIN, like)
-        for like in _best(nodes, priors, knowledge)
-    )
-    roots = _distinct([each for each in led if each is not None and is_upright(each)], HOPELESS)
+    led = (_upright(like.model.priors, like) for like in _best(nodes, priors, knowledge))
+    roots = _distinct([each for each in led if each is not None], HOPELESS)
     if not roots:
         raise Refusal(Reason.NO_SOLUTION, NOTHING_FITS)
     fits: dict[str, Fit] = {}
@@ -81,29 +77,28 @@ def smooth_by_field(window: Window, knowledge: Knowledge) -> Smoothed:
 
 
 def _elsewhere(first: Fit) -> dict[str, Fit]:
-    """Fit a turn on the spot in a field that bends, and in a small circle; return all fits."""
-    nodes, found = first.model.nodes, {ON_THE_SPOT: first}
+    """Fit a turn again in a field that may bend, on the spot and in a small circle.
 
-    def follow(name: str, priors: Priors, like: Fit) -> None:
-        each = _fitted(nodes, priors, like.state, AGAIN, like)
-        known = found.get(name)
-        if each is None or not is_upright(each):
-            return
-        if known is None or each.evidence < known.evidence:
-            found[name] = each
-
+    The field of an open place is one that bends by nothing, not another kind of motion.
+    """
     # A field that bends looks like axes out of square, which are square to begin with.
     groups = {**first.point.groups, "axes": 1.0, "soft_iron": 1.0, "gradient": BENDS}
     like = replace(first, point=replace(first.point, groups=groups))
-    follow(BENT, in_a_bent_field(first.model.priors), like)
-    best = min(found, key=lambda name: found[name].evidence)
-    priors = found[best].model.priors
-    follow(SMALL_CIRCLE, in_a_circle(priors), found[best])
-    circle = found.get(SMALL_CIRCLE)
-    if circle is not None and circle.evidence < found[best].evidence:
+    spot = _upright(in_a_bent_field(first.model.priors), like) or first
+    circle = _upright(in_a_circle(spot.model.priors), spot)
+    if circle is None:
+        return {ON_THE_SPOT: spot}
+    if circle.evidence < spot.evidence:
         # The sizes of the noises may have gone on to shrink there.
-        follow(best, priors, circle)
-    return found
+        again = _upright(spot.model.priors, circle)
+        spot = again if again is not None and again.evidence < spot.evidence else spot
+    return {ON_THE_SPOT: spot, SMALL_CIRCLE: circle}
+
+
+def _upright(priors: Priors, like: Fit) -> Fit | None:
+    """Fit a turn from another optimum; None where the result is none or mirrors the axes."""
+    found = _fitted(like.model.nodes, priors, like.state, AGAIN, like)
+    return found if found is not None and is_upright(found) else None
 
 
 def _distinct(fits: list[Fit], furthest: float) -> list[Fit]:
