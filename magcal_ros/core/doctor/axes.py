@@ -10,8 +10,7 @@ import numpy as np
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.rotations import is_mirrored, likely_slip, rpy_from_rotation, spoken
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import Alignment
-from magcal_ros.core.samples.alignment_fit import FIELD, UP
+from magcal_ros.core.samples.alignment import FIELD, UP, Alignment
 from magcal_ros.core.samples.window import Stretch
 
 

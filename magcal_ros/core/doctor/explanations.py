@@ -22,8 +22,16 @@ from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
 from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
-from magcal_ros.core.samples.alignment import Alignment, align
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, WIDE
+from magcal_ros.core.samples.alignment import (
+    BIAS,
+    FIELD,
+    IRON,
+    LAG,
+    SCALE,
+    WIDE,
+    Alignment,
+    align,
+)
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 
 

@@ -18,8 +18,17 @@ from magcal_ros.core.doctor.explanations import GRAVITY, Explanations
 from magcal_ros.core.doctor.explanations import TUNING as WEIGHED
 from magcal_ros.core.geometry.arrays import FloatArray, running_mean
 from magcal_ros.core.geometry.rotations import skews
-from magcal_ros.core.samples.alignment import inefficiency
-from magcal_ros.core.samples.alignment_fit import FIELD, IRON, LAG, WIDE, AlignmentFit
+from magcal_ros.core.samples.alignment import (
+    FIELD,
+    IRON,
+    LAG,
+    SOFT,
+    START_NOISE,
+    WIDE,
+    AlignmentFit,
+    inefficiency,
+    turned,
+)
 from magcal_ros.core.samples.window import (
     SensorLog,
     Stretch,
@@ -75,7 +84,7 @@ def field_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
     state[:, LAG] = 0.0
     state[:, FIELD.start : IRON.stop] *= explanations.part.size / part.size
     axes, gyro = explanations.field[k : k + 1], explanations.gyro[k : k + 1]
-    fit = AlignmentFit(part, axes, OF_FIELD, gyro)
+    fit = AlignmentFit(part, axes, gyro, OF_FIELD)
     found = _fitted(fit, state, part, log, None)
     return Latency(before + found.lag, found.sigma)
 
@@ -92,8 +101,8 @@ def force_latency(log: SensorLog, explanations: Explanations, k: int) -> Latency
         part = stretch_of_log(gravity, before, EACH_SAMPLE)
         if part is None:
             break
-        fit = AlignmentFit(part, np.eye(3)[None], OF_FORCE, gyro, with_up=False)
-        state = fit.descend(fit.start(), OF_FORCE.start_noise, TUNING.steps)
+        fit = AlignmentFit(part, np.eye(3)[None], gyro, OF_FORCE, with_up=False)
+        state = fit.descend(fit.start(), START_NOISE, TUNING.steps)
         turns = skews(fit.rate[0])
         lever = skews(np.gradient(fit.rate[0], part.time, axis=0)) + turns @ turns
         more = _fitted(fit, state, part, log, TUNING.lever / part.size * lever)
@@ -111,10 +120,10 @@ def _fitted(
     for _ in range(2):
         noise = fit.noise(state, 0)
         state = fit.descend(state, noise, TUNING.steps)
-    attitude, moved = fit.propagate(state)
-    residual = fit.residuals(state)[0][0]
-    walked = fit.field_turned(state, attitude, _walk(attitude, part.time, log))
-    parts = [fit.field_jacobian(state, attitude, moved)[0], walked[0]]
+    residual, jacobian = (values[0, 0] for values in fit.linearised(state))
+    attitude, _ = fit.propagate(state)
+    walked = turned(attitude @ state[0, FIELD], _walk(attitude, part.time, log))[0]
+    parts = [jacobian, (np.eye(3) + state[0, SOFT].reshape(3, 3)) @ walked]
     if lever is not None:
         parts.append(lever)
     design = np.concatenate(parts, axis=2)

@@ -16,8 +16,7 @@ from magcal_ros.core.doctor.latency import Latency, field_latency, force_latency
 from magcal_ros.core.doctor.prepared import CleanLog, Rest, longest_rest
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.knowledge import Belief, Knowledge
-from magcal_ros.core.samples.alignment import align
-from magcal_ros.core.samples.alignment_fit import BIAS, SCALE
+from magcal_ros.core.samples.alignment import BIAS, SCALE, align
 from magcal_ros.core.samples.streams import slow_words
 from magcal_ros.core.samples.window import SensorLog, Stretch, stretch_of_log
 

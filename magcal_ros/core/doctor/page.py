@@ -34,7 +34,7 @@ from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, running_mean
 from magcal_ros.core.geometry.attitude import unit
 from magcal_ros.core.geometry.rotations import exp_rotation
 from magcal_ros.core.knowledge import Knowledge
-from magcal_ros.core.samples.alignment_fit import BIAS, FIELD, IRON, LAG, SCALE, UP
+from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, SCALE, UP
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
 from magcal_ros.core.samples.window import SensorLog, Window, stretch_of
