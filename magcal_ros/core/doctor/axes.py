@@ -29,14 +29,11 @@ class AxesTuning:
     dip_sigma: float = math.radians(3.0)
     """Radians that a reference inclination is trusted to at best."""
     attitude_error: float = math.radians(0.5)  # radians that propagated attitudes are off at best
-    vaguest_dip: float = math.radians(15.0)
-    """Radians of uncertainty beyond which the seen inclination is not used."""
     least_dip: float = math.radians(10.0)  # radians of inclination from which its sign is used
     most_named: int = 3  # explanations that are written out for one sensor
 
 
 TUNING = AxesTuning()
-AS_THEY_SHOULD_BE: FloatArray = np.eye(3)
 LIFT = "lift the nose by 20° while it turns"
 DRIVE = "; on a straight drive a receiver's course shows its yaw, too"
 
@@ -47,42 +44,32 @@ class AxesFound:
 
     candidates: FloatArray
     """What explains the samples, the likeliest first; rows are the magnetometer's axes, after the
-    mounting that is known, in the body's. Empty if nothing does. Shape (k, 3, 3)."""
+    mounting that is known, in the body's. Shape (k, 3, 3)."""
     right: bool  # whether the axes as given are among them, or not excluded beyond doubt
     pose: FloatArray
     """The mounting that is known. Shape (3, 3)."""
     dip_known: bool  # whether a reference inclination separates a field from its opposite
 
     @property
-    def meant(self) -> FloatArray | None:
-        """The likeliest axes, those as given where they are not excluded; None if none fit."""
-        if self.right:
-            return AS_THEY_SHOULD_BE
-        return self.candidates[0] if len(self.candidates) else None
+    def meant(self) -> FloatArray:
+        """The likeliest axes, those as given where they are not excluded."""
+        return np.eye(3) if self.right else np.asarray(self.candidates[0])
 
     @property
     def mirrored(self) -> bool:
         """Whether the likeliest axes are such as no mounting makes."""
-        return self.meant is not None and is_mirrored(self.meant)
+        return is_mirrored(self.meant)
 
     @property
     def mount_rpy_deg(self) -> tuple[int, int, int] | None:
         """What the parameter `mount_rpy_deg` should be; None if no mounting corrects the axes."""
-        if self.meant is None or self.mirrored:
-            return None
-        return mount_of(self.meant, self.pose)
+        return None if self.mirrored else mount_of(self.meant, self.pose)
 
     @property
     def words(self) -> str:
         """What is wrong and the line to change, if gyro and accelerometer are right; else empty."""
         if self.right:
             return ""
-        if self.meant is None:
-            return (
-                "no mounting and no swapped or mirrored axes of the magnetometer make gyro and "
-                "field agree: check the gyro's unit, axes and stamps, and turn away from "
-                "iron"
-            )
         words = f"the magnetometer's axes do not belong to the IMU's: {self._say(self.meant)}"
         others = self.candidates[1 : TUNING.most_named]
         if len(self.candidates) > 1:
@@ -169,7 +156,5 @@ def inclination_misfit(found: Alignment, k: int, sign: float, dip: Belief) -> fl
     # Drift of the gyro looks like a small tilt, which shows nothing of the field.
     variance += (TUNING.attitude_error / max(found.tilt_seen, 1e-6)) ** 2
     seen = -math.asin(max(-1.0, min(1.0, along)))
-    if variance > TUNING.vaguest_dip**2:
-        return 0.0
     allowed = TUNING.dip_sigma**2 + dip.sigma**2
     return (seen - dip.value) ** 2 / (allowed + variance)

@@ -20,7 +20,7 @@ from magcal_ros.core.doctor.axes import TUNING as AXES
 from magcal_ros.core.doctor.axes import inclination_misfit, most_turned
 from magcal_ros.core.geometry.arrays import FloatArray
 from magcal_ros.core.geometry.attitude import STANDARD_GRAVITY
-from magcal_ros.core.geometry.rotations import is_mirrored, signed_permutations, skews
+from magcal_ros.core.geometry.rotations import signed_permutations, skews
 from magcal_ros.core.knowledge import Belief
 from magcal_ros.core.samples.alignment import (
     BIAS,
@@ -98,12 +98,9 @@ class Explanations:
     @property
     def plain(self) -> int:
         """The way in which all axes are right."""
-        right = [
-            k
-            for k in range(len(self.misfit))
-            if np.array_equal(self.gyro[k], np.eye(3)) and np.array_equal(self.field[k], np.eye(3))
-        ]
-        return right[0]
+        return int(
+            np.argmax(((self.gyro == np.eye(3)) & (self.field == np.eye(3))).all(axis=(1, 2)))
+        )
 
     @property
     def best(self) -> int:
@@ -134,10 +131,8 @@ def explain(log: SensorLog, inclination: Belief) -> Explanations | None:
             break
         part, lag = nearer, lag + more
         senses = _against_the_field(part, proper)
-    ways = _remaining(part, senses, every, proper)
-    gyro, field = every[[way.gyro for way in ways]], np.array([way.field for way in ways])
+    gyro, field, base = _remaining(part, senses, every, proper)
     found = align(part, field, gyro)
-    base = np.array([way.cost for way in ways])
     return _signed(gyro, field, base - base.min(), found, inclination, lag, part)
 
 
@@ -147,37 +142,29 @@ def _against_the_field(stretch: Stretch, proper: FloatArray) -> Alignment:
     return align(stretch, np.concatenate([proper, proper]), senses, with_up=False)
 
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """Row of the gyro's axes among all, the field's axes, and chi-square of both comparisons."""
-
-    gyro: int
-    field: FloatArray
-    cost: float
-
-
 def _remaining(
     stretch: Stretch, senses: Alignment, every: FloatArray, proper: FloatArray
-) -> list[_Way]:
-    """Return the ways worth a fit together, and that in which all axes are right."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the ways worth a fit together, and that in which all axes are right.
+
+    Axes of gyro and field, (m, 3, 3) each, and chi-square (m,) of both comparisons.
+    """
     # A vehicle's accelerations lean gravity for long: only its changes are compared.
     misfit, rms = gravity_misfit(stretch, every)
     gravity = _decisive(misfit, rms, senses.tilt_seen > 0.0)
     is_good = bool(senses.rms[senses.best] < TUNING.good_fit)
     lifted = senses.tilt_seen > AXES.lift and is_good
-    against_field = _decisive(senses.misfit, senses.rms, lifted)
-    ways = []
-    for g, axes in enumerate(every):
-        mirrored = int(is_mirrored(axes))
-        for k, relative in enumerate(proper):
-            cost = float(against_field[24 * mirrored + k] + gravity[g])
-            ways.append(_Way(g, relative @ (-axes if mirrored else axes), cost))
-    ways.sort(key=lambda way: way.cost)
-    fits = [way for way in ways if way.cost - ways[0].cost < TUNING.pruned]
+    against_field = _decisive(senses.misfit, senses.rms, lifted).reshape(2, -1)
+    sense = np.rint(np.linalg.det(every))
+    cost = (against_field[(sense < 0.0).astype(int)] + gravity[:, None]).ravel()
+    field = np.einsum("kij,gjl->gkil", proper, sense[:, None, None] * every).reshape(-1, 3, 3)
+    order = np.argsort(cost, kind="stable")
+    gyro = order // len(proper)
     # A turn on the level leaves most axes of a gyro open: those as given are always among them.
-    kept = fits[: TUNING.most] + [way for way in fits[TUNING.most :] if way.gyro == 0]
-    right = next(w for w in ways if w.gyro == 0 and np.array_equal(w.field, np.eye(3)))
-    return kept if any(way is right for way in kept) else [*kept, right]
+    likely = (np.arange(len(order)) < TUNING.most) | (gyro == 0)
+    right = (gyro == 0) & (field[order] == np.eye(3)).all(axis=(1, 2))
+    kept = (likely & (cost[order] - cost.min() < TUNING.pruned)) | right
+    return every[gyro[kept]], field[order[kept]], cost[order[kept]]
 
 
 def _decisive(misfit: FloatArray, rms: FloatArray, lifted: bool) -> FloatArray:

@@ -13,7 +13,6 @@ import numpy as np
 
 from magcal_ros.core.assessment.grading import Grade
 from magcal_ros.core.doctor.axes import AxesFound, parameter_line
-from magcal_ros.core.doctor.blame import UserAnswers
 from magcal_ros.core.doctor.course import AxesInUse, CourseSeen, axes_in_use, course_findings
 from magcal_ros.core.doctor.explanations import Explanations, rate_factors
 from magcal_ros.core.doctor.health import (
@@ -37,7 +36,7 @@ from magcal_ros.core.knowledge import Knowledge
 from magcal_ros.core.samples.alignment import BIAS, FIELD, IRON, LAG, SCALE, UP
 from magcal_ros.core.samples.stamps import bursts_of_a_turn
 from magcal_ros.core.samples.units import MISLED_BY_AXES, explained
-from magcal_ros.core.samples.window import SensorLog, Window, stretch_of
+from magcal_ros.core.samples.window import SensorLog, Window, stretch_of_log
 
 PAIRED = ("bursts", "stamps", "repeats")
 """Lines of which paired samples show nothing."""
@@ -77,14 +76,17 @@ class Page:
 
 
 def examine(
-    log: SensorLog, knowledge: Knowledge = Knowledge(), answers: UserAnswers = UserAnswers()
+    log: SensorLog, knowledge: Knowledge = Knowledge(), turned_left: bool | None = None
 ) -> Page:
-    """Look at everything that a log shows of its sensors."""
+    """Look at everything that a log shows of its sensors.
+
+    `turned_left` is what the user says of the turn; None where that was not asked.
+    """
     prepared = prepare(log)
     left = prepared.log
     if min(len(left.imu_time), len(left.field_time)) < 3:
         return Page((*prepared.findings, *known_habits(log)))
-    found = compare(prepared, knowledge, answers)
+    found = compare(prepared, knowledge, turned_left)
     lines = [*prepared.findings, *noise_findings(left, found.factor), *found.findings]
     lines += _of_the_field(prepared, found, knowledge)
     mount = None
@@ -105,10 +107,7 @@ def examine(
 
 def examine_window(window: Window, knowledge: Knowledge = Knowledge()) -> Page:
     """Look at what the samples of a turn show, which are paired and cleaned already."""
-    nothing = np.full((len(window), 3), np.nan)
-    rate = nothing if window.angular_rate is None else window.angular_rate
-    log = SensorLog(window.time, window.specific_force, rate, window.time, window.field)
-    page = examine(log, knowledge)
+    page = examine(SensorLog.of_window(window), knowledge)
     kept = [f for f in page.findings if f.key not in PAIRED]
     return replace(page, findings=tuple(kept))
 
@@ -144,7 +143,6 @@ class PlaceTuning:
     still: float = math.radians(3.0)
     moves: float = math.radians(8.0)
     """rad/s below which it stands, and above which it turns."""
-    late: float = 0.05  # seconds of a latency that is not shown, up to which it does not matter
     before: tuple[float, float] = (-0.6, -0.1)
     after: tuple[float, float] = (0.3, 0.8)
     """Seconds from and to, around the moment in which it sets off or stops."""
@@ -153,7 +151,10 @@ class PlaceTuning:
 TUNING = PlaceTuning()
 MOTORS = "field: motors"
 BETWEEN_RESTS = "stand still, turn, and stand still again"
-OR_LATE = "start and stop several times while you turn: motors and a late field look alike here"
+OR_LATE = (
+    ". A late field looks like this, too: to tell them apart, start and stop several times while "
+    "you turn"
+)
 
 
 def reference_findings(
@@ -204,27 +205,13 @@ def motors_finding(
     """Look for a step of the field when the robot sets off or stops, beside what it turned.
 
     A field that is late looks like motors, and motors like one that is late: where the latency is
-    not shown and the step may be either, both are said.
+    not shown, both are said.
 
     `log` is as it was explained: rates in rad/s, the known mounting taken off. Explanation `k`
     gives the axes, the bias and the hard iron.
     """
-    lag = float(explanations.parameters[k, LAG])
-    found = _motors_with(log, explanations, k, lag)
-    if lag_is_shown or abs(lag) < TUNING.late:
-        return found
-    in_time = _motors_with(log, explanations, k, 0.0)
-    if found.grade is in_time.grade:
-        return found
-    if not in_time.remedy:
-        return not_shown("motors", MOTORS, OR_LATE)
-    or_late = f"or the field is {abs(lag):.2f} s {'early' if lag < 0.0 else 'late'}"
-    return looked_at("motors", MOTORS, f"{in_time.evidence}; {or_late}", OR_LATE)
-
-
-def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float) -> Finding:
-    """Look for the motors' step where the field is late by so many seconds."""
     state = explanations.parameters[k]
+    lag = float(state[LAG]) if lag_is_shown else 0.0
     rate = (1.0 + state[SCALE]) * log.rate @ explanations.gyro[k] - state[BIAS]
     field = log.field @ explanations.field[k]
     time = log.field_time - lag
@@ -262,6 +249,7 @@ def _motors_with(log: SensorLog, explanations: Explanations, k: int, lag: float)
         return not_shown("motors", MOTORS, f"within {off * 1e6:.1f} µT; {BETWEEN_RESTS}")
     is_too_large = max(turned / TUNING.turned_too_far, scattered / TUNING.scatter_too_large) > 1.0
     remedy = MOVE_THE_SENSOR if is_too_large else TURN_BETWEEN_RESTS
+    remedy += "" if lag_is_shown else OR_LATE
     return looked_at("motors", MOTORS, evidence, remedy * is_step)
 
 
@@ -340,7 +328,7 @@ def wrong_gyro(window: Window, knowledge: Knowledge) -> Refusal | None:
             "(angular_velocity_covariance[0] = -1; in a table, leave the columns out) to be "
             "calibrated without a gyro",
         )
-    stretch = stretch_of(window)
+    stretch = stretch_of_log(SensorLog.of_window(window))
     if stretch is not None and set(rate_factors(stretch) or ()) - {1.0}:
         unit = _by_the_page(window, knowledge, ("rate_unit",))
         return Refusal(Reason.AXES_DISAGREE, unit) if unit else None

@@ -1,4 +1,4 @@
-"""A log made fit for comparing its sensors, and the parts of it in which the sensor rests."""
+"""A log made fit for comparing its sensors."""
 
 from __future__ import annotations
 
@@ -20,27 +20,9 @@ from magcal_ros.core.doctor.health import (
     stamps_finding,
     wrong,
 )
-from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, interpolated, runs
-from magcal_ros.core.samples.rest import longest_stand
+from magcal_ros.core.geometry.arrays import BoolArray, FloatArray, runs
 from magcal_ros.core.samples.stamps import evenly, long_gaps
 from magcal_ros.core.samples.window import SensorLog
-
-
-@dataclass(frozen=True, eq=False)
-class Rest:
-    """The longest rest."""
-
-    rate: FloatArray
-    """What the gyro read, rad/s. Shape (3,)."""
-    is_certain: bool  # whether a turn at that rate would have moved the field, which did not move
-
-
-def longest_rest(log: SensorLog) -> Rest | None:
-    """Return the longest rest of a clean log; None if there was none."""
-    inside = (log.field_time >= log.imu_time[0]) & (log.field_time <= log.imu_time[-1])
-    time = log.field_time[inside]
-    found = longest_stand(time, log.field[inside], interpolated(time, log.imu_time, log.rate))
-    return None if found is None else Rest(*found)
 
 
 def block_means(time: FloatArray, values: FloatArray, edges: FloatArray) -> FloatArray:

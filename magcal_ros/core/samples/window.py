@@ -146,6 +146,13 @@ class SensorLog:
             np.array([s.orientation or NO_ORIENTATION for s in imu]).reshape(-1, 4),
         )
 
+    @classmethod
+    def of_window(cls, window: Window) -> SensorLog:
+        """Return the samples of a window as two streams."""
+        rate = window.angular_rate
+        rate = np.full((len(window), 3), np.nan) if rate is None else rate
+        return cls(window.time, window.specific_force, rate, window.time, window.field)
+
     @property
     def has_gyro(self) -> bool:
         """Whether most IMU samples carry a rate."""
@@ -191,15 +198,6 @@ def field_size(field: FloatArray) -> float:
     """Return how large the changing part of a field (n, 3) is, in its unit; never zero."""
     span = np.ptp(np.quantile(field, (0.02, 0.98), axis=0), axis=0)
     return max(float(np.linalg.norm(span)) / 2.0, 1e-12)
-
-
-def stretch_of(window: Window) -> Stretch | None:
-    """Average the samples of a turn that has a gyro; None where there are too few."""
-    assert window.angular_rate is not None
-    log = SensorLog(
-        window.time, window.specific_force, window.angular_rate, window.time, window.field
-    )
-    return stretch_of_log(log)
 
 
 def stretch_of_log(
