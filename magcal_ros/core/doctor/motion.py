@@ -39,8 +39,8 @@ TURN_BETWEEN_RESTS = (
     "begins and ends at rest knows it, and the node takes it off while the robot moves"
 )
 MOVE_THE_SENSOR = (
-    "if motors turn it, their current makes a field of its own, too large or too uneven to be "
-    "taken off well. Moving the sensor is the better cure: away from motors, drivers and battery "
+    "if motors turn it, their current makes a field of its own, too large to be taken off "
+    "well. Moving the sensor is the better cure: away from motors, drivers and battery "
     "wires, and each pair of wires twisted"
 )
 """What to do where the field changes as the robot sets off."""
